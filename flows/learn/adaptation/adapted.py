@@ -7,23 +7,28 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.adaptation.alignment import LARGEST, Alignment, aligned, best_alignment, logits, time_scales
+from flows.learn.adaptation.alignment import (
+    LARGEST,
+    Alignment,
+    aligned,
+    best_alignment,
+    logits,
+    standardised,
+    time_scales,
+)
 from flows.learn.adaptation.segmentation import Segmentation, segmented, two_states
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.train_extra import require_train_extra
-from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Counts, Flags, Reals
+from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Counts, Flags
 from operators.detectors import Tcn
 from operators.errors import InputError
 
 SHORTEST: Final = 20.0  # s, of all recordings together
 CONTRAST: Final = 1.0  # least difference of the log activity of strokes from that of rest
-CLEAR: Final = 0.75  # least clearness of rest and strokes that a network may learn from
 AGREEMENT: Final = "balanced accuracy against rest and strokes"
-CLEARNESS: Final = "share of the score's variance between two states"
 _THIRDS: Final = 3
 _SMOOTH: Final = 0.2  # s
-_TINY: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,11 +51,8 @@ def adapt(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> Adapted:
     """Adapt a network to recordings whose labels are ignored; 30 s with rest and strokes suffice.
 
     1. Rest and strokes are separated by the activity of the counts (`segmented`).
-    2. The time scale and the gain are chosen at which the network's scores agree best with them.
+    2. The time scale and the gain are chosen at which the network's score agrees best with the activity.
     3. Activity and score together give labels, from which the dense layers of the network learn.
-
-    If rest and strokes are not clear (the finger creeps, or drifts as much as it strokes), the time scale and
-    the gain are chosen at which the network's own scores have the clearest two states, and nothing is learnt.
 
     To judge the result, the same is first done without a third of each recording. On that third, both
     networks are compared with its rest and strokes. The result then uses all of the recordings. There is no
@@ -70,21 +72,18 @@ def adapt(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> Adapted:
         tcn.fingertip.check_fits(tcn.name, recording.fingertip)
     found = [_Part(each.counts, segmented(each.counts, each.fingertip.rate)) for each in recordings]
     _check(recordings, found)
-    clear = [each for each in found if each.segments.clearness >= CLEAR]
-    used = clear or found
-    fit, judge, measure = (_taught, _agreement, AGREEMENT) if clear else (_clearest, _clearness, CLEARNESS)
     longest = aligned(tcn, Alignment(max(time_scales(tcn)))).length  # samples, window at any time scale
-    held_out = [(each, *_third(each.segments.stroke)) for each in used]
+    held_out = [(each, *_third(each.segments.stroke)) for each in found]
     learned = [
         part
         for each, start, stop in held_out
         for part in (each.rows(0, start), each.rows(stop, len(each.counts)))
         if len(part.counts) > longest
     ]
-    candidate, _ = fit(tcn, learned)
+    candidate, _ = _taught(tcn, learned)
     judged = [each.rows(start, stop) for each, start, stop in held_out]
-    before, after = (judge(network, judged, longest) for network in (tcn, candidate))
-    return Adapted(*fit(tcn, used), before, after, measure)
+    before, after = (_agreement(network, judged, longest) for network in (tcn, candidate))
+    return Adapted(*_taught(tcn, found), before, after, AGREEMENT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,17 +102,11 @@ def _taught(tcn: Tcn, parts: Sequence[_Part]) -> tuple[Tcn, Alignment]:
     """Return a network whose dense layers learned from activity and score, and its alignment."""
     from flows.learn.adaptation.head_training import train_head  # noqa: PLC0415 - imports torch
 
-    alignment = best_alignment(tcn, [(each.counts, _codes(each.segments.stroke)) for each in parts])
+    alignment = best_alignment(tcn, [(each.counts, each.segments.activity) for each in parts])
     network = aligned(tcn, alignment)
     result = type(tcn)(train_head(network, [(each.counts, _labels(network, each)) for each in parts]))
     result.fingertip = tcn.fingertip
     return result, alignment
-
-
-def _clearest(tcn: Tcn, parts: Sequence[_Part]) -> tuple[Tcn, Alignment]:
-    """Return a network whose scores have the clearest two states, and its alignment."""
-    alignment = best_alignment(tcn, [(each.counts, None) for each in parts])
-    return aligned(tcn, alignment), alignment
 
 
 def _labels(tcn: Tcn, part: _Part) -> Codes:
@@ -122,7 +115,7 @@ def _labels(tcn: Tcn, part: _Part) -> Codes:
 
     start = tcn.length - 1
     logit = np.clip(logits(tcn, part.counts)[start:], -LARGEST, LARGEST)
-    evidence = _standardised(part.segments.activity[start:]) + _standardised(logit)
+    evidence = standardised(part.segments.activity[start:]) + standardised(logit)
     evidence = ndimage.uniform_filter1d(evidence, max(round(_SMOOTH * tcn.fingertip.rate), 1))
     label = np.full(len(part.counts), UNKNOWN, np.int8)
     label[start:] = _codes(evidence > two_states(evidence)[0])
@@ -134,12 +127,6 @@ def _agreement(tcn: Tcn, parts: Sequence[_Part], start: int) -> float:
     slip = np.concatenate([logits(tcn, each.counts)[start:] > 0 for each in parts])
     stroke = np.concatenate([each.segments.stroke[start:] for each in parts])
     return Confusion.of(slip, stroke).balanced
-
-
-def _clearness(tcn: Tcn, parts: Sequence[_Part], start: int) -> float:
-    """Return the share of the variance of a network's logit between its two states, from `start` on, %."""
-    found = [np.clip(logits(tcn, each.counts)[start:], -LARGEST, LARGEST) for each in parts]
-    return 100 * two_states(np.concatenate(found))[1]
 
 
 def _third(stroke: Flags) -> tuple[int, int]:
@@ -162,8 +149,3 @@ def _check(recordings: Sequence[LabelledRecording], parts: Sequence[_Part]) -> N
 
 def _codes(slip: Flags) -> Codes:
     return np.where(slip, SLIP, STATIC).astype(np.int8)
-
-
-def _standardised(values: Reals) -> Reals:
-    result: Reals = (values - values.mean()) / (values.std() + _TINY)
-    return result

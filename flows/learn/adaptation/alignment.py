@@ -12,14 +12,12 @@ from typing import Final
 import numpy as np
 
 from flows.learn.adaptation.segmentation import two_states
-from flows.learn.train_extra import sklearn
 from flows.learn.training.recipe import LONGEST
-from operators.batch import SLIP, UNKNOWN, Codes, Counts, Reals
+from operators.batch import Counts, Reals
 from operators.detectors import Tcn
 
 TIME_SCALES: Final = (1, 2, 3)
-GAINS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
-_OCTAVE: Final = 0.05  # by which an alignment must be better for each factor of 2 in the gain
+GAINS: Final = (0.25, 1.0, 4.0)
 LARGEST: Final = 8.0  # size of a logit beyond which it says no more
 
 
@@ -52,32 +50,39 @@ def time_scales(tcn: Tcn) -> list[int]:
     return [each for each in TIME_SCALES if each == 1 or aligned(tcn, Alignment(each)).length <= LONGEST]
 
 
-def best_alignment(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes | None]]) -> Alignment:
-    """Return the alignment whose scores have the clearest two states that agree best with the labels.
+def best_alignment(tcn: Tcn, recordings: Sequence[tuple[Counts, Reals]]) -> Alignment:
+    """Return the alignment at which the logit agrees best with a target.
 
-    The measure is the share of the variance of the logit between its two states, plus the area under the ROC
-    curve, less 0.05 for each factor of 2 in the gain. All alignments are judged on the same samples.
+    The measure is the correlation, plus the share of the variance of the sum of both, standardised, that is
+    between the two states of the sum. All alignments are judged on the same samples.
 
     Args:
         tcn: Network to align.
-        recordings: Counts (n, cells) and labels (n,) of each; without labels, only the two states count.
+        recordings: Counts (n, cells) and target (n,) of each; NaN: unknown.
     """
     candidates = [Alignment(scale, gain) for scale in time_scales(tcn) for gain in GAINS]
     start = aligned(tcn, candidates[-1]).length - 1
-    label = np.concatenate(
-        [np.full(len(counts), UNKNOWN) if label is None else label for counts, label in recordings]
-    )
-    after = np.concatenate([np.arange(len(counts)) >= start for counts, _ in recordings])
-    known = label[after] != UNKNOWN
-    slip = label[after][known] == SLIP
+    target = np.concatenate([target[start:] for _, target in recordings])
+    known = np.isfinite(target)
+    wanted = standardised(target[known])
     found = list[float]()
     for candidate in candidates:
         network = aligned(tcn, candidate)
-        logit = np.concatenate([logits(network, counts) for counts, _ in recordings])[after]
-        logit = np.clip(logit, -LARGEST, LARGEST)
-        area = sklearn("metrics").roc_auc_score(slip, logit[known]) if slip.any() and not slip.all() else 0.0
-        found.append(float(area) + two_states(logit)[1] - _OCTAVE * abs(np.log2(candidate.gain)))
+        logit = np.concatenate([logits(network, counts)[start:] for counts, _ in recordings])
+        found.append(_unison(standardised(np.clip(logit, -LARGEST, LARGEST)[known]), wanted))
     return candidates[int(np.argmax(found))]
+
+
+def standardised(values: Reals) -> Reals:
+    """Return values (n,) with mean 0 and variance 1, or all 0 if they are equal."""
+    centred: Reals = values - values.mean()
+    return centred / (centred.std() or 1.0)
+
+
+def _unison(logit: Reals, target: Reals) -> float:
+    """Return how well a standardised logit (n,) agrees with a standardised target (n,)."""
+    together = logit + target
+    return float((logit * target).mean()) + two_states(together)[1]
 
 
 def logits(tcn: Tcn, counts: Counts) -> Reals:

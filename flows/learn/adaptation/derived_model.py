@@ -8,7 +8,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from flows.learn.adaptation.adapted import AGREEMENT, Adapted, adapt
+from flows.learn.adaptation.adapted import Adapted, adapt
 from flows.learn.adaptation.fine_tuning import STEPS, fine_tune
 from flows.learn.adaptation.segmentation import segmented
 from flows.learn.evaluation.debounce_tuning import tuned_on
@@ -97,23 +97,15 @@ def adapt_model(
     details = {
         "method": "adapt",
         "first_s": first,
-        "clearness": [round(segment.clearness, 3) for segment in segments],
         "contrast": [round(segment.contrast, 3) for segment in segments],
     }
     card = _card(model, tcn, adapted, details, recordings)
-    if rule := adapted_debounce(adapted, recordings):
-        card["debounce"] = _settings(rule)
+    card["debounce"] = _settings(adapted_debounce(adapted, recordings))
     return _write(model, out, adapted, card, keep_new=keep_new)
 
 
-def adapted_debounce(adapted: Adapted, recordings: Sequence[LabelledRecording]) -> Debounce | None:
-    """Tune the debounce of an adapted network on rest and strokes of the recordings that it was adapted to.
-
-    Returns:
-        None if rest and strokes are not clear: the settings of its parent remain.
-    """
-    if adapted.measure != AGREEMENT:
-        return None
+def adapted_debounce(adapted: Adapted, recordings: Sequence[LabelledRecording]) -> Debounce:
+    """Tune the debounce of an adapted network on rest and strokes of recordings that it was adapted to."""
     strokes = [segmented(each.counts, each.fingertip.rate).stroke for each in recordings]
     labels = [np.where(stroke, SLIP, STATIC).astype(np.int8) for stroke in strokes]
     labelled = [replace(each, label=label) for each, label in zip(recordings, labels, strict=True)]

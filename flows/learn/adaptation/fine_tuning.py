@@ -11,7 +11,7 @@ from flows.learn.labelled_recordings import LabelledRecording, common_fingertip
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from flows.learn.training.trained_model import label_scores
-from operators.batch import SLIP, STATIC
+from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Reals
 from operators.detectors import Tcn
 from operators.errors import InputError
 
@@ -31,8 +31,8 @@ def fine_tune(
 ) -> Adapted:
     """Train a network further on labelled recordings; two minutes suffice.
 
-    The time scale and the gain are chosen at which the network's scores agree best with the labels. Then all
-    weights learn for a fixed number of steps. The held-out part chooses nothing: it only compares the new
+    The time scale and the gain are chosen at which the network's score agrees best with the labels. Then
+    all weights learn for a fixed number of steps. The held-out part chooses nothing: it only compares the new
     network with the old one.
 
     Args:
@@ -60,7 +60,7 @@ def fine_tune(
     if not {SLIP, STATIC} <= set(found.tolist()):
         names = ", ".join(each.name for each in learned)
         raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
-    alignment = best_alignment(tcn, [(each.counts, each.label) for each in learned])
+    alignment = best_alignment(tcn, [(each.counts, _target(each.label)) for each in learned])
     start = aligned(tcn, alignment)
     judged = list(held_out) or [
         each.piece(slice(len(part) + start.length, None))
@@ -72,6 +72,11 @@ def fine_tune(
     result.fingertip = tcn.fingertip
     before, after = (label_scores(each, judged)["balanced"] for each in (tcn, result))
     return Adapted(result, alignment, before, after, "balanced accuracy")
+
+
+def _target(label: Codes) -> Reals:
+    """Return 1 for slip, 0 for static and NaN for unknown; (n,)."""
+    return np.where(label == UNKNOWN, np.nan, label == SLIP)
 
 
 def _recipe(tcn: Tcn, steps: int, seed: int) -> Recipe:

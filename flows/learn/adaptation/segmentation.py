@@ -32,11 +32,10 @@ class Segmentation:
 
     activity: Reals  # (n,) log counts
     stroke: Flags  # (n,)
-    clearness: float  # share of the variance of the activity between the two states, 0 to 1
     contrast: float  # mean log activity of strokes less that of rest
 
     def rows(self, start: int, stop: int) -> Self:
-        """Return the samples from `start` to before `stop`; clearness and contrast stay those of all."""
+        """Return the samples from `start` to before `stop`; the contrast stays that of all."""
         return replace(self, activity=self.activity[start:stop], stroke=self.stroke[start:stop])
 
 
@@ -45,7 +44,7 @@ def segmented(counts: Counts, rate: float) -> Segmentation:
     from scipy import ndimage  # noqa: PLC0415 - slow to import
 
     if len(counts) <= 2 * _samples(_CHANGE, rate):
-        return Segmentation(np.zeros(len(counts)), np.zeros(len(counts), np.bool_), 0.0, 0.0)
+        return Segmentation(np.zeros(len(counts)), np.zeros(len(counts), np.bool_), 0.0)
     smooth = ndimage.median_filter(counts.astype(np.float64), (_samples(_SPIKE, rate) | 1, 1))
     signal = smooth @ _weights(smooth, _samples(_CHANGE, rate))  # (n,)
     span, delay = _samples(_SPAN, rate), _samples(_DELAY, rate)
@@ -54,10 +53,9 @@ def segmented(counts: Counts, rate: float) -> Segmentation:
     variance -= np.square(mean - signal.mean())
     activity = np.log(np.maximum(variance, _FLOOR**2)) / 2
     activity = np.concatenate((np.full(min(delay, len(activity)), activity[0]), activity))[: len(activity)]
-    threshold, clearness = two_states(activity)
-    stroke = activity > threshold
+    stroke = activity > two_states(activity)[0]
     contrast = float(activity[stroke].mean() - activity[~stroke].mean()) if stroke.any() else 0.0
-    return Segmentation(activity, stroke, clearness, contrast)
+    return Segmentation(activity, stroke, contrast)
 
 
 def two_states(values: Reals) -> tuple[float, float]:
@@ -70,13 +68,10 @@ def two_states(values: Reals) -> tuple[float, float]:
     """
     ordered = np.sort(values)
     sums, below = ordered.cumsum(), np.arange(1, len(values))
-    spread = float(ordered.var()) if len(values) > 1 else 0.0
-    if spread <= 0:
-        return float(ordered[-1]), 0.0
     low, high = sums[:-1] / below, (sums[-1] - sums[:-1]) / (len(values) - below)
     between = below * (len(values) - below) * np.square(high - low) / len(values) ** 2
     best = int(between.argmax())
-    return float(ordered[best]), min(float(between[best]) / spread, 1.0)
+    return float(ordered[best]), float(between[best] / (ordered.var() or 1.0))
 
 
 def _weights(counts: Reals, change: int) -> Reals:

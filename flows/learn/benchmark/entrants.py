@@ -146,7 +146,7 @@ def _adapted(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
         found = adapt(method.detector, fold.train)
     except InputError:  # the recording is too short, or has no strokes
         return method.detector, old
-    return (found.tcn, adapted_debounce(found, fold.train) or old) if found.better else (method.detector, old)
+    return (found.tcn, adapted_debounce(found, fold.train)) if found.better else (method.detector, old)
 
 
 def _tuned(method: Method, fold: Fold, course: Course, draw: int) -> Fitted:

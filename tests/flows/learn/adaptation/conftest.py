@@ -17,11 +17,11 @@ _CELLS = np.array([1.0, 0.6, 0.3, -0.9, -0.5, -0.4])  # response to shear
 def stroked(
     seed: int, stroke: float = 0.5, amplitude: float = 120.0, seconds: float = 30.0
 ) -> LabelledRecording:
-    """A finger that rests about 1.5 s between strokes; friction shears the pad while it slides."""
+    """A finger that rests 1.5 to 3 s between strokes; friction shears the pad while it slides."""
     rng = np.random.default_rng(seed)
     shear, label, sign = list[float](), list[int](), 1.0
     while len(shear) < 100 * seconds:
-        rest, slide = round(100 * rng.uniform(1.2, 1.8)), round(100 * stroke * rng.uniform(0.9, 1.1))
+        rest, slide = round(100 * rng.uniform(1.5, 3)), round(100 * stroke * rng.uniform(0.9, 1.1))
         last = shear[-1] if shear else 0.0
         shear += [last * 0.4 + last * 0.6 * np.exp(-k / 12) for k in range(rest)]
         wave = np.cumsum(rng.normal(0, 0.03, slide))

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flows.learn.adaptation.adapted import AGREEMENT, CLEARNESS, adapt
+from flows.learn.adaptation.adapted import adapt
 from flows.learn.adaptation.alignment import Alignment, aligned, best_alignment, logits
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.trained_model import label_scores
@@ -31,7 +31,6 @@ def test_adaptation_to_longer_and_weaker_strokes_closes_half_of_the_gap(
     adapted = adapt(learned, [unlabelled(strokes, 10, **LONG)])
     after = label_scores(adapted.tcn, others)["balanced"]
     assert adapted.better
-    assert adapted.measure == AGREEMENT
     assert after > before + (home - before) / 2
     assert adapted.alignment.time_scale > 1
 
@@ -56,21 +55,12 @@ def test_an_adapted_network_streams_as_it_scores_windows(learned: Tcn, strokes: 
 
 def test_the_gain_of_a_sensor_is_found_and_folded(learned: Tcn, strokes: Stroked) -> None:
     recording = strokes(7)
-    assert best_alignment(learned, [(16 * recording.counts, recording.label)]).gain < 1
-    assert best_alignment(learned, [(recording.counts, recording.label)]) == Alignment()
+    target = recording.label.astype(np.float64)
+    assert best_alignment(learned, [(16 * recording.counts, target)]).gain < 1
+    assert best_alignment(learned, [(recording.counts, target)]) == Alignment()
     counts = np.arange(6 * 300, dtype=np.int16).reshape(300, 6) % 50
     weaker = logits(aligned(learned, Alignment(gain=4.0)), counts)[learned.length :]
     np.testing.assert_allclose(weaker, logits(learned, 4 * counts)[learned.length :], atol=1e-3)
-
-
-def test_without_clear_rest_and_strokes_only_time_scale_and_gain_are_adapted(learned: Tcn) -> None:
-    rng = np.random.default_rng(0)
-    size = np.exp(np.repeat(rng.normal(1, 1, 60), 50))  # counts per step, another every 0.5 s
-    walk = np.cumsum(size * rng.normal(0, 1, 3000))[:, None] * np.linspace(-1, 1, 6)
-    creeping = LabelledRecording(walk.clip(-3e4, 3e4).astype(np.int16), np.full(3000, UNKNOWN, np.int8), "")
-    adapted = adapt(learned, [creeping])
-    assert adapted.measure == CLEARNESS
-    np.testing.assert_array_equal(adapted.tcn.weights["out/kernel"], learned.weights["out/kernel"])
 
 
 def test_a_network_that_is_already_right_is_kept(learned: Tcn, strokes: Stroked) -> None:
