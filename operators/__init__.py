@@ -41,6 +41,7 @@ from operators.errors import (
     os_error_reason,
 )
 from operators.fingertip import TAKKTILE, Fingertip
+from operators.follow import Follow
 from operators.grip import Grip, GripController, StepGrip
 from operators.health import FaultKind, Health
 from operators.label import Label
@@ -87,6 +88,7 @@ __all__ = [
     "Fingertip",
     "FingertipError",
     "FlowError",
+    "Follow",
     "Gap",
     "Grip",
     "GripController",
