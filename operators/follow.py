@@ -14,9 +14,9 @@ from operators.operator import Operator
 from operators.row_loop import nearest_count, row_loop
 
 _GAIN: Final = 0.2  # share of a difference that the baseline follows per second
-_SLOPE_GAIN: Final = 0.01  # the same of the slope; critically damped: _GAIN squared / 4
-_FADE: Final = 120.0  # s, time constant of the slope in contact
-_CAP: Final = 20.0  # counts, largest growth of the tolerance during a contact
+_FADE: Final = 120.0  # s, time constant of the slope
+_SHARE: Final = 0.2  # of the deepest reading in a contact, by which the tolerance is larger after it
+_CAP: Final = 20.0  # counts, at most
 _RECOVERY: Final = 5.0  # counts above the baseline that may be recovery of the rubber after a contact
 _RECOVERED: Final = 30.0  # s in air after which none of it is
 _SIGNIFICANT: Final = 5.0  # standard errors from which on the first slope counts
@@ -35,15 +35,15 @@ class Follow(Operator[Touch, Zeroed]):
     of the baseline if they lie on a line that is steeper than their noise explains. Zeroed input passes
     unchanged.
 
-    A second is unloaded if at least three quarters of the cells are quiet and no further below the baseline
-    than the tolerance. Then these cells move the baseline, its slope and its temperature coefficient. In
-    contact the baseline moves with the temperature column and with the slope, which fades (120 s). So:
+    A second is unloaded if at least three quarters of the cells are quiet, and none of these is further below
+    the baseline than the tolerance. Then these cells move the baseline and its temperature coefficient. The
+    baseline always moves with the temperature column and with the first slope, which fades (120 s). So:
 
     - A press faster than `rate` leaves the tolerance, 5 s of `rate`, and stops the following. It is then
       preserved for any time. A slower press is followed like drift.
-    - The tolerance grows by `rate` while the cells are not quiet, as in contact with an arm that vibrates, by
-      20 counts at most, so that the fingertip is recognised as unloaded afterwards. A quiet load within it
-      after such a contact is followed like drift.
+    - After a contact the tolerance is larger by a fifth of its deepest reading, at most 20 counts, so that
+      the fingertip is recognised as unloaded again. A quiet load within it is followed like drift: do not
+      reduce a grip to less than a third without lifting.
     - Quiet counts above the baseline are no press. The baseline follows them if no cell is pressed, except
       for 5 counts that may be recovery of the rubber; this share falls to 0 within 30 s in air.
 
@@ -77,7 +77,7 @@ class Follow(Operator[Touch, Zeroed]):
     _known: Flags = field(init=False, repr=False, compare=False)  # (cells,) cells with a baseline
     # ns: first row, start of the current second's sums
     _clock: Times = field(init=False, repr=False, compare=False)
-    # (2,) growth of the tolerance, counts; time since the last contact, s
+    # (2,) growth of the tolerance by a contact, counts; time since then, s
     _contact: Reals = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -197,20 +197,21 @@ def _end_second(memory: Memory, limits: Limits, elapsed: float) -> None:
     tolerance = reach + contact[0]
     recovery = _RECOVERY * (1.0 - contact[1] / _RECOVERED)
     measured = calm = near = 0
+    deepest = 0.0
     for cell in range(state.shape[1]):
         if state[_NUMBER, cell] >= _READINGS:
             measured += 1
             calm += _is_quiet(state, cell, quiet)
             near += _is_unloaded(state, cell, quiet, tolerance)
-    unloaded = measured > 0 and 4 * near >= 3 * measured
+            deepest = max(deepest, -state[_SUM, cell] / state[_NUMBER, cell])
+    unloaded = measured > 0 and 4 * calm >= 3 * measured and near == calm
     whole = near == measured
     for cell in range(state.shape[1]):
         state[_LEVEL, cell] += state[_SLOPE, cell] * elapsed
+        state[_SLOPE, cell] *= 1.0 - min(elapsed / _FADE, 1.0)
         if state[_NUMBER, cell] > 0:
             state[_WARMTH, cell] = state[_TEMPERATURES, cell] / state[_NUMBER, cell]
-        if not unloaded:
-            state[_SLOPE, cell] *= 1.0 - min(elapsed / _FADE, 1.0)
-        elif _is_unloaded(state, cell, quiet, tolerance):
+        if unloaded and _is_unloaded(state, cell, quiet, tolerance):
             _correct(state, cell, reach, recovery, whole)
             if whole:
                 _learn_temperature(state, cell, start)
@@ -219,9 +220,8 @@ def _end_second(memory: Memory, limits: Limits, elapsed: float) -> None:
         contact[0] *= 1.0 - _GAIN
         contact[1] = min(contact[1] + elapsed, _RECOVERED)
     else:
+        contact[0] = max(contact[0], min(_SHARE * deepest, _CAP))
         contact[1] = 0.0
-        if 4 * calm < 3 * measured:
-            contact[0] = min(contact[0] + rate * elapsed, _CAP)
 
 
 def _is_quiet(state: Reals, cell: int, quiet: float) -> bool:
@@ -242,8 +242,6 @@ def _correct(state: Reals, cell: int, reach: float, recovery: float, whole: bool
     """Move the baseline of an unloaded cell: within `reach`; beyond only if the `whole` tip is unloaded."""
     mean = state[_SUM, cell] / state[_NUMBER, cell]
     mean -= min(max(mean, 0.0), recovery)
-    if abs(mean) <= reach:
-        state[_SLOPE, cell] += _SLOPE_GAIN * mean
     if whole or abs(mean) <= reach:
         state[_LEVEL, cell] += _GAIN * mean
 

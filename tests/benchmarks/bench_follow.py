@@ -100,7 +100,7 @@ def relaxing(folder: Path) -> None:
     print(
         "\nReal barometers, holds of 8 and 20 s. Counts of the pressed cell: at the first and last second of"
     )
-    print("a hold; in air, 2 s or more after the release (mean absolute)\n")
+    print("a hold; in air (a tenth of the depth at most), 2 s or more after the release (mean absolute)\n")
     columns = ("start", "end", "in air")
     head(["recording", *(f"{name}, {each}" for name in BASELINES for each in columns)])
     for path in sorted(folder.glob("*_t[28]*_*.parquet")):
@@ -125,7 +125,7 @@ def held(t: Reals, depth: Reals, counts: Reals) -> list[float]:
             starts.append(float(counts[first:last, cell][at < 1].mean()))
             ends.append(float(counts[first:last, cell][at > at[-1] - 1].mean()))
     air = np.zeros(len(t), np.bool_)
-    for first, last in runs(depth <= 0.01 * depth.max()):
+    for first, last in runs(depth <= 0.1 * depth.max()):
         air[first:last] = t[first:last] > t[first] + 2
     return [float(np.mean(starts)), float(np.mean(ends)), float(np.abs(counts[air]).mean())]
 
