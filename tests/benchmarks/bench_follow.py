@@ -97,37 +97,31 @@ def pressing() -> None:
 
 def relaxing(folder: Path) -> None:
     """Print what happens to real presses, scaled to the counts of an MPL115A2."""
-    print(
-        "\nReal barometers, holds of 8 and 20 s. Counts of the pressed cell: at the first and last second of"
-    )
-    print("a hold; in air (a tenth of the depth at most), 2 s or more after the release (mean absolute)\n")
-    columns = ("start", "end", "in air")
-    head(["recording", *(f"{name}, {each}" for name in BASELINES for each in columns)])
+    print("\nReal barometers, holds of 8 and 20 s: relaxation of the pressed cell from the first to the last")
+    print("second of a hold; mean absolute reading in air, 2 s or more after a release; counts\n")
+    head(["recording", *(f"{what}, {name}" for what in ("relaxation", "in air") for name in BASELINES)])
     for path in sorted(folder.glob("*_t[28]*_*.parquet")):
         table = pl.read_parquet(path).drop_nulls()
         t, depth = table["time"].to_numpy(), np.abs(table["z"].to_numpy())
         cells = table.select(f"Sensor_{cell}" for cell in range(4)).to_numpy()
         touch = touch_of(t, (cells[0] - cells) / PASCAL)
-        row = list[float]()
-        for make in BASELINES.values():
-            counts = zeroed(touch, make).counts.astype(float)
-            row += held(t, depth, counts)
-        print(f"| {path.stem.rsplit('_2023', 1)[0]} | " + " | ".join(f"{each:.1f}" for each in row) + " |")
+        found = [held(t, depth, zeroed(touch, make).counts.astype(float)) for make in BASELINES.values()]
+        row = " | ".join(f"{each:.1f}" for measure in zip(*found, strict=True) for each in measure)
+        print(f"| {path.stem.rsplit('_2023', 1)[0]} | {row} |")
 
 
-def held(t: Reals, depth: Reals, counts: Reals) -> list[float]:
-    """Return the mean count of the pressed cell at the start and the end of holds, and in air."""
-    starts, ends = list[float](), list[float]()
+def held(t: Reals, depth: Reals, counts: Reals) -> tuple[float, float]:
+    """Return the mean relaxation of the pressed cell in holds, and the mean absolute count in air."""
+    changes = list[float]()
     for first, last in runs(depth >= depth.max() - 0.01 * np.ptp(depth)):
         if t[last - 1] - t[first] > 6:
-            cell = int(np.argmin(counts[first:last].mean(axis=0)))
+            cell = counts[first:last, np.argmin(counts[first:last].mean(axis=0))]
             at = t[first:last] - t[first]
-            starts.append(float(counts[first:last, cell][at < 1].mean()))
-            ends.append(float(counts[first:last, cell][at > at[-1] - 1].mean()))
-    air = np.zeros(len(t), np.bool_)
+            changes.append(float(cell[at > at[-1] - 1].mean() - cell[at < 1].mean()))
+    air = np.zeros(len(t), np.bool_)  # up to a tenth of the depth
     for first, last in runs(depth <= 0.1 * depth.max()):
         air[first:last] = t[first:last] > t[first] + 2
-    return [float(np.mean(starts)), float(np.mean(ends)), float(np.abs(counts[air]).mean())]
+    return float(np.mean(changes)), float(np.abs(counts[air]).mean())
 
 
 @dataclass(frozen=True)
