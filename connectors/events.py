@@ -49,8 +49,8 @@ class Event:
     >>> document["type"], document["source"], document["id"], document["time"]
     ('slip.onset.v1', '/lab/ur10/0', 's1-7', '1970-01-01T00:00:01.500000000Z')
     >>> data = document["data"]
-    >>> data["p"], data["quality"]
-    (0.9, 'good')
+    >>> data["p"], data["quality"], data["reason"]
+    (0.9, 'good', None)
     """
 
     site: str
@@ -80,10 +80,24 @@ class Event:
 
     @property
     def quality(self) -> str:
-        """``good``; ``limited`` if cells are at the end of their range; ``degraded`` if a cell is broken."""
-        if any(not fault.limit for fault in self.degraded):
-            return "degraded"
-        return "limited" if self.degraded else "good"
+        """``blind`` without a probability; ``doubtful`` while a cell is dead, stuck or drifting; or ``good``.
+
+        A cell at the end of its range leaves an event good: load alone causes it, and tcn tolerates it.
+        """
+        if self._blind:
+            return "blind"
+        return "doubtful" if self.reason else "good"
+
+    @property
+    def reason(self) -> str | None:
+        """Reason of a quality other than good, such as ``barometer 2 stuck``."""
+        if self._blind:
+            return "no probability"
+        return ", ".join(f"barometer {f.barometer} {f.kind}" for f in self.degraded if not f.limit) or None
+
+    @property
+    def _blind(self) -> bool:
+        return self.probability is None or not isfinite(self.probability)
 
     @property
     def identifier(self) -> str:
@@ -112,6 +126,7 @@ class Event:
                     "latency_ms": self.latency,
                     "model": {"id": self.model, "sha256": self.sha256},
                     "quality": self.quality,
+                    "reason": self.reason,
                     "degraded": [asdict(fault) for fault in self.degraded],
                     "session": self.session,
                 },

@@ -35,8 +35,8 @@ class Health(Operator[Touch, Faults]):
     - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
       readings. A cell that reaches the end of its range is saturated; if it begins there, it is also stuck.
     - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
-      wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events have
-      the quality `limited` rather than `degraded`. Not detected in zeroed counts.
+      wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events
+      keep the quality `good`. Not detected in zeroed counts.
     - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second.
       The seconds count from the first row. One is quiet if the standard deviation of every cell is below 1
       count, as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should

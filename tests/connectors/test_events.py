@@ -101,14 +101,26 @@ def test_nan_and_infinity_become_null(number: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kinds", "quality"),
-    [((), "good"), (("saturated",), "limited"), (("saturated", "stuck"), "degraded")],
+    ("kinds", "probability", "quality", "reason"),
+    [
+        ((), 0.9, "good", None),
+        (("saturated",), 0.9, "good", None),
+        (("saturated", "stuck", "dead"), 0.9, "doubtful", "barometer 1 stuck, barometer 2 dead"),
+        (("stuck",), None, "blind", "no probability"),
+    ],
 )
-def test_cells_at_the_end_of_their_range_limit_an_event_and_broken_ones_degrade_it(
-    kinds: tuple[str, ...], quality: str
+def test_broken_cells_make_an_event_doubtful_and_a_missing_probability_makes_it_blind(
+    kinds: tuple[str, ...], probability: float | None, quality: str, reason: str | None
 ) -> None:
     faults = tuple(Fault(cell, kind) for cell, kind in enumerate(kinds))
-    assert replace(EVENT, degraded=faults).quality == quality
+    event = replace(EVENT, probability=probability, degraded=faults)
+    assert (event.quality, event.reason) == (quality, reason)
+    assert is_valid(event.encode())
+
+
+@pytest.mark.parametrize("quality", ["good", "blind"])
+def test_the_schema_rejects_a_quality_that_contradicts_the_faults(quality: str) -> None:
+    assert not is_valid(altered(("data", "quality"), quality))
 
 
 @pytest.mark.parametrize("path", READ, ids=str)
