@@ -90,7 +90,7 @@ class Consumer(AsyncIterator[Event]):
         """
         try:
             if path := self._position_file:
-                self._lock = await asyncio.to_thread(lock_position, path)
+                self._lock = lock_position(path)  # not in a thread: a cancelled wait would leave it locked
                 self._position = await asyncio.to_thread(load, path, everything=self._everything)
             self._link = await self._connect()
         except BaseException:

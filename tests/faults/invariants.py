@@ -56,7 +56,7 @@ def _events(world: World) -> Iterator[str]:
 
 def _may_redeliver(world: World, event: Identity, first: float, again: float) -> bool:
     """Return True if the consumer was killed while it processed an event, or saved that it had."""
-    saved = world.processed.get(event, again) + SAVED
+    saved = next((end for end in world.processed.get(event, ()) if end >= first), again) + SAVED
     return any(first <= kill <= min(saved, again) for kill in world.consumer_kills)
 
 
@@ -99,19 +99,21 @@ def _disk_fails(world: World, first: float, last: float) -> bool:
 def _disk_failures(world: World) -> Iterator[tuple[float, float]]:
     """Yield start and latest repair (s) of each failure of the disk.
 
-    The delay to the next attempt is at most as long as the failure until then; a fault that begins before it
-    prolongs the failure.
+    A fault that begins while another lasts, or before the delayed writes are tried again, prolongs the
+    failure. While writes fail, that delay is at most as long as they have failed; failed fsyncs cause none.
     """
     start, end, attempt = inf, 0.0, 0.0
-    for fault in world.schedule.faults:
-        if fault.kind == "fsync error":  # writes succeed, so there is no delay
-            yield fault.start, fault.start + fault.duration + REPAIR
-        elif fault.kind in DISK_FAULTS:
-            if fault.start > attempt:
-                yield start, max(attempt, end + REPAIR)
-                start, end = fault.start, 0.0
-            start, end = min(start, fault.start), max(end, fault.start + fault.duration)
-            attempt = end + (end - start) + RETRY
+    writes = inf  # s, when writes began to fail
+    for fault in sorted(world.schedule.faults, key=lambda fault: fault.start):
+        if fault.kind not in DISK_FAULTS:
+            continue
+        if fault.start > attempt:
+            yield start, max(attempt, end + REPAIR)
+            start, end, writes = fault.start, 0.0, inf
+        start, end = min(start, fault.start), max(end, fault.start + fault.duration)
+        if fault.kind != "fsync error":
+            writes = min(writes, fault.start)
+        attempt = end if writes == inf else end + (end - writes) + RETRY
     yield start, max(attempt, end + REPAIR)
 
 

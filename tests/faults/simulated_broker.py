@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from math import inf, nextafter
 from random import Random
 
 from connectors.mqtt.broker import Broker, Message
@@ -213,7 +214,7 @@ class SimulatedLink:
     def deliver(self, message: Message) -> None:
         """Deliver a message after the latency of the network, in order within its topic."""
         when = max(self._loop.time() + self._broker.latency(), self._next_of.get(message.topic, 0.0))
-        self._next_of[message.topic] = when
+        self._next_of[message.topic] = nextafter(when, inf)  # timers of equal times run in any order
         self._loop.call_at(when, self._arrive, message)
 
     def _arrive(self, message: Message) -> None:
@@ -232,7 +233,8 @@ class SimulatedLink:
         answer: asyncio.Future[str] = self._loop.create_future()
         self._answers.add(answer)
         answer.add_done_callback(self._answers.discard)
-        when = self._next = max(self._loop.time() + self._broker.latency(), self._next)
+        when = max(self._loop.time() + self._broker.latency(), self._next)
+        self._next = nextafter(when, inf)
 
         def arrive() -> None:
             if self._lost:

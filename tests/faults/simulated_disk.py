@@ -90,7 +90,8 @@ class SimulatedDisk:
         """Return a lock function whose locks end when the process that holds them is killed."""
 
         def locked(descriptor: int, *, wait: bool) -> int | None:
-            found, process = flock(descriptor, wait=wait), current()
+            process = current()  # raises if the process was killed: it locks nothing
+            found = flock(descriptor, wait=wait)
             if process and found is not None:
                 self._locks[found] = process
                 process.on_kill.append(lambda: self._unlock(found, process))

@@ -70,7 +70,9 @@ class World:
     folder: Path
     rig_runs: list[RigRun] = field(default_factory=list[RigRun])
     received: list[tuple[float, Identity]] = field(default_factory=list[tuple[float, Identity]])
-    processed: dict[Identity, float] = field(default_factory=dict[Identity, float])  # loop time of the end, s
+    processed: dict[Identity, list[float]] = field(
+        default_factory=dict[Identity, list[float]]
+    )  # ends, loop time, s
     consumer_kills: list[float] = field(default_factory=list[float])
     power_losses: list[float] = field(default_factory=list[float])
     reports: list[str] = field(default_factory=list[str])
@@ -181,7 +183,7 @@ class World:
                 if self.random.random() < 0.3:
                     await asyncio.sleep(self.random.expovariate(200))
                 current()
-                self.processed.setdefault(identity(event), self.loop.time())
+                self.processed.setdefault(identity(event), []).append(self.loop.time())
 
     async def _deliver_rest(self) -> None:
         """Run the rig without devices until the consumer has all events."""
