@@ -12,7 +12,10 @@ PATH: Final = "/metrics"
 
 
 class Metrics(Sink[Slips | Faults | Clocks]):
-    """Prometheus metrics at ``/metrics`` (text format 0.0.4) while a run lasts.
+    """Prometheus metrics at ``/metrics`` (text format 0.0.4), and probes of a run, while it lasts.
+
+    ``/healthz`` answers 200 while the event loop runs. ``/readyz`` answers 200 if a source delivers and no
+    source or sink fails, else 503 with the names of those that fail. Neither needs the token.
 
     The metrics cover all sources and sinks of the run. Connect slips for counts and latency, faults for the
     health of barometers, and clocks for the offset of the device clock. The sink may drop rows and never
@@ -61,12 +64,12 @@ class Metrics(Sink[Slips | Faults | Clocks]):
             InputError: if the file with the token cannot be read.
         """
         from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - prometheus_client is slow to import
-        from connectors.web.web_server import WebServer  # noqa: PLC0415 - aiohttp too
+        from connectors.web.web_server import HEALTH, READY, WebServer  # noqa: PLC0415 - aiohttp too
 
-        self._metrics = RunMetrics(run)
+        self._run, self._metrics = run, RunMetrics(run)
         access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
         self._server = WebServer(self._host, self._port, access, "metrics")
-        await self._server.open({PATH: self._respond})
+        await self._server.open({PATH: self._respond, HEALTH: self._healthy, READY: self._ready})
         if self._opened:
             self._opened(self.url)
 
@@ -83,3 +86,23 @@ class Metrics(Sink[Slips | Faults | Clocks]):
         from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - slow to import
 
         return self._metrics.text(), CONTENT_TYPE_PLAIN_0_0_4
+
+    async def _healthy(self, query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG002 - no parameters
+        return b"ok\n", "text/plain"
+
+    async def _ready(self, query: Mapping[str, str]) -> tuple[bytes, str]:
+        from connectors.web.web_server import UnavailableError  # noqa: PLC0415 - slow to import
+
+        failing = unready(self._run)
+        if failing:
+            raise UnavailableError(failing)
+        return await self._healthy(query)
+
+
+def unready(run: Run) -> str:
+    """Return why a run is not ready, without error texts; empty if it is ready."""
+    failing = [name for name, source in run.sources.items() if source.error]
+    failing += [name for name, sink in run.sinks.items() if sink.error]
+    if failing:
+        return f"failing: {', '.join(failing)}"
+    return "" if any(source.up for source in run.sources.values()) else "no source has delivered rows"

@@ -38,6 +38,12 @@ _TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascri
 _LOCKED: Final = "/locked.html"  # page that asks for the token
 _WRONG: Final = b'<p id="wrong" hidden>'  # element of that page, shown after a wrong token
 _PUBLIC: Final = frozenset({"/page.css", "/icon.svg"})  # used by that page
+HEALTH: Final = "/healthz"  # paths for probes, which have no token
+READY: Final = "/readyz"
+
+
+class UnavailableError(Exception):
+    """The service cannot do its task now: status 503."""
 
 
 def json_answer(document: Json) -> Answer:
@@ -175,7 +181,7 @@ class WebServer:
             return redirect
         if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
             self._keep(request.protocol, self.admitted)
-        elif not (self._files and request.path in _PUBLIC):
+        elif request.path not in (_PUBLIC if self._files else {HEALTH, READY}):
             return self._refuse(request)
         with suppress(ConnectionError):  # the browser disconnected
             return await handler(request)
@@ -235,6 +241,8 @@ def _responder(handler: Handler) -> Callable[[web.Request], Awaitable[web.Respon
             body, kind = await handler(request.query)
         except InputError as error:
             return web.Response(status=400, text=f"{error}\n")
+        except UnavailableError as error:
+            return web.Response(status=503, text=f"{error}\n")
         return web.Response(body=body, headers={"Content-Type": kind})
 
     return respond

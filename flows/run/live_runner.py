@@ -13,6 +13,7 @@ from flows.graph.node import Node, consumers
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import reason_of, warn
 from flows.run.replay_runner import close_sinks, replayed_recording
+from flows.run.service_notification import ALIVE, READY, STOPPING, notify_systemd
 from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.stop_signals import signals_to
@@ -156,6 +157,7 @@ class LiveRunner:
 
     async def _read_all(self) -> None:
         """Read the sources until they end, the duration is over, `stop` is called or a task fails."""
+        notify_systemd(READY)
         readers = [asyncio.create_task(self._read(node)) for node in self._readers]
         reading = asyncio.create_task(asyncio.wait(readers, return_when=asyncio.FIRST_EXCEPTION))
         ends: list[asyncio.Task[Any]] = [
@@ -179,6 +181,7 @@ class LiveRunner:
 
     async def _end_sinks(self, writers: Sequence[asyncio.Task[None]]) -> None:
         """Complete the queues, and wait until all rows are written and all sinks are closed."""
+        notify_systemd(STOPPING)
         for queue in self._queues.values():
             queue.complete()
         waiting = set(writers)
@@ -246,13 +249,19 @@ class LiveRunner:
             await queue.put(batch)
 
     async def _check_regularly(self) -> None:
-        """Record steps of the host's clock, and silent sources, until cancelled."""
+        """Record steps of the host's clock and silent sources, and feed the watchdog, until cancelled.
+
+        The watchdog starves while a source is silent: it may hang, and a restart may help. A source that
+        reports a failure does not hang.
+        """
         while True:
             await asyncio.sleep(CHECK_INTERVAL)
             self._check_host_clock()
             if not self._pending:  # else the sources wait for a sink
                 for reader in self._readers.values():
                     reader.check_silence(CHECK_INTERVAL)
+            if not any(source.stale for source in self.run.sources.values()):
+                notify_systemd(ALIVE)
 
     def _check_host_clock(self) -> None:
         offset = self.clock.host_offset if isinstance(self.clock, LoopClock) else None

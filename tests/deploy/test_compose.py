@@ -42,6 +42,8 @@ def test_the_schema_rejects_a_misspelt_key(tmp_path: Path) -> None:
 def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
     run, file, *settings = read(name)["services"]["recorder"]["command"]
     assert (run, file) == ("run", "/opt/slipflow/fingertip.py")
+    assert {"--metrics=0.0.0.0:9464", "--log=json"} <= set(settings)
+    settings = [each for each in settings if each.startswith("--set=")]
     values = dict(setting.removeprefix("--set=").split("=", 1) for setting in settings)
     flow = load(str(DEPLOY / "fingertip.py")).flow(values)
     assert problems(flow) == []
@@ -61,9 +63,9 @@ def test_mounted_files_are_shipped_or_passwords() -> None:
     compose = read("compose.yaml")
     mounts = [each for service in compose["services"].values() for each in service["volumes"]]
     sources = {mount.split(":")[0] for mount in mounts} - set(compose["volumes"])
-    secret = compose["secrets"]["fingertip"]["file"]
-    missing = {source for source in {*sources, secret} if not (DEPLOY / source).exists()}
-    assert missing <= {"./mosquitto/passwords", "./mosquitto/fingertip.password"}
+    secrets = {secret["file"] for secret in compose["secrets"].values()}
+    missing = {source for source in {*sources, *secrets} if not (DEPLOY / source).exists()}
+    assert missing <= {"./mosquitto/passwords", "./mosquitto/fingertip.password", "./metrics.token"}
     assert {"./mosquitto/mosquitto.conf", "./mosquitto/acl"} <= sources
 
 
@@ -73,3 +75,10 @@ def test_mounts_match_the_brokers_configuration() -> None:
     for option in ("password_file", "acl_file", "persistence_location"):
         [place] = [line.split()[1] for line in conf.splitlines() if line.startswith(f"{option} ")]
         assert place.rstrip("/") in places
+
+
+def test_the_health_check_of_the_recorder_asks_its_own_server() -> None:
+    recorder = read("compose.yaml")["services"]["recorder"]
+    [port] = [word.rpartition(":")[2] for word in recorder["command"] if word.startswith("--metrics=")]
+    assert f"http://127.0.0.1:{port}/readyz" in recorder["healthcheck"]["test"][-1]
+    assert recorder["environment"]["SLIPFLOW_PAGE_TOKEN_FILE"] == "/run/secrets/metrics"  # noqa: S105 - a path

@@ -9,6 +9,7 @@ import pytest
 from connectors.mqtt.broker import PASSWORD_FILE
 from flows.graph.loading import load
 from flows.graph.validation import problems
+from flows.run.live_runner import CHECK_INTERVAL
 from tests.deploy.shipped import DEPLOY
 
 TEXT = (DEPLOY / "systemd" / "slipflow.service").read_text()
@@ -67,6 +68,13 @@ def test_the_group_of_the_bus_comes_with_the_documented_packages() -> None:
     assert "\nSupplementaryGroups=i2c\n" in TEXT
     [install] = re.findall(r"^    sudo apt-get install (python3-venv.*)$", PAGE, re.MULTILINE)
     assert "i2c-tools" in install.split()
+
+
+def test_it_notifies_systemd_and_serves_metrics() -> None:
+    assert "\nType=notify\n" in TEXT
+    assert re.search(r"^ExecStart=.* --metrics 9464 --log json \$SETTINGS$", TEXT, re.MULTILINE)
+    [watchdog] = re.findall(r"^WatchdogSec=(\d+)$", TEXT, re.MULTILINE)
+    assert int(watchdog) >= 3 * (CHECK_INTERVAL + 5)  # a busy host delays the messages
 
 
 def test_the_password_reaches_the_sink_as_a_credential() -> None:

@@ -10,7 +10,7 @@ from connectors import Metrics
 from connectors.web.access import TOKEN
 from operators.batch import Slips
 from operators.errors import EndpointError, ParameterError
-from operators.ports import Run, SourceStatus
+from operators.ports import Run, SinkStatus, SourceStatus
 
 
 async def asked(url: str, **headers: str) -> tuple[int, str, str]:
@@ -51,6 +51,27 @@ def test_other_machines_need_the_token(run: Run, monkeypatch: pytest.MonkeyPatch
         assert (await asked(wide.url))[0] == 401
         own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
         assert (await asked(wide.url, **own))[0] == 200
+        await wide.close()
+
+    asyncio.run(main())
+
+
+def test_probes_need_no_token_and_name_what_fails(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TOKEN, "0123456789abcdef")
+    run.sources["touch"] = SourceStatus()
+    run.sinks["dataset"] = SinkStatus()
+
+    async def main() -> None:
+        wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
+        await wide.open(run)
+        base = wide.url.removesuffix("/metrics")
+        assert await asked(f"{base}/healthz") == (200, "text/plain", "ok\n")
+        assert (await asked(f"{base}/readyz"))[::2] == (503, "no source has delivered rows\n")
+        run.sources["touch"].up = True
+        assert (await asked(f"{base}/readyz"))[0] == 200
+        run.sinks["dataset"].error = "the secret reason"
+        assert (await asked(f"{base}/readyz"))[::2] == (503, "failing: dataset\n")
+        assert (await asked(f"{base}/healthz"))[0] == 200
         await wide.close()
 
     asyncio.run(main())
