@@ -9,6 +9,7 @@ Balanced accuracies are against the label by arm speed and against true sliding.
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -115,7 +116,7 @@ def conditions(tcn: Tcn, doubtful: Callable[[LabelledRecording], Flags], seed: i
     chosen += [(field, value) for field, each in FIELDS.items() for value in each.values[1:]]
     for number, (field, value) in enumerate(chosen):
         plan = plan_of(field, PLAN)
-        found = simulated_recordings(plan, seed, lambda scene, f=field, v=value: stressed(scene, f, v))
+        found = simulated_recordings(plan, seed, partial(stressed, field=field, value=value))
         score = np.concatenate([probabilities(tcn, each)[WARM_UP:] for each in found])
         sliding = [each.label if each.sliding is None else each.sliding for each in found]
         yield Condition(
