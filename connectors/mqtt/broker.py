@@ -12,6 +12,7 @@ USER = "SLIPFLOW_MQTT_USER"
 PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
 PASSWORD_FILE = "SLIPFLOW_MQTT_PASSWORD_FILE"  # noqa: S105 - the variable's name
 CA = "SLIPFLOW_MQTT_CA"
+CERTIFICATE = "SLIPFLOW_MQTT_CERTIFICATE"
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _URL = re.compile(r"(mqtts?)://(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+))(?::([0-9]{1,5}))?")
 
@@ -32,7 +33,8 @@ class Broker:
 
     User and password come from the environment variables SLIPFLOW_MQTT_USER and SLIPFLOW_MQTT_PASSWORD, or
     from the file named by SLIPFLOW_MQTT_PASSWORD_FILE. ``mqtts`` trusts the certificate authorities of the
-    system (or of the file named by SSL_CERT_FILE), or only those in the file named by SLIPFLOW_MQTT_CA.
+    system (or of the file named by SSL_CERT_FILE), or only those in the file named by SLIPFLOW_MQTT_CA. It
+    presents the client certificate of the file named by SLIPFLOW_MQTT_CERTIFICATE, which also has its key.
     """
 
     scheme: str  # mqtt or mqtts (TLS)
@@ -82,14 +84,14 @@ class Broker:
         return os.environ.get(USER), password
 
     def tls(self) -> ssl.SSLContext:
-        """Return the TLS context with the trusted certificate authorities.
+        """Return the TLS context with the trusted certificate authorities and the client certificate.
 
         Raises:
-            InputError: if the file of certificate authorities cannot be read.
+            InputError: if the file of certificate authorities or the client certificate cannot be read.
         """
         path = os.environ.get(CA) or None
         try:
-            return ssl.create_default_context(cafile=path)
+            context = ssl.create_default_context(cafile=path)
         except ssl.SSLError:
             reason = f"contains no CA certificate in PEM format ({CA})"
             raise InputError(str(path), reason) from None
@@ -97,3 +99,11 @@ class Broker:
             raise InputError(
                 str(path), f"cannot read the CA certificates ({CA}): {os_error_reason(error)}"
             ) from None
+        own = os.environ.get(CERTIFICATE)
+        try:
+            if own:
+                context.load_cert_chain(own, password="")  # never asks for a passphrase
+        except (OSError, ValueError) as error:
+            reason = f"cannot use the client certificate and its key ({CERTIFICATE}): {error}"
+            raise InputError(str(own), reason) from None
+        return context
