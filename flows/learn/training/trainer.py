@@ -23,6 +23,7 @@ from flows.learn.leaks.leak import SEEN, Leak, seen_recordings, split_leaks
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
+from flows.learn.training.probability_calibration import calibration_of
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
 from flows.learn.training.trained_model import Arrays, Model, label_scores, provenance, unchanged, write_model
 from operators.checks import check_at_least, check_between, check_choice
@@ -147,11 +148,13 @@ def train(
         model = unchanged(path, settings) if resume else None
         if model is None:
             trained = _train(method, shifted, own, progress)
-            results = _results(_detector(method, trained.arrays, fingertip), parts)
+            calibration, about_it = calibration_of(_detector(method, trained.arrays, fingertip), shifted)
+            arrays = calibration.fold(trained.arrays)
+            results = {**_results(_detector(method, arrays, fingertip), parts), "calibration": about_it}
             curve = [asdict(check) for check in trained.curve]
             found = {"leaks": [leak.json() for leak in leaks], SEEN: seen}
             card = {**settings, **results, **found, "curve": curve}
-            model = write_model(path, trained.arrays, card, trained.curve)
+            model = write_model(path, arrays, card, trained.curve)
         elif SEEN not in model.card:  # written by an earlier version
             model = replace(model, card={**model.card, SEEN: seen})
             save_card(path, model.card)

@@ -1,0 +1,70 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import expit
+
+from flows.learn.evaluation.sample_metrics import Reliability
+from flows.learn.labelled_recordings import by_split, labelled_by, load
+from flows.learn.training.probability_calibration import Calibration, calibration_of
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.trainer import train
+from operators.detectors import FrequencyCnn, PaperTcn, Tcn
+from storage import load_detector, load_weights
+from storage.models import load_card, shipped
+
+
+@given(st.floats(0.3, 3), st.floats(-2, 2), st.integers(0, 99))
+def test_a_known_temperature_and_bias_are_found_again(temperature: float, bias: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    logits = rng.normal(0, 2, 20_000)
+    slip = rng.random(logits.size) < expit(logits / temperature + bias)
+    found = Calibration.fitted(expit(logits), slip)
+    assert found.temperature == pytest.approx(temperature, rel=0.15)
+    assert found.bias == pytest.approx(bias, abs=0.15)
+    assert Reliability.of(found.apply(expit(logits)), slip).error < 2
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("tcn", Tcn), ("paper_tcn", PaperTcn), ("frequency_cnn", FrequencyCnn)]
+)
+def test_folded_weights_give_the_calibrated_probability(name: str, kind: type[Tcn]) -> None:
+    path = shipped(name)
+    assert path is not None
+    weights, _ = load_weights(path)
+    calibration = Calibration(1.7, -0.4)
+    before, after = kind(weights), kind(calibration.fold(weights))
+    windows = np.random.default_rng(0).normal(0, 30, (50, before.length, 6)).round().astype(np.int16)
+    expected = calibration.apply(before.score(windows))
+    np.testing.assert_allclose(after.score(windows), expected, atol=1e-5)
+    assert np.ptp(expected) > 0.001
+
+
+@pytest.mark.parametrize("slip", [[True, True], [False, False]])
+def test_one_class_alone_changes_nothing(slip: list[bool]) -> None:
+    assert Calibration.fitted(np.array([0.2, 0.8]), np.array(slip)) == Calibration(1, 0)
+
+
+@pytest.mark.parametrize("slip", [[False, True], [True, False]])
+def test_separated_and_contradicting_data_give_a_positive_finite_temperature(slip: list[bool]) -> None:
+    found = Calibration.fitted(np.array([0.2, 0.8]), np.array(slip))
+    assert 0 < found.temperature <= 100
+    assert np.isfinite(found.bias)
+
+
+def test_the_card_states_the_calibration_that_the_weights_contain(tiny: Path, tmp_path: Path) -> None:
+
+    out = tmp_path / "model.safetensors"
+    train([tiny], out, recipe=replace(Recipe(), filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2))
+    stated = load_card(out)["calibration"]
+    assert stated["temperature"] != 1
+    assert stated["error"]["validation"]["after"] <= stated["error"]["validation"]["before"] + 1
+    parts = by_split(labelled_by("arm-speed", load(tiny), "tiny"))
+    again, measured = calibration_of(load_detector(out), parts)
+    assert again.temperature == pytest.approx(1, abs=0.02)
+    assert again.bias == pytest.approx(0, abs=0.02)
+    for split, errors in stated["error"].items():
+        assert measured["error"][split]["before"] == pytest.approx(errors["after"], abs=0.05)
