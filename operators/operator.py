@@ -176,7 +176,11 @@ def output_type(kind: type[Step]) -> type[Batch]:
 def _declared(kind: type[Step]) -> tuple[type[Batch], ...]:
     process: Any = cast("Any", kind).process
     hints = get_type_hints(process)
-    names = [*list(signature(process).parameters)[1:], "return"]
+    found = signature(process)
+    names = [*list(found.parameters)[1:], "return"]
+    inputs = "two batches" if issubclass(kind, Join) else "one batch"
+    if len(names) != (3 if issubclass(kind, Join) else 2):
+        raise ParameterError(kind.__name__, "the signature of process", str(found), f"self and {inputs}")
     for name in names:
         if not (isinstance(hints.get(name), type) and issubclass(hints[name], Batch)):
             must_be = "a batch type, as in def process(self, batch: Zeroed) -> Scores"

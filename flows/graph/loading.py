@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import get_type_hints
+from typing import Final, get_type_hints
 
 from flows.graph.error_location import line_in
 from flows.graph.flow import Flow
@@ -23,6 +23,9 @@ from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 
 SHIPPED = Path(__file__).parents[1]  # folder of the shipped flows
+_PACKAGES: Final = tuple(
+    SHIPPED.parent / name for name in ("connectors", "flows", "operators", "storage")
+)  # of slipflow
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,8 @@ def load(target: str) -> Declaration:
     """Load the flow ``FILE[:NAME]``; FILE may be the name of a shipped flow, such as ``live``.
 
     Raises:
-        InputError: if the file is missing, is not Python, or does not hold that flow.
+        InputError: if the file is missing, is not Python, or does not hold that flow, or a module next to it
+            has the name of one of slipflow's packages.
     """
     path, _, name = target.partition(":")
     file = Path(path)
@@ -98,6 +102,11 @@ def load(target: str) -> Declaration:
 
 
 def _imported(file: Path) -> types.ModuleType:
+    """Execute a flow file, which can import the modules of its folder."""
+    folder = file.resolve().parent
+    _refuse_clashes(folder)
+    if folder != SHIPPED and str(folder) not in sys.path:
+        sys.path.append(str(folder))  # last: its modules replace no installed ones
     spec = importlib.util.spec_from_file_location(f"flow_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise InputError(str(file), "is not a Python file: its name must end in .py")
@@ -106,6 +115,15 @@ def _imported(file: Path) -> types.ModuleType:
     with _errors_of(file):
         spec.loader.exec_module(module)
     return module
+
+
+def _refuse_clashes(folder: Path) -> None:
+    """Raise an error if a module in the folder has the name of one of slipflow's packages."""
+    for own in _PACKAGES:
+        found = folder / own.name if any((folder / own.name).glob("*.py")) else folder / f"{own.name}.py"
+        if found.exists() and found != own:
+            reason = f"has the name of a package of slipflow, so a flow cannot import it: rename {found.name}"
+            raise InputError(str(found), reason)
 
 
 def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]:

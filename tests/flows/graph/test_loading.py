@@ -1,4 +1,5 @@
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -145,3 +146,25 @@ def test_a_function_that_returns_no_flow_is_an_error(tmp_path: Path, body: str, 
 def test_sys_exit_in_a_flow_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"mine\.py:2: calls sys\.exit$"):
         load(_file(tmp_path, "import sys\nsys.exit()\n"))
+
+
+def test_a_flow_imports_modules_of_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    (tmp_path / "own_part_of_a_flow.py").write_text("NAME = 'beside'\n")
+    code = "from flows.graph import Flow\nfrom own_part_of_a_flow import NAME\n"
+    code += "def f() -> Flow:\n    return Flow(NAME)\n"
+    assert load(_file(tmp_path, code)).flow().name == "beside"
+
+
+@pytest.mark.parametrize("clash", ["operators.py", "storage/sqlite.py"])
+def test_a_module_named_like_a_package_of_slipflow_is_an_error(tmp_path: Path, clash: str) -> None:
+    (tmp_path / clash).parent.mkdir(exist_ok=True)
+    (tmp_path / clash).write_text("")
+    name = Path(clash).parts[0]
+    with pytest.raises(InputError, match=f"{name}: has the name of a package of slipflow.*rename {name}"):
+        load(_file(tmp_path, GOOD))
+
+
+def test_a_folder_of_data_named_like_a_package_is_no_clash(tmp_path: Path) -> None:
+    (tmp_path / "storage").mkdir()
+    assert load(_file(tmp_path, GOOD)).name

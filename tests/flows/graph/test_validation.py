@@ -129,6 +129,20 @@ def test_an_operator_without_type_annotations_is_reported() -> None:
         problems(flow)
 
 
+def test_an_operator_whose_process_takes_no_batch_is_reported() -> None:
+    class Static(Operator[Scores, Scores]):
+        @staticmethod
+        def process(batch: Scores) -> Scores:  # pyright: ignore[reportIncompatibleMethodOverride]
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Static()).to(TestSink())
+    with pytest.raises(
+        ParameterError, match=r"Static: the signature of process is .*, must be self and one batch"
+    ):
+        problems(flow)
+
+
 def test_the_batch_parameter_of_a_sink_may_have_any_name() -> None:
     class Named(TestSink):
         async def write(self, slips: Slips) -> None:  # type: ignore[override]
