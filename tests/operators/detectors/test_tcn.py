@@ -15,6 +15,7 @@ from operators import InputError, ParameterError
 from operators.batch import Counts, Reals
 from operators.detectors import TRAINED, Streaming, Tcn
 from operators.detectors.tcn import shapes
+from operators.detectors.tcn_heads import head_shapes
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 Size: TypeAlias = tuple[int, int, int, tuple[int, ...]]  # taps, filters, units, dilations
@@ -39,6 +40,16 @@ def _weights(size: Size = SMALL, seed: int = 0) -> Arrays:
         weights[name] = (rng.normal(size=shape) * spread).astype(np.float32)
     scales = {"position_scale": np.full(1, 8, np.float32), "step_scale": np.full(1, 1.5, np.float32)}
     return weights | scales | {"dilations": np.array(dilations)}
+
+
+def _with_heads(size: Size = SMALL, seed: int = 0) -> Arrays:
+    rng = np.random.default_rng([seed, 1])
+    heads: Arrays = {
+        name: (rng.normal(size=shape) / np.sqrt(shape[0])).astype(np.float32)
+        for name, shape in head_shapes(size[1]).items()
+    }
+    familiar = {"familiar/limit": np.full(1, 9, np.float32), "familiar/samples": np.full(1, 20, np.float32)}
+    return _weights(size, seed) | heads | familiar
 
 
 def _counts(rows: int, fingers: int = 1) -> Counts:
@@ -221,20 +232,20 @@ def test_changing_the_arrays_afterwards_changes_nothing() -> None:
     np.testing.assert_array_equal(tcn.score(windows), before)
 
 
-@pytest.mark.parametrize("name", sorted(_weights()))
+@pytest.mark.parametrize("name", sorted(_with_heads()))
 def test_a_missing_array_is_named(name: str) -> None:
-    weights = _weights()
+    weights = _with_heads()
     del weights[name]
     with pytest.raises(InputError, match=f"^Tcn weights: {name} is missing$"):
         Tcn(weights)
 
 
-@pytest.mark.parametrize("name", sorted(set(_weights()) - {"dilations"}))
+@pytest.mark.parametrize("name", sorted(set(_with_heads()) - {"dilations"}))
 def test_an_array_of_another_shape_is_named(name: str) -> None:
     with pytest.raises(InputError, match=r"^Tcn weights: .* has shape .*, must be \("):
-        Tcn(_weights() | {name: np.ones((3, 2, 1, 1))})
+        Tcn(_with_heads() | {name: np.ones((3, 2, 1, 1))})
     with pytest.raises(InputError, match=f"^Tcn weights: {name} has shape"):
-        Tcn(_weights() | {name: np.ones(0)})
+        Tcn(_with_heads() | {name: np.ones(0)})
 
 
 def test_an_array_that_is_not_finite_is_named() -> None:
@@ -264,9 +275,24 @@ def test_a_scale_that_is_not_above_0_is_refused(name: str, scale: float) -> None
         Tcn(_weights() | {name: np.array([scale], np.float32)})
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "least"),
+    [("limit", 0, "above 0"), ("limit", -1, "above 0"), ("samples", 0.5, "at least 1")],
+)
+def test_a_familiarity_out_of_range_is_refused(name: str, value: float, least: str) -> None:
+    with pytest.raises(InputError, match=f"familiar/{name} is {value}.*, must be {least}"):
+        Tcn(_with_heads() | {f"familiar/{name}": np.array([value], np.float32)})
+
+
+@pytest.mark.parametrize("head", ["velocity", "familiar"])
+def test_a_network_may_have_either_head(head: str) -> None:
+    weights = {k: v for k, v in _with_heads().items() if not k.startswith(head)}
+    assert Tcn(weights).weights.keys() == weights.keys()
+
+
 @sized
 def test_a_network_states_the_weights_that_it_was_made_of(size: Size) -> None:
-    weights = _weights(size)
+    weights = _with_heads(size)
     found = Tcn(weights).weights
     assert found.keys() == weights.keys()
     for name, array in weights.items():
