@@ -14,6 +14,8 @@
     sessions/<session>/journal/000000.wal           rows that are in no file above yet: while recording, or
                                                     after a kill; see storage.journal
     sessions/<session>/journal/single.wal           rows of single-file tables, until the session ends
+    sessions/<session>/labels/000001.json           labels given by hand, one file per version; see
+                                                    storage.hand_labels
     sessions/<session>/damaged/                     files that a recovery could not read
 """
 
@@ -51,6 +53,7 @@ SESSION: Final = "session.json"
 MANIFEST: Final = "MANIFEST.json"
 JOURNAL: Final = "journal"
 DAMAGED: Final = "damaged"
+LABELS: Final = "labels"
 
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
 _SEGMENT: Final = re.compile(r"[0-9]{6,12}\.wal")

@@ -20,6 +20,7 @@ from storage.journal import SINGLE, SegmentReader, delete_journal, missing_segme
 from storage.layout import (
     DAMAGED,
     JOURNAL,
+    LABELS,
     MANIFEST,
     TABLES,
     TOUCH,
@@ -373,7 +374,7 @@ class Repair:
 
 def scratch_files(folder: Path) -> list[Path]:
     """Return the temporary files that a killed process has left in a session, except in its journal."""
-    patterns = "*", *(f"{table.name}/*" for table in TABLES if table.parted)
+    patterns = "*", f"{LABELS}/*", *(f"{table.name}/*" for table in TABLES if table.parted)
     found = (path for each in patterns for path in files_of(folder, each + files.SCRATCH))
     return [path for path in found if not path.is_dir()]
 

@@ -1,7 +1,7 @@
 """Session of a dataset as a recording to read."""
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -16,6 +16,7 @@ from operators.ports import Description, SomeBatch
 from storage import schema
 from storage.arrow import pa
 from storage.description import read_session
+from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
 from storage.layout import (
     JOURNAL,
     SESSION,
@@ -187,6 +188,29 @@ class Session:
             reason = f"has no table {table!r}; it has {', '.join(self.tables) or 'none'}"
             raise InputError(str(self.folder), reason)
         return cast("pl.DataFrame", cast("Any", pl).from_arrow(pa.concat_tables(parts)))
+
+    def hand_labels(self, version: int | None = None) -> HandLabels:
+        """Return the newest labels that were given by hand, or those of a version; version 0: none.
+
+        Raises:
+            InputError: if there is no such version, or its file is damaged.
+            EndpointError: if the disk fails, or memory or file descriptors are short.
+        """
+        return read_hand_labels(self.folder, version)
+
+    def write_hand_labels(self, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
+        """Write all spans as the next version of the hand labels, in a new file; all other files stay.
+
+        Args:
+            spans: Labelled spans.
+            based_on: Newest version, from which they were derived; 0 for none.
+
+        Raises:
+            ParameterError: if spans of a fingertip overlap, or there are too many.
+            InputError: if another version was written since `based_on`.
+            EndpointError: if the file cannot be written; nothing is changed then.
+        """
+        return write_hand_labels(self.folder, spans, based_on=based_on)
 
     def describe(self) -> Description:
         """Return the content of session.json."""

@@ -9,6 +9,7 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import files, parts, schema
 from storage.description import read_dataset, read_session, recorders
+from storage.hand_labels import label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
     DATASET,
@@ -198,6 +199,7 @@ class _SessionCheck:
             except InputError as error:
                 self._add("lost", f"{error}; it had {part.extent}")
             yield
+        self._check_hand_labels()
         self._check_rest()
 
     def _add(self, weight: Weight, text: str) -> None:
@@ -260,6 +262,19 @@ class _SessionCheck:
                 if (batch.time[1:] < batch.time[:-1]).any():
                     self._add("lossy", f"{path}: rows of finger {finger} are not in order of time")
         return len(rows)
+
+    def _check_hand_labels(self) -> None:
+        """Read every version of the hand labels; versions are numbered from 1 without a gap."""
+        try:
+            versions = label_versions(self.folder)
+        except InputError as error:
+            self._add("lost", str(error))
+            return
+        for number in range(1, max(versions, default=0) + 1):
+            try:
+                read_hand_labels(self.folder, number)
+            except InputError as error:
+                self._add("lost", str(error))
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""

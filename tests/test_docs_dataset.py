@@ -3,6 +3,7 @@
 import asyncio
 import json
 import re
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from flows.graph.testing import TestSource
 from flows.run.live_runner import LiveRunner
 from operators import Slips
 from operators.health import FaultKind
-from storage import Dataset
+from storage import Dataset, LabelSpan
 from storage.layout import TABLES
 from storage.schema import schema
 from tests.pages import ROOT, table
@@ -42,6 +43,12 @@ def unit(metadata: dict[bytes, bytes] | None) -> str:
 def test_the_page_has_each_column_with_its_type_and_unit(name: str) -> None:
     rows = [(row["column"], row["type"], row["unit"]) for row in table(PAGE, f"### {name}")]
     assert rows == [(each.name, written(each.type), unit(each.metadata)) for each in SCHEMAS[name]]
+
+
+def test_the_page_has_each_entry_of_a_span_labelled_by_hand() -> None:
+    names: dict[Any, str] = {int: "integer", str: "string"}
+    rows = [(row["entry"], row["type"]) for row in table(PAGE, "## Labels by hand")]
+    assert rows == [(each.name, names[each.type]) for each in fields(LabelSpan)]
 
 
 def test_no_column_may_be_null() -> None:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Methods, Models
+from flows.cli.options import AsJson, Labels, Methods, Models
 from flows.cli.report_output import (
     Budget,
     Dataset,
@@ -26,6 +26,7 @@ def evaluate(
     model: Models = None,
     method: Methods = None,
     budget: Budget = 2.0,
+    labels: Labels = "hand",
     out: ReportFolder = Path("evaluation"),
     as_json: AsJson = False,
 ) -> None:
@@ -42,7 +43,10 @@ def evaluate(
 
     prepare_report(out)
     models, names = model or [], method or []
-    found = run_evaluation(dataset, split=split, models=models, names=names, budget=budget, log=note)
-    options = f"--split {split}{method_options(models, names)} --budget {budget:g}"
+    found = run_evaluation(
+        dataset, split=split, models=models, names=names, budget=budget, labels=labels, log=note
+    )
+    only_arm = " --labels arm" if labels == "arm" else ""
+    options = f"--split {split}{method_options(models, names)} --budget {budget:g}{only_arm}"
     report = evaluation_report(found, f"slipflow evaluate {found.dataset} {options}")
     write_report(report, out, "evaluation", as_json=as_json)

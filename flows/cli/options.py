@@ -42,6 +42,14 @@ KeepNew = Annotated[
     typer.Option("--keep-new", help="Write a model derived from another one even if it is not better."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives identical output.")]
+Labels = Annotated[
+    str,
+    typer.Option(
+        "--labels",
+        metavar="hand|arm",
+        help="Use labels given by hand (`slipflow show`) where there are any, or only those by arm speed.",
+    ),
+]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
 Delay = Annotated[
     str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")

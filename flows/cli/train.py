@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flows.cli.derived_output import print_derived
-from flows.cli.options import AsJson, KeepNew, Seed
+from flows.cli.options import AsJson, KeepNew, Labels, Seed
 from flows.cli.terminal import check_output_file, note, progress_bar
 
 if TYPE_CHECKING:
@@ -70,6 +70,7 @@ def train(
             " (default: no shift).",
         ),
     ] = None,
+    labels: Labels = "hand",
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep models whose card states the same data and settings.")
     ] = False,
@@ -80,6 +81,7 @@ def train(
 ) -> None:
     """Train a slip detector.
 
+    Labels given by hand in `slipflow show` replace those by arm speed; a line states how many.
     Learns from the train split; the validation split selects the best checkpoint; the test split is
     only reported. Ctrl-C stops the training without a model. Needs the train extra.
 
@@ -118,8 +120,10 @@ def train(
                 seed=seed,
                 target=target,
                 lag=delay,
+                labels=labels,
                 keep_new=keep_new,
                 progress=advance,
+                log=note,
             )
         print_derived(derived, as_json=as_json)
         return
@@ -140,6 +144,7 @@ def train(
                 seeds=seeds,
                 target=target,
                 lag=delay,
+                labels=labels,
                 resume=resume,
                 progress=progress,
                 warn=note,

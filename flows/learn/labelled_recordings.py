@@ -36,17 +36,20 @@ from operators.batch import (
     Zeroed,
     concat,
 )
+from operators.checks import check_choice
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
 from operators.forward_fill import forward_fill
-from storage import Session
+from storage import HandLabels, Session
 from storage.layout import SESSION, may_exist, session_folder, session_names
 
 PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
 Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
 TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
+LABELS: Final = ("hand", "arm")  # by hand where a person gave labels, else by arm speed; only by arm speed
 Column = TypeVar("Column", bound=NDArray[Any])
+_NAMED: Final = 5  # recordings named in a line
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
@@ -70,6 +73,8 @@ class LabelledRecording:
     span: tuple[int, int] | None = None  # ns since 1970 UTC or the start of a trace: first and last sample
     fingertip: Fingertip = TAKKTILE
     degraded: Flags | None = None  # (n,) True while `Health` reports a fault; None: not computed
+    by_hand: Flags | None = None  # (n,) True where the label was given by hand; None: nowhere
+    hand_version: int = 0  # of the hand labels; 0: none
 
     def __len__(self) -> int:
         return len(self.label)
@@ -95,6 +100,7 @@ class LabelledRecording:
             force=rows_of(self.force),
             sliding=rows_of(self.sliding),
             degraded=rows_of(self.degraded),
+            by_hand=rows_of(self.by_hand),
             span=None,
         )
 
@@ -133,34 +139,54 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
     )
 
 
-def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
-    """Read every fingertip of every session of a dataset.
+def load(dataset: Path, rate: float | None = None, labels: str = LABELS[0]) -> list[LabelledRecording]:
+    """Read every fingertip of every session of a dataset that has samples or labels by hand.
 
-    If no session has a split, as in recordings made by hand, sessions are assigned in the order of their
-    names: seven of ten to train, one to validation, two to test.
+    A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
+    from its touch, with the labels by hand only. If no session has a split, as in recordings made by hand,
+    sessions are assigned in the order of their names: seven of ten to train, one to validation, two to test.
 
     Args:
         dataset: Folder of the dataset.
         rate: Rate to which samples of another rate are converted by `Resample`, Hz; None: as recorded.
+        labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
 
     Raises:
         InputError: if the dataset does not exist, is damaged or has no labelled samples.
+        ParameterError: if `labels` is unknown.
     """
+    check_choice("load", "labels", labels, LABELS)
     make = "make one with `slipflow simulate` or `slipflow run record`"
     if not dataset.is_dir():
         raise InputError(str(dataset), f"there is no such folder; {make}")
     names = session_names(dataset)
-    recordings = [
-        _of_session(session, finger, rate)
-        for session in (Session.open(session_folder(dataset, name)) for name in names)
-        for finger in session.fingers(Labelled)
-    ]
+    recordings = list[LabelledRecording]()
+    for session in (Session.open(session_folder(dataset, name)) for name in names):
+        hand = session.hand_labels() if labels == LABELS[0] else HandLabels()
+        marked = {span.finger for span in hand.spans}
+        if marked:
+            marked &= {*session.fingers(Touch)}  # verifies all touch, so only if needed
+        for finger in sorted(marked | {*session.fingers(Labelled)}):
+            recordings.append(_of_session(session, finger, rate, hand))
     if not recordings:
-        raise InputError(str(dataset), f"holds no labelled samples; {make}")
+        raise InputError(
+            str(dataset), f"holds no labelled samples; {make}, or label by hand with `slipflow show`"
+        )
     if not any(recording.split for recording in recordings):
         order = {name: number for number, name in enumerate(names)}
         return [replace(each, split=TURNS[order[each.name] % len(TURNS)]) for each in recordings]
     return recordings
+
+
+def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
+    """Return a line with the labels by hand in recordings; empty if there are none."""
+    found = [(each, each.by_hand) for each in recordings if each.by_hand is not None]
+    if not found:
+        return ""
+    samples, total = sum(int(by_hand.sum()) for _, by_hand in found), sum(len(each) for each, _ in found)
+    versions = dict.fromkeys(f"{each.name} version {each.hand_version}" for each, _ in found)
+    where = ", ".join([*list(versions)[:_NAMED], *(["..."] if len(versions) > _NAMED else [])])
+    return f"labels by hand: {samples:,} of {total:,} samples of {where}"
 
 
 def load_unlabelled(path: Path) -> list[LabelledRecording]:
@@ -206,7 +232,11 @@ def labelled_by(
     recordings = list(recordings)
     if target == "arm-speed":
         return recordings
-    found = [replace(each, label=each.sliding) for each in recordings if each.sliding is not None]
+    found = [
+        replace(each, label=each.sliding, by_hand=None, hand_version=0)
+        for each in recordings
+        if each.sliding is not None
+    ]
     if len(found) < len(recordings):
         name = next(each.name for each in recordings if each.sliding is None)
         reason = "has no truth table to learn sliding from; `slipflow simulate` makes datasets that have one"
@@ -229,8 +259,7 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
 def _touch_of(session: Session) -> Iterator[LabelledRecording]:
     kind = Touch if session.fingers(Touch) else Labelled
     for finger in session.fingers(kind):
-        zero = Zero()
-        zeroed = concat(Zeroed, [*map(zero.push, session.read(kind, finger)), zero.flush()])
+        zeroed = _zeroed(session, kind, finger)
         yield LabelledRecording(
             _filled(zeroed),
             np.full(len(zeroed), UNKNOWN, np.int8),
@@ -243,22 +272,46 @@ def _touch_of(session: Session) -> Iterator[LabelledRecording]:
         )
 
 
-def _of_session(session: Session, finger: int, rate: float | None) -> LabelledRecording:
-    labelled = concat(Labelled, list(session.read(Labelled, finger)))
-    fingertip = session.fingertip(Labelled) or TAKKTILE
+def _zeroed(session: Session, kind: type[Touch], finger: int) -> Zeroed:
+    zero = Zero()
+    return concat(Zeroed, [*map(zero.push, session.read(kind, finger)), zero.flush()])
+
+
+def _of_session(session: Session, finger: int, rate: float | None, hand: HandLabels) -> LabelledRecording:
+    sampled = finger in session.fingers(Labelled)
+    labelled = (
+        concat(Labelled, list(session.read(Labelled, finger)))
+        if sampled
+        else _without_motion(_zeroed(session, Touch, finger))
+    )
+    fingertip = session.fingertip(Labelled if sampled else Touch) or TAKKTILE
     if rate is not None and not isclose(fingertip.rate, rate, rel_tol=RATE_TOLERANCE):
         labelled, fingertip = _resampled(labelled, rate), replace(fingertip, rate=rate)
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
-    recording = _recording(labelled, episodes, truth, labelled.time)
+    sliding = _sliding(labelled, truth) if len(truth) else None
+    label, by_hand = hand.replace(labelled.label, labelled.time, finger)
+    recording = _recording(replace(labelled, label=label), episodes, truth, labelled.time)
     return replace(
         recording,
-        sliding=_sliding(labelled, truth) if len(truth) else None,
+        sliding=sliding,
         name=session.name,
         split=str(session.about.get("split") or ""),
         group=str(session.about.get("group") or ""),
         span=(int(labelled.time[0]), int(labelled.time[-1])) if len(labelled) else None,
         fingertip=fingertip,
+        by_hand=by_hand if by_hand.any() else None,
+        hand_version=hand.version if by_hand.any() else 0,
+    )
+
+
+def _without_motion(zeroed: Zeroed) -> Labelled:
+    """Return samples without the arm's motion, whose label is unknown."""
+    rows = len(zeroed)
+    unknown, label = np.full((rows, 6), np.nan), np.full(rows, UNKNOWN, np.int8)
+    values = zeroed.counts, zeroed.temperature, zeroed.valid, unknown, unknown
+    return Labelled(
+        zeroed.time, *values, np.zeros(rows, np.bool_), np.full(rows, np.nan), label, finger=zeroed.finger
     )
 
 

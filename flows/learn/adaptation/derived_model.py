@@ -13,9 +13,11 @@ from flows.learn.adaptation.fine_tuning import STEPS, fine_tune
 from flows.learn.adaptation.segmentation import segmented
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.labelled_recordings import (
+    LABELS,
     TARGETS,
     LabelledRecording,
     Target,
+    hand_label_summary,
     labelled_by,
     load,
     load_unlabelled,
@@ -121,8 +123,10 @@ def fine_tune_model(
     seed: int = 0,
     target: str = TARGETS[0],
     lag: float | None = None,
+    labels: str = LABELS[0],
     keep_new: bool = False,
     progress: Callable[[int, int], object] = lambda _done, _all: None,
+    log: Callable[[str], object] = lambda _: None,
 ) -> Derived:
     """Train a model further on labelled datasets, and write it with a card if it is better.
 
@@ -136,8 +140,10 @@ def fine_tune_model(
         seed: Seed of crops, augmentation and dropout.
         target: What the network learns, one of `TARGETS`.
         lag: Delay of labels after the signal to which each recording is shifted, s; None: no shift.
+        labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
         keep_new: Write the model even if it is not better.
         progress: Called after each step with the numbers of steps done and of all steps.
+        log: Receives the number of labels by hand.
 
     Raises:
         InputError: as `fine_tune`, or if the model is not a tcn or a dataset cannot be read.
@@ -149,8 +155,12 @@ def fine_tune_model(
     if lag is not None:
         check_between("train", "lag", lag, 0, LATEST, unit="s")
     tcn = _parent("train", model, out)
-    by_dataset = {path: labelled_by(cast("Target", target), load(path), str(path)) for path in datasets}
+    by_dataset = {
+        path: labelled_by(cast("Target", target), load(path, labels=labels), str(path)) for path in datasets
+    }
     recordings = list(chain.from_iterable(by_dataset.values()))
+    if by_hand := hand_label_summary(recordings):
+        log(by_hand)
     held_out = [each for each in recordings if each.split == "test"]
     learned = [each for each in recordings if each.split != "test"]
     shifted = learned if lag is None else relabelled(learned, lag)

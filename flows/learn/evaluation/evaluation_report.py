@@ -43,7 +43,9 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
     text = (
         f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
         f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. Baselines were "
-        "fitted to recordings that are not judged." + "".join(f" Leak: {leak.finding}." for leak in of.leaks)
+        "fitted to recordings that are not judged."
+        + (f" {of.by_hand[0].upper()}{of.by_hand[1:]}; all others by arm speed." if of.by_hand else "")
+        + "".join(f" Leak: {leak.finding}." for leak in of.leaks)
     )
     facts = {
         "dataset": of.dataset,

@@ -22,12 +22,14 @@ from flows.learn.evaluation.methods import Method, trained_methods, with_baselin
 from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
 from flows.learn.labelled_recordings import (
+    LABELS,
     PERIOD,
     WARM_UP,
     LabelledRecording,
     Target,
     by_split,
     common_fingertip,
+    hand_label_summary,
     load,
 )
 from flows.learn.leaks.leak import (
@@ -84,6 +86,7 @@ class Evaluation:
     label: Mapping[Target, Performance]  # of the arm-speed label itself, against each target
     leaks: tuple[Leak, ...]  # what inflates the results
     unchecked: tuple[str, ...]  # methods whose card does not list the recordings of their training
+    by_hand: str = ""  # line with the labels by hand; empty: none
 
     @property
     def leader(self) -> MethodResult:
@@ -98,6 +101,7 @@ def evaluate(
     models: Sequence[Path] = (),
     names: Collection[str] = (),
     budget: float = BUDGET,
+    labels: str = LABELS[0],
     log: Callable[[str], object] = lambda _: None,
 ) -> Evaluation:
     """Evaluate methods on a split.
@@ -111,6 +115,7 @@ def evaluate(
         models: Files of weights to evaluate as well.
         names: Only these methods, and those of `models`; empty: all.
         budget: False alarms per static minute that the debounce is tuned for.
+        labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
         log: Receives progress messages.
 
     Raises:
@@ -120,8 +125,10 @@ def evaluate(
     require_train_extra("evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
-    everything = load(dataset)
+    everything = load(dataset, labels=labels)
     recordings = _of_split(dataset, everything, split)
+    if by_hand := hand_label_summary(recordings):
+        log(by_hand)
     fingertip = common_fingertip(everything)
     for method in trained:
         Score(method.detector).output_fingertip(fingertip)
@@ -143,13 +150,13 @@ def evaluate(
     for leak in leaks:
         log(f"leak: {leak.finding}")
     slip = [each.slip[at] for each, at in zip(recordings, evaluator.known, strict=True)]
-    labels = np.concatenate(slip)
+    slips = np.concatenate(slip)
     return Evaluation(
         dataset.resolve().name,
         split,
         len(recordings),
-        len(labels),
-        100 * float((~labels).mean()) if len(labels) else float("nan"),
+        len(slips),
+        100 * float((~slips).mean()) if len(slips) else float("nan"),
         sum(map(len, recordings)) / 6000,
         budget,
         tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
@@ -157,6 +164,7 @@ def evaluate(
         performances(recordings, [_certain(each) for each in recordings], _LABEL_RULE),
         tuple(leaks),
         unchecked,
+        by_hand,
     )
 
 

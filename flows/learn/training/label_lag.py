@@ -34,7 +34,10 @@ def lags(recordings: Sequence[LabelledRecording]) -> Reals:
 
 
 def relabelled(recordings: Sequence[LabelledRecording], lag: float) -> list[LabelledRecording]:
-    """Return the recordings with their labels shifted to come `lag` (s) after the signal."""
+    """Return the recordings with their labels shifted to come `lag` (s) after the signal.
+
+    Labels by hand were given on the signal and stay.
+    """
     shifts = np.rint((lags(recordings) - lag) * RATE).astype(int).tolist()
     return [_shifted(recording, shift) for recording, shift in zip(recordings, shifts, strict=True)]
 
@@ -47,6 +50,8 @@ def _shifted(recording: LabelledRecording, earlier: int) -> LabelledRecording:
         label[:size] = recording.label[earlier:]
     else:
         label[-earlier:] = recording.label[:size]
+    if recording.by_hand is not None:
+        label[recording.by_hand] = recording.label[recording.by_hand]
     return replace(recording, label=label)
 
 

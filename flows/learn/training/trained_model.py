@@ -55,11 +55,13 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
     """Describe a dataset for the card of a model that was trained on it."""
+    by_hand = {each.name: each.hand_version for each in recordings if each.hand_version}
     return {
         "dataset": dataset.resolve().name,
         "sha256": dataset_digest(dataset),
         "recordings": dict(Counter(recording.split for recording in recordings)),
         "samples": sum(map(len, recordings)),
+        **({"hand_labels": by_hand} if by_hand else {}),  # versions by session
     }
 
 

@@ -11,11 +11,13 @@ import numpy as np
 
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.labelled_recordings import (
+    LABELS,
     TARGETS,
     LabelledRecording,
     Target,
     by_split,
     common_fingertip,
+    hand_label_summary,
     labelled_by,
     load,
 )
@@ -87,6 +89,7 @@ def train(
     seeds: int = 1,
     target: str = TARGETS[0],
     lag: float | None = None,
+    labels: str = LABELS[0],
     resume: bool = False,
     progress: Progress = lambda _part, _done, _all, _check: None,
     warn: Callable[[str], object] = lambda _: None,
@@ -103,10 +106,12 @@ def train(
         seeds: Number of seeds, from the recipe's seed on.
         target: What the network learns, one of `TARGETS`; its card and the checks refer to it.
         lag: Delay of labels after the signal to which each recording is shifted, s; None: no shift.
+        labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
         resume: Keep a model of an earlier call if its card states the same data and settings.
         progress: Called with the seed as text, the numbers of steps done and of all steps, and a new
             check or None.
-        warn: Receives each leak between the splits, before the training; the card lists them as well.
+        warn: Receives the number of labels by hand and each leak between the splits, before the training;
+            the card lists both as well.
 
     Raises:
         InputError: if the train extra is missing, a dataset cannot be read, or it lacks the target.
@@ -117,7 +122,11 @@ def train(
     recipe = recipe or Recipe()
     _check(out, method, seeds, target, lag)
     chosen = cast("Target", target)
-    recordings = {dataset: labelled_by(chosen, load(dataset), str(dataset)) for dataset in datasets}
+    recordings = {
+        dataset: labelled_by(chosen, load(dataset, labels=labels), str(dataset)) for dataset in datasets
+    }
+    if by_hand := hand_label_summary(chain.from_iterable(recordings.values())):
+        warn(by_hand)
     parts = by_split(chain.from_iterable(recordings.values()))
     for split in ("train", "validation"):
         if not parts[split]:

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 
@@ -11,7 +12,9 @@ from flows.learn import train_extra
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training import training_loop
 from flows.report import figures
+from operators.batch import s
 from operators.errors import InputError
+from storage import LabelSpan, Session
 from storage.models import shipped
 from tests.command import slipflow
 
@@ -154,3 +157,25 @@ def test_a_missing_train_extra_is_an_error_with_the_command_that_installs_it(
         InputError, match=f"{command}: needs scikit-learn, torch, .*: in the clone, pip install -e"
     ):
         require_train_extra(command)
+
+
+def test_evaluate_and_train_use_labels_by_hand_and_print_how_many(tiny: Path, tmp_path: Path) -> None:
+    copy = copytree(tiny, tmp_path / "tiny")
+    names = sorted(path.name for path in (copy / "sessions").iterdir())
+    for name in names:
+        session = Session.open(copy / "sessions" / name)
+        begin = session.frame("samples")["time"][200]
+        session.write_hand_labels([LabelSpan(begin, begin + s, 0, "slip")], based_on=0)
+    options = ("--method", "psd")
+    done = slipflow("evaluate", str(copy), *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "labels by hand: 200 of" in done.stderr
+    assert "Labels by hand: 200 of" in (tmp_path / "evaluation/evaluation.md").read_text()
+    done = slipflow("evaluate", str(copy), *options, "--labels", "arm", cwd=tmp_path)
+    assert "by hand" not in done.stderr
+    train = ("train", str(copy), "--filters", "2", "--steps", "1")
+    done = slipflow(*train, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "labels by hand: 1,200 of" in done.stderr
+    [data] = json.loads((tmp_path / "model.json").read_text())["data"]
+    assert data["hand_labels"] == dict.fromkeys(names, 1)

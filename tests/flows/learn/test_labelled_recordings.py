@@ -17,6 +17,7 @@ from flows.lab.simulation import planned_recordings
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
+    hand_label_summary,
     labelled_by,
     load,
     simulated_recording,
@@ -25,13 +26,16 @@ from flows.learn.labelled_recordings import (
 )
 from flows.learn.splits import SPLITS, TURNS
 from flows.learn.stress.stress_fields import stressed
+from flows.learn.training.label_lag import relabelled
+from flows.learn.training.trained_model import provenance
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Align, Label, Labelled, SlidingMotion, Zero, ms
+from operators import Align, Label, Labelled, SlidingMotion, Touch, Zero, ms, s
 from operators.batch import Flags
-from operators.errors import InputError
-from storage import Dataset
+from operators.errors import InputError, ParameterError
+from storage import Dataset, LabelSpan, Session
 from storage.files import put_checked, read_checked
+from tests.storage.made import record
 
 SCENE = Scene(
     Moves(
@@ -137,6 +141,70 @@ def test_recordings_without_splits_take_turns_by_session(tiny: Path, tmp_path: P
         put_checked(path, {**read_checked(path), "split": None})
     turns = [each.split for each in load(copy)]
     assert turns == list((TURNS * 2)[: len(turns)]) != [each.split for each in load(tiny)]
+
+
+def test_labels_by_hand_replace_those_by_arm_speed_and_not_the_truth(tiny: Path, tmp_path: Path) -> None:
+    copy = copytree(tiny, tmp_path / "tiny")
+    before = load(copy)
+    name = before[0].name
+    session = Session.open(copy / "sessions" / name)
+    time = session.frame("samples")["time"]
+    marks = (LabelSpan(time[300], time[400], 0, "slip"), LabelSpan(time[400], time[410], 0, "unknown"))
+    session.write_hand_labels(marks, based_on=0)
+    first, *others = load(copy)
+    assert set(first.label[300:400].tolist()) == {1}
+    assert set(first.label[400:410].tolist()) == {-1}
+    assert first.label[410:].tolist() == before[0].label[410:].tolist()
+    assert there(first.by_hand).sum() == 110
+    assert first.sliding is not None
+    assert before[0].sliding is not None
+    assert first.sliding.tolist() == before[0].sliding.tolist()
+    assert all(each.by_hand is None for each in others)
+    line = hand_label_summary([first, *others])
+    assert line == f"labels by hand: 110 of {len(first):,} samples of {name} version 1"
+    [by_sliding] = labelled_by("sliding", [first])
+    assert by_sliding.by_hand is None
+    assert load(copy, labels="arm")[0].label.tolist() == before[0].label.tolist()
+    with pytest.raises(ParameterError, match="labels is 'mine', must be one of hand, arm"):
+        load(copy, labels="mine")
+
+
+def test_labels_by_hand_change_the_provenance_but_not_the_digest_that_finds_leaks(
+    tiny: Path, tmp_path: Path
+) -> None:
+    copy = copytree(tiny, tmp_path / "tiny")
+    before = provenance(copy, load(copy))
+    name = load(copy)[0].name
+    session = Session.open(copy / "sessions" / name)
+    begin = session.frame("samples")["time"][0]
+    session.write_hand_labels([LabelSpan(begin, begin + s, 0, "slip")], based_on=0)
+    assert provenance(copy, load(copy)) == {**before, "hand_labels": {name: 1}}
+    assert provenance(copy, load(copy, labels="arm")) == before
+
+
+def test_a_shift_by_the_lag_leaves_labels_by_hand_where_they_are(tiny: Path) -> None:
+    recording = load(tiny)[0]
+    by_hand = np.zeros(len(recording), np.bool_)
+    by_hand[300:400] = True
+    label = np.where(by_hand, 1, recording.label).astype(np.int8)
+    [shifted] = relabelled([replace(recording, label=label, by_hand=by_hand)], 0.6)
+    assert set(shifted.label[300:400].tolist()) == {1}
+    assert shifted.label.tolist() != label.tolist()
+
+
+def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) -> None:
+    count, start = 600, 1_700_000_000 * s
+    time = start + np.arange(count) * 10 * ms
+    counts = np.full((count, 6), 700, np.int16)
+    touch = Touch(time, counts, counts, np.ones((count, 6), np.bool_), finger=2)
+    session = record(tmp_path, [touch])
+    with pytest.raises(InputError, match="or label by hand with `slipflow show`"):
+        load(tmp_path)
+    session.write_hand_labels([LabelSpan(time[300], time[500], 2, "static")], based_on=0)
+    [recording] = load(tmp_path)
+    assert len(recording) == count
+    assert recording.label.tolist() == [-1] * 300 + [0] * 200 + [-1] * 100
+    assert recording.fingertip.cells == 6
 
 
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:

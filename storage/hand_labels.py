@@ -1,0 +1,188 @@
+"""Labels that a person gave to spans of a session: numbered files that are never changed.
+
+Each version is one JSON file, ``labels/000001.json`` and so on, with all spans and a checksum. The newest
+version counts. The recorded streams and the label by arm speed stay as they are.
+"""
+
+import os
+import re
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, cast
+
+import numpy as np
+
+from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
+from operators.checks import check_choice
+from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
+from storage import files
+from storage.layout import LABELS, files_of
+from storage.lock import lock
+
+FORMAT: Final = 1
+VALUES: Final = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
+SPANS_MAX: Final = 100_000  # of a version
+TEXT_MAX: Final = 1000  # characters of an author or a note
+
+_FILE: Final = re.compile(r"[0-9]{6,12}\.json")
+_OWNER: Final = "hand labels"
+_TIME_LIMIT: Final = 2**63  # ns
+
+
+@dataclass(frozen=True, slots=True)
+class LabelSpan:
+    """Label of the samples of one fingertip from `begin` until before `end`.
+
+    Raises:
+        ParameterError: if a value is invalid.
+    """
+
+    begin: int  # ns since 1970 UTC, as the time of touch
+    end: int  # ns
+    finger: int  # as in touch
+    value: str  # slip, static or unknown; unknown samples are neither learned from nor judged
+    author: str = ""
+    note: str = ""
+    created: int = 0  # ns since 1970 UTC, when the span was marked
+
+    def __post_init__(self) -> None:
+        for name in ("begin", "end", "finger", "created"):
+            object.__setattr__(self, name, int(getattr(self, name)))  # of numpy, which is not JSON
+        if not -_TIME_LIMIT <= self.begin < self.end < _TIME_LIMIT:
+            raise ParameterError(_OWNER, "end", self.end, f"after begin, {self.begin} ns")
+        if not EVERY <= self.finger < 2**15:
+            raise ParameterError(_OWNER, "finger", self.finger, "the number of a fingertip")
+        check_choice(_OWNER, "value", self.value, VALUES)
+        for name, text in (("author", self.author), ("note", self.note)):
+            if len(text) > TEXT_MAX:
+                raise ParameterError(_OWNER, name, f"{text[:20]}...", f"at most {TEXT_MAX} characters")
+
+    @property
+    def code(self) -> int:
+        """Code of the value, as in the label of samples."""
+        return VALUES[self.value]
+
+
+@dataclass(frozen=True, slots=True)
+class HandLabels:
+    """One version of the hand labels of a session; spans of a fingertip do not overlap.
+
+    >>> labels = HandLabels(1, (LabelSpan(10, 20, 0, "slip"),))
+    >>> code, by_hand = labels.replace(np.zeros(3, np.int8), np.array([9, 10, 20]), finger=0)
+    >>> code.tolist(), by_hand.tolist()
+    ([0, 1, 0], [False, True, False])
+    """
+
+    version: int = 0  # from 1; 0: none was written
+    spans: tuple[LabelSpan, ...] = ()  # in order of fingertip and time
+
+    def replace(self, label: Codes, time: Times, finger: int) -> tuple[Codes, Flags]:
+        """Return the labels (n,) of samples at `time` (n,), replaced within spans, and where that is (n,)."""
+        label, by_hand = label.copy(), np.zeros(len(label), np.bool_)
+        for span in self.spans:
+            if span.finger == finger:
+                rows = (time >= span.begin) & (time < span.end)
+                label[rows], by_hand[rows] = span.code, True
+        return label, by_hand
+
+
+def label_versions(folder: Path) -> dict[int, Path]:
+    """Return the files of the hand labels of a session by version, in order.
+
+    Raises:
+        SlipflowError: as `files_of`.
+    """
+    found = (path for path in files_of(folder, f"{LABELS}/*.json") if _FILE.fullmatch(path.name))
+    return dict(sorted((int(path.stem), path) for path in found))
+
+
+def read_hand_labels(folder: Path, version: int | None = None) -> HandLabels:
+    """Return the newest hand labels of a session, or those of a version.
+
+    Raises:
+        InputError: if there is no such version, or its file is damaged.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
+    """
+    versions = label_versions(folder)
+    number = max(versions, default=0) if version is None else version
+    if number == 0:
+        return HandLabels()
+    if number not in versions:
+        known = ", ".join(map(str, versions)) or "none"
+        raise InputError(str(folder), f"has no version {number} of hand labels; it has {known}")
+    path = versions[number]
+    content = files.read_checked(path)
+    if content.get("format") != FORMAT or content.get("version") != number:
+        raise InputError(str(path), f'must have "format": {FORMAT} and "version": {number}; restore a copy')
+    try:
+        spans = [_span(each) for each in cast("list[Any]", content["spans"])]
+        return HandLabels(number, _ordered(spans))
+    except (KeyError, TypeError, ValueError, ParameterError) as error:
+        raise InputError(str(path), f"has an invalid span: {error}; restore a copy") from error
+
+
+def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
+    """Write the next version of the hand labels of a session; earlier versions stay.
+
+    Args:
+        folder: Folder of the session.
+        spans: All spans of the new version.
+        based_on: Version that they were derived from, 0 for none; it must be the newest.
+
+    Raises:
+        ParameterError: if spans of a fingertip overlap, or there are too many.
+        InputError: if another version was written since `based_on`.
+        EndpointError: if the file cannot be written; nothing is changed then.
+    """
+    ordered = _ordered(spans)
+    try:
+        files.make_folder(folder / LABELS)
+        held = lock(folder / LABELS, wait=True)
+        assert held is not None, "waited for it"
+        try:
+            newest = max(label_versions(folder), default=0)
+            if newest != based_on:
+                reason = f"has version {newest} of hand labels, not {based_on}: load it and mark again"
+                raise InputError(str(folder), reason)
+            labels = HandLabels(newest + 1, ordered)
+            content = {
+                "format": FORMAT,
+                "version": labels.version,
+                "spans": [asdict(span) for span in ordered],
+            }
+            files.put_checked(folder / LABELS / f"{labels.version:06d}.json", content)
+        finally:
+            os.close(held)
+    except OSError as error:
+        raise EndpointError(str(folder / LABELS), f"cannot be written: {os_error_reason(error)}") from error
+    return labels
+
+
+def _span(content: Any) -> LabelSpan:  # noqa: ANN401 - any JSON
+    types = {field.name: field.type for field in fields(LabelSpan)}
+    if not isinstance(content, dict) or set(cast("dict[str, Any]", content)) != set(types):
+        raise TypeError(f"must have {', '.join(types)}")
+    values = cast("dict[str, Any]", content)
+    for name, kind in types.items():
+        if type(values[name]) is not kind:
+            raise TypeError(f"{name} must be {getattr(kind, '__name__', kind)}")
+    return LabelSpan(**values)
+
+
+def _ordered(spans: Iterable[LabelSpan]) -> tuple[LabelSpan, ...]:
+    """Return spans in order of fingertip and time.
+
+    Raises:
+        ParameterError: if they overlap, or there are too many.
+    """
+    ordered = tuple(sorted(spans, key=lambda span: (span.finger, span.begin)))
+    if len(ordered) > SPANS_MAX:
+        raise ParameterError(_OWNER, "spans", len(ordered), f"at most {SPANS_MAX:,} spans")
+    for one, other in pairwise(ordered):
+        if one.finger == other.finger and other.begin < one.end:
+            must_be = f"at least {one.end} ns, the end of the span before"
+            raise ParameterError(_OWNER, "begin", other.begin, must_be)
+    return ordered

@@ -1,0 +1,124 @@
+"""Labels by hand: numbered versions that are never changed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from operators import InputError, ParameterError
+from operators.batch import SLIP, STATIC, UNKNOWN
+from storage import HandLabels, LabelSpan, Session, recover, verify
+from storage.files import read_json
+from tests.storage.made import new_samples, record
+
+SPANS = (
+    LabelSpan(30, 50, 0, "slip", "Ada", "edge", 7),
+    LabelSpan(0, 30, 0, "static"),
+    LabelSpan(0, 9, 1, "slip"),
+)
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    return record(tmp_path, [new_samples(range(0, 100, 10))])
+
+
+def streams(session: Session) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in session.folder.rglob("*") if path.is_file()}
+
+
+def test_a_session_without_labels_by_hand_has_version_0(session: Session) -> None:
+    assert (session.hand_labels().version, session.hand_labels().spans) == (0, ())
+
+
+def test_each_version_is_a_new_file_and_nothing_else_changes(session: Session) -> None:
+    before = streams(session)
+    session.write_hand_labels(SPANS, based_on=0)
+    first = streams(session)
+    session.write_hand_labels(SPANS[:1], based_on=1)
+    after = streams(session)
+    assert {path: after[path] for path in before} == before
+    assert {path: after[path] for path in first} == first
+    assert sorted(Path(path).name for path in set(after) - set(before)) == ["000001.json", "000002.json"]
+    assert session.hand_labels().spans == SPANS[:1]
+    assert session.hand_labels(1).spans == (SPANS[1], SPANS[0], SPANS[2])  # by fingertip and time
+    assert verify(session.folder).code == 0
+
+
+def test_a_version_that_is_not_based_on_the_newest_is_refused(session: Session) -> None:
+    session.write_hand_labels(SPANS, based_on=0)
+    with pytest.raises(InputError, match="has version 1 of hand labels, not 0"):
+        session.write_hand_labels((), based_on=0)
+    assert session.hand_labels().version == 1
+
+
+def test_a_span_replaces_the_labels_of_its_samples_only() -> None:
+    time, label = np.arange(0, 60, 10), np.full(6, STATIC, np.int8)
+    spans = (LabelSpan(10, 30, 0, "slip"), LabelSpan(50, 60, 0, "unknown"), LabelSpan(0, 60, 1, "slip"))
+    found, by_hand = HandLabels(1, spans).replace(label, time, 0)
+    assert found.tolist() == [STATIC, SLIP, SLIP, STATIC, STATIC, UNKNOWN]
+    assert by_hand.tolist() == [False, True, True, False, False, True]
+    assert set(label.tolist()) == {STATIC}
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ((20, 20, 0, "slip"), "end is 20, must be after begin"),
+        ((0, 2**63, 0, "slip"), "end is"),
+        ((0, 1, -2, "slip"), "finger is -2"),
+        ((0, 1, 0, "sliding"), "value is 'sliding', must be one of slip, static, unknown"),
+        ((0, 1, 0, "slip", "x" * 1001), "author is .* must be at most 1000 characters"),
+    ],
+)
+def test_an_invalid_span_is_an_error(values: tuple[int, int, int, str], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        LabelSpan(*values)
+
+
+def test_overlapping_spans_are_an_error_and_write_nothing(session: Session) -> None:
+    with pytest.raises(ParameterError, match="begin is 20, must be at least 30 ns"):
+        session.write_hand_labels([LabelSpan(0, 30, 0, "slip"), LabelSpan(20, 40, 0, "static")], based_on=0)
+    assert not (session.folder / "labels").exists()
+
+
+def damage(session: Session, old: bytes, new: bytes) -> None:
+    path = session.folder / "labels/000001.json"
+    path.write_bytes(path.read_bytes().replace(old, new))
+
+
+def test_a_damaged_version_is_lost_and_not_used(session: Session) -> None:
+    session.write_hand_labels(SPANS, based_on=0)
+    damage(session, b'"begin": 30', b'"begin": 31')
+    [finding] = verify(session.folder).findings
+    assert finding.weight == "lost"
+    assert "000001.json: is damaged" in finding.text
+    with pytest.raises(InputError, match="is damaged"):
+        session.hand_labels()
+
+
+def test_a_file_edited_by_hand_is_checked(session: Session) -> None:
+    session.write_hand_labels(SPANS, based_on=0)
+    check = read_json(session.folder / "labels/000001.json")["check"]
+    damage(session, f',\n  "check": "{check}"'.encode(), b"")
+    assert session.hand_labels().version == 1
+    damage(session, b'"begin": 30', b'"begin": 3.5')
+    with pytest.raises(InputError, match="has an invalid span: begin must be int"):
+        session.hand_labels()
+
+
+def test_a_missing_version_is_found(session: Session) -> None:
+    session.write_hand_labels(SPANS, based_on=0)
+    session.write_hand_labels((), based_on=1)
+    (session.folder / "labels/000001.json").unlink()
+    [finding] = verify(session.folder).findings
+    assert "has no version 1 of hand labels; it has 2" in finding.text
+
+
+def test_a_recovery_deletes_what_a_killed_writer_left(session: Session) -> None:
+    session.write_hand_labels(SPANS, based_on=0)
+    scratch = session.folder / "labels/000002.json.tmp"
+    scratch.write_text("{")
+    assert recover(session.folder).done == ("1 incomplete files were deleted",)
+    assert session.hand_labels().version == 1
+    assert not scratch.exists()
