@@ -7,14 +7,7 @@ from storage import identify_detector, load_debounce, load_detector
 
 
 def live(
-    detector: str = "tcn",
-    broker: str | None = None,
-    site: str = "lab",
-    rig: str = "rig",
-    seed: int = 0,
-    *,
-    home_assistant: str | None = None,
-    announce: bool = True,
+    detector: str = "tcn", broker: str | None = None, site: str = "lab", rig: str = "rig", seed: int = 0
 ) -> Flow:
     """Detect slip on the simulated fingertip, and publish events if a broker is given.
 
@@ -24,8 +17,6 @@ def live(
         site: Site name used in topics.
         rig: Rig name used in topics.
         seed: Random seed of the simulation.
-        home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
-        announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("live")
     touch = flow.source(SimulatedRig(seed=seed).touch)
@@ -37,8 +28,7 @@ def live(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        names = broker, site, rig, identify_detector(detector)
-        sinks.append(Mqtt(*names, *rules, home_assistant=home_assistant, announce=announce))
+        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules))
     for sink in sinks:
         slips.to(sink)
         faults.to(sink)

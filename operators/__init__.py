@@ -51,6 +51,7 @@ from operators.pool import Pool
 from operators.ports import (
     Clock,
     ClockStep,
+    Finding,
     Gap,
     Recording,
     Run,
@@ -85,6 +86,7 @@ __all__ = [
     "Episodes",
     "FaultKind",
     "Faults",
+    "Finding",
     "Fingertip",
     "FingertipError",
     "FlowError",

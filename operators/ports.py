@@ -4,9 +4,9 @@ Connectors and storage implement them.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Generic, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from operators.batch import EVERY, Batch, s
 from operators.fingertip import Fingertip
@@ -88,9 +88,9 @@ class Run:
     describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
     sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
     sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])
-    sink_types: dict[str, dict[type[Batch], tuple[int, ...]]] = field(
-        default_factory=dict[str, dict[type[Batch], tuple[int, ...]]]
-    )  # by destination: types that it can receive, and their fingertips
+    sink_types: dict[str, tuple[type[Batch], ...]] = field(  # by destination: types that it can receive
+        default_factory=dict[str, tuple[type[Batch], ...]]
+    )
     fingertips: dict[str, dict[type[Batch], Fingertip]] = field(  # by destination and type, if known
         default_factory=dict[str, dict[type[Batch], Fingertip]]
     )
@@ -101,7 +101,30 @@ class Run:
         return self.clock.now() - time if self.live and self.recording is None else None
 
 
-class Source(ABC, Generic[Given]):
+@dataclass(frozen=True)
+class Finding:
+    """Result of one check before a run, as `slipflow doctor` prints it."""
+
+    subject: str  # what was checked, such as a bus, an address or a folder
+    text: str  # what was found, and unless it is good how to fix it
+    state: Literal["good", "note", "bad"] = "good"  # note: a run works, but may lack something
+
+
+class Endpoint:
+    """Source or sink: connection of a flow to the outside."""
+
+    extra: str = ""  # extra of slipflow that it needs
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - for subclasses
+        """Check devices, servers and files as a run would use them, without moving or changing anything.
+
+        `slipflow doctor` reports an exception as a bad finding; its message should say how to fix the cause.
+        """
+        for finding in tuple[Finding, ...]():
+            yield finding
+
+
+class Source(Endpoint, ABC, Generic[Given]):
     """Input stream of a flow.
 
     A source without a row for `stale_after` counts as failed until its next row.
@@ -149,7 +172,7 @@ class Source(ABC, Generic[Given]):
         return {}
 
 
-class Sink(ABC, Generic[Taken]):
+class Sink(Endpoint, ABC, Generic[Taken]):
     """Output of a flow, which implements `take`, `write` or both.
 
     The runner calls `open` once, `take` or `write` for each batch, and `close` once. A batch that `take` does

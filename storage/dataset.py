@@ -1,6 +1,7 @@
 """Dataset as the sink of a flow."""
 
 import asyncio
+from collections.abc import AsyncGenerator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -8,8 +9,9 @@ from typing import Final, TypeAlias
 from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
 from operators.checks import check_at_least, check_between
 from operators.errors import EndpointError
-from operators.ports import Run, Sink
+from operators.ports import Clock, Finding, Run, Sink
 from storage import arrow
+from storage.disk_check import check_disk
 from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
@@ -76,6 +78,15 @@ class Dataset(Sink[Recordable]):
         """Return a sink with the same settings that writes to another folder."""
         span, rows, host = self._part_span, self._part_rows, self._host
         return Dataset(path, part_span=span, part_rows=rows, host=host)
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
+        """Check the free space of the disk and the time of an fsync.
+
+        Raises:
+            EndpointError: if the folder cannot be written.
+        """
+        for finding in await asyncio.to_thread(check_disk, self._root):
+            yield finding
 
     async def open(self, run: Run) -> None:
         """Begin the session `run.session`.

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from collections.abc import AsyncGenerator
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -15,7 +16,7 @@ from operators.back_off import BackOff
 from operators.batch import Commands
 from operators.checks import check_above, check_between
 from operators.errors import EndpointError, FlowError, ParameterError
-from operators.ports import Description, Run, Sink
+from operators.ports import Clock, Description, Finding, Run, Sink
 
 log = logging.getLogger("slipflow")
 
@@ -65,6 +66,7 @@ class Gripper(Sink[Commands]):
     scale: ForceScale = field(default_factory=ForceScale)
     timeout: float = 1.0
 
+    extra = "gripper"
     lossless = False  # only the newest command matters
 
     def __post_init__(self) -> None:
@@ -123,6 +125,28 @@ class Gripper(Sink[Commands]):
             "positions": list(status.positions) if status else None,
             "counted": {**self._counted},
         }
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
+        """Read the status of the gripper, without activating it.
+
+        Raises:
+            EndpointError: if the gripper cannot be reached.
+            InputError: if pymodbus is not installed.
+        """
+        link = self._new_link()
+        try:
+            await link.connect()
+            status = await link.read_status()
+        finally:
+            link.close()
+        if status.fault:
+            text = f"{status.reason}: remove what obstructs it; the start of a run resets the fault"
+            yield Finding(self.destination, text, "bad")
+        elif not status.ready:
+            text = "answers, not activated: the start of a run activates it, which moves its fingers"
+            yield Finding(self.destination, text, "note")
+        else:
+            yield Finding(self.destination, f"ready, fingers at {status.positions} of {FULL}")
 
     async def open(self, run: Run) -> None:
         """Connect, and activate the gripper if needed.

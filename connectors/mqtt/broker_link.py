@@ -124,6 +124,11 @@ class Link(aiomqtt.Client):
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
         self._disconnected.add_done_callback(lambda _: self._changed.set())
 
+    def peer_certificate(self) -> dict[str, object]:
+        """Return the certificate of a broker that uses TLS, as `ssl.SSLSocket.getpeercert` does."""
+        sock = self._client.socket()
+        return dict((isinstance(sock, ssl.SSLSocket) and sock.getpeercert()) or {})
+
     def post(self, message: Message) -> None:
         """Publish a message without waiting for its acknowledgement, which may never come."""
         if not (answer := self._publish(message)).cancel():

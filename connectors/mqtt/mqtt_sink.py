@@ -1,31 +1,26 @@
 """Sink that publishes slip events and the state of the rig over MQTT 5."""
 
+import asyncio
 import logging
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from connectors.events import Event, Fault, encode, faults, finger_name, timestamp
 from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
-from connectors.mqtt.home_assistant import discovery_document, discovery_topic
+from connectors.mqtt.broker_diagnosis import diagnose_broker
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
-from connectors.mqtt.rig_names import (
-    SUFFIX,
-    is_topic_level,
-    name_in_run,
-    outbox_path,
-    replay_name,
-    rig_topic,
-)
+from connectors.mqtt.rig_names import SUFFIX, name_in_run, outbox_path, replay_name, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import SLIP, Clocks, Faults, Slips, ms
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
-from operators.ports import Json, Run, Sink
+from operators.ports import Clock, Finding, Json, Run, Sink
 from operators.software import software_version
+from storage.disk_check import check_disk
 
 log = logging.getLogger("slipflow")
 
@@ -57,9 +52,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
     rig do not receive old events. A live rig cannot have such a name.
 
-    With `home_assistant` a live rig publishes a retained discovery document, see
-    `connectors.mqtt.home_assistant`.
-
     Raises:
         ParameterError: if a parameter is out of range.
     """
@@ -72,8 +64,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     consecutive: int | None = None  # samples required for an onset, reported in events
     outbox: str | Path | None = None  # folder; None: one per site and rig in $XDG_STATE_HOME/slipflow
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
-    home_assistant: str | None = None  # discovery prefix of Home Assistant, such as homeassistant; None: none
-    announce: bool = True  # False: remove the rig from Home Assistant
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
@@ -87,9 +77,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
         if self.consecutive is not None:
             check_at_least("Mqtt", "consecutive", self.consecutive, 1)
-        if self.home_assistant is not None and not all(map(is_topic_level, self.home_assistant.split("/"))):
-            must_be = "a topic prefix without '+' and '#', such as homeassistant"
-            raise ParameterError("Mqtt", "home_assistant", self.home_assistant, must_be)
 
     @property
     def destination(self) -> str:
@@ -106,6 +93,21 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Events that are neither in the outbox nor acknowledged by the broker."""
         return self._outbox.unstored
 
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
+        """Check password, TLS, access rights and response time of the broker, and the disk of the outbox.
+
+        Publishes one message, which is not retained, on the topic ``doctor`` of the rig.
+
+        Raises:
+            EndpointError: if the broker cannot be used, or the outbox cannot be written.
+            InputError: if a file with credentials cannot be read.
+        """
+        for finding in await asyncio.to_thread(check_disk, self._outbox_path()):
+            yield finding
+        topic = f"{rig_topic('Mqtt', self.site, self.rig)}/doctor"
+        async for finding in diagnose_broker(self._broker, topic, clock):
+            yield finding
+
     async def open(self, run: Run) -> None:
         """Open the outbox, connect, and publish the retained documents.
 
@@ -121,14 +123,16 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # newest state of the device clock
         self._published: dict[str, int] = {}  # id of the newest event in the published state, by finger
-        self._outbox = Outbox(self._outbox_path(), keep=KEEP, keep_for=KEEP_FOR)
+        self._outbox = Outbox(
+            self._outbox_path(replay=run.recording is not None), keep=KEEP, keep_for=KEEP_FOR
+        )
         await self._outbox.open()
         # the same in each live run, so that a new connection cancels the previous will
         identifier = f"slipflow/{self.site}/{self._name}"
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents, self._report)
         online = self._status("online", run.clock.now())
         try:
-            documents = online, self._info(), self._head(), self._report(), *self._discovery()
+            documents = online, self._info(), self._head(), self._report()
             will = self._status("offline", None)
             await self._sender.start(identifier, will, *documents, connect_required=self.connect_required)
         except BaseException:
@@ -160,11 +164,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                 text = "%s: %d unsent events remain in %s; the next run sends them"
                 log.warning(text, self._broker, unsent, self._outbox.path)
 
-    def _outbox_path(self) -> Path:
+    def _outbox_path(self, *, replay: bool = False) -> Path:
         if self.outbox is None:
-            return outbox_path(self.site, self._name)
+            return outbox_path(self.site, replay_name(self.rig) if replay else self.rig)
         path = Path(self.outbox)
-        return path if self._run.recording is None else path.with_stem(path.stem + SUFFIX)
+        return path.with_stem(path.stem + SUFFIX) if replay else path
 
     def _degraded(self, finger: str) -> tuple[Fault, ...]:
         return tuple(sorted(self._faults.get(finger, ()), key=lambda fault: (fault.barometer, fault.kind)))
@@ -206,7 +210,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         return Message(f"{self._topic}/{name}", encode(document))
 
     def _state(self, event: Event) -> Message:
-        state: dict[str, Json] = {"slip": event.onset, "p": event.probability, "quality": event.quality}
+        state: dict[str, Json] = {"slip": event.onset, "p": event.probability}
         since: dict[str, Json] = {"since": timestamp(event.time), "epoch": event.epoch, "seq": event.seq}
         return self._message(f"{event.finger}/state", {**state, **since})
 
@@ -231,15 +235,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
         }
         return self._message("info", {**self._identity(), **document})
-
-    def _discovery(self) -> Iterator[Message]:
-        """Yield the message that adds a live rig to Home Assistant, or removes it."""
-        if self.home_assistant is not None and self._run.recording is None:
-            fingers = self._run.sink_types.get(self.destination, {}).get(Slips, ())
-            names = self.site, self._name
-            document = discovery_document(*names, self._topic, map(finger_name, fingers))
-            payload = encode(document) if self.announce else b""
-            yield Message(discovery_topic(self.home_assistant, *names), payload)
 
     def _head(self) -> Message:
         *before, (epoch, last) = self._outbox.heads()

@@ -12,15 +12,17 @@ import numpy as np
 from connectors.takktile.i2c_access import I2cBus, LinuxI2cBus
 from connectors.takktile.scan_thread import ScanThread
 from connectors.takktile.scanner import Scan, Schedule
+from connectors.takktile.takktile_diagnosis import answering_rows, rate_finding, row_findings
 from connectors.takktile.takktile_protocol import ROWS, Coefficients, compensate
 from operators.batch import BAROMETERS, Reals, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_choice
 from operators.errors import EndpointError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
-from operators.ports import Clock, Description, Json, Source
+from operators.ports import Clock, Description, Finding, Json, Source
 
 RETRY: Final = 0.25  # s, between attempts to find a lost sensor
 SHORTEST: Final = ms // 10  # ns, least conversion time; a smaller number is not in ns
+DIAGNOSIS: Final = 1 * s  # ns, duration of the measurement of the rate
 ADAPTERS: Final = Path("/sys/class/i2c-dev")
 
 
@@ -135,6 +137,36 @@ class TakkTile(Source[Touch]):
                     yield scan
         finally:
             await thread.end()
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
+        """Check the bus, the cells of each row, and the rate of the scans.
+
+        If a row is silent, search all 8 rows, which accesses the addresses 0 to 0x3d.
+
+        Raises:
+            EndpointError: if the bus cannot be used, or no fingertip answers.
+        """
+        scans, end = list[Scan](), clock.now() + DIAGNOSIS
+        failure: EndpointError | None = None
+        try:
+            async with aclosing(self._connection(clock)) as received:
+                async for scan in received:
+                    scans.append(scan)
+                    if scan.time > end:
+                        break
+        except EndpointError as error:
+            failure = error
+        others: list[int] | None = None
+        if not all(any(cells) for cells in self.coefficients.values()):
+            others = await asyncio.to_thread(answering_rows, self._schedule.bus, clock.now)
+        if failure and not others:
+            raise failure
+        about = (f"{name} {value}" for name, value in _adapter(self.path).items() if value is not None)
+        yield Finding(self.path, f"opens; {', '.join(about) or 'its speed is unknown'}")
+        for finding in row_findings(self._schedule, scans, others):
+            yield finding
+        if scans:
+            yield rate_finding(self._schedule, scans)
 
     def pressure(self, touch: Touch) -> Reals:
         """Return the absolute pressure (kPa) at the cells, (n, 6), from a fingertip's raw counts.

@@ -1,7 +1,7 @@
 """Source of the motion of a UR arm over RTDE."""
 
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import dataclass, field
 from math import isclose
 from typing import Final, cast
@@ -10,15 +10,19 @@ import numpy as np
 
 from connectors.ur.rtde import PORT
 from connectors.ur.rtde_client import Rows, RtdeClient
+from connectors.ur.ur_state import OUTPUTS as STATE_OUTPUTS
+from connectors.ur.ur_state import receive_states
 from operators.batch import Flags, Motion, Times, s
 from operators.checks import check_above
 from operators.errors import EndpointError, ParameterError
-from operators.ports import Clock, Description, Json, Source
+from operators.ports import Clock, Description, Finding, Json, Source
 
 OUTPUTS: Final = {"timestamp": "DOUBLE", "actual_TCP_pose": "VECTOR6D", "actual_TCP_speed": "VECTOR6D"}
 E_SERIES_RATE: Final = 500.0  # Hz
 CB3_RATE: Final = 125.0  # Hz
 CB3: Final = 3  # highest major version of CB3 software
+DIAGNOSIS: Final = 1 * s  # ns, duration of the measurement of the rate
+RATE_LEAST: Final = 0.95  # smallest measured rate, of the nominal
 
 _MAX_UPTIME: Final = 4e9  # s, 128 years
 
@@ -96,6 +100,32 @@ class UrMotion(Source[Motion]):
                     raise EndpointError(client.endpoint, "its clock went back: the controller restarted")
         finally:
             await client.close()
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
+        """Check the controller, the state of the arm and the rate of its packages.
+
+        Raises:
+            EndpointError: if the connection fails, or the controller does not have the rate.
+        """
+        outputs = OUTPUTS | STATE_OUTPUTS
+        client = RtdeClient(clock, self.host, self.port, outputs, rate=self.rate, timeout=self.timeout)
+        try:
+            await client.connect()
+            stopped = (await receive_states(client))[-1].stopped
+            self._check_controller(client)
+            yield Finding(client.endpoint, f"controller of version {client.controller}")
+            if stopped:
+                yield Finding(client.endpoint, f"{stopped}: see the teach pendant", "note")
+            stamps, end = np.zeros(0), clock.now() + DIAGNOSIS
+            while clock.now() < end:
+                stamps = np.append(stamps, (await client.receive())[1]["timestamp"])
+        finally:
+            await client.close()
+        rate = (len(stamps) - 1) / float(np.ptp(stamps)) if len(stamps) > 1 else 0.0
+        text = f"{rate:.1f} packages per second of {self.rate:g}"
+        slow = rate < RATE_LEAST * self.rate
+        remedy = ": check the network, and that no other program loads the controller"
+        yield Finding(client.endpoint, text + remedy * slow, "bad" if slow else "good")
 
     def describe(self) -> Description:
         """Return arm, address, rate, controller version and package counts; the counts are updated live."""

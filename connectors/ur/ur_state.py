@@ -52,6 +52,13 @@ class ArmState(NamedTuple):
         """True if the arm stands still."""
         return max(map(abs, self.velocity)) < STANDSTILL
 
+    @property
+    def stopped(self) -> str:
+        """Reason why the arm cannot move; empty if it can."""
+        if self.safety_mode != 1 and (reason := SAFETY.get(self.safety_mode, "unknown safety mode")):
+            return reason
+        return "" if self.robot_mode == RUNNING else f"the arm is not running (robot mode {self.robot_mode})"
+
     def stands_at(self, pose: tuple[float, ...]) -> bool:
         """Return True if the arm stands still at a pose (6,)."""
         turn = hypot(
@@ -84,10 +91,8 @@ class Bounds:
 
     def violation(self, state: ArmState) -> str:
         """Return why an arm in this state must be stopped, or an empty text."""
-        if state.safety_mode != 1 and (reason := SAFETY.get(state.safety_mode, "unknown safety mode")):
-            return reason
-        if state.robot_mode != RUNNING:
-            return f"the arm is not running (robot mode {state.robot_mode})"
+        if state.stopped:
+            return state.stopped
         for axis, low, at, high in zip("xyz", self.low, state.pose, self.high, strict=False):
             if not low <= at <= high:
                 return f"at {axis} {at:.4f} m it is outside its workspace"

@@ -3,7 +3,7 @@
 import asyncio
 import re
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
 from typing import Final
 
@@ -14,7 +14,7 @@ from connectors.web.curves import page_fingertip
 from connectors.web.page_frames import Frames, Rows, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.checks import check_between
-from operators.ports import Json, Run, Sink
+from operators.ports import Clock, Finding, Json, Run, Sink
 from operators.software import software_version
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
@@ -86,6 +86,23 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     def login_url(self) -> str:
         """URL with the token, if there is one: keep it secret."""
         return self._server.login_url
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
+        """Check that the page can be served: its port is free, and it has a token if other machines reach it.
+
+        Raises:
+            EndpointError: if the server cannot listen on its address.
+            ParameterError: if the token is malformed or missing.
+            InputError: if the file with the token cannot be read.
+        """
+        from connectors.web.web_server import page_server  # noqa: PLC0415 - aiohttp is slow to import
+
+        server = page_server(self._host, self._port, self._token)
+        await server.open({})
+        await server.close()
+        other = self._port is None and not server.url.endswith(f":{PAGE_PORT}")
+        text = "is in use: a page takes any free port unless one is given" if other else "is free"
+        yield Finding(self.destination, f"its port {text}", "note" if other else "good")
 
     async def open(self, run: Run) -> None:
         """Start serving the page.

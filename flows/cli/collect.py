@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli.event_log import begin_log
-from flows.cli.options import AsJson, Recordings, Seed
+from flows.cli.options import AsJson, Recordings, Rows, Seed, parse_rows
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
@@ -39,9 +39,7 @@ def collect(
     bus: Annotated[
         str, typer.Option(metavar="BUS", help="I2C bus of the fingertips: a number or a path.")
     ] = "1",
-    rows: Annotated[
-        str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1.")
-    ] = "0",
+    rows: Rows = "0",
     out: Recordings = Path("recordings"),
     depth: Annotated[
         str | None,
@@ -116,16 +114,9 @@ def collect(
         check_ur_rtde()
         execute = run_lab if virtual else asyncio.run
         work = _collect(
-            chosen, robot or "127.0.0.1", bus, _row_numbers(rows), out=out, seed=seed, virtual=virtual
+            chosen, robot or "127.0.0.1", bus, parse_rows(rows), out=out, seed=seed, virtual=virtual
         )
         _report(execute(work), as_json=as_json)
-
-
-def _row_numbers(rows: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(row) for row in rows.split(","))
-    except ValueError:
-        raise typer.BadParameter(f"--rows {rows}: must be row numbers such as 0,1") from None
 
 
 def _on_virtual_lab(plan: "CollectionPlan") -> "CollectionPlan":

@@ -19,6 +19,7 @@ from flows.cli.check import check
 from flows.cli.collect import collect
 from flows.cli.commands import command_group, register, usage_error
 from flows.cli.demo_command import demo
+from flows.cli.doctor import doctor
 from flows.cli.evaluate import evaluate
 from flows.cli.export import export
 from flows.cli.fetch import fetch
@@ -38,7 +39,7 @@ from flows.cli.watch import watch
 app = command_group("Detect slip from barometric fingertips: run flows, record datasets, train detectors.")
 _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
     {
-        "Record and run": (run, demo, check, graph),
+        "Record and run": (run, demo, check, doctor, graph),
         "View": (show, watch),
         "Train and evaluate": (train, adapt, evaluate, benchmark, chart, stress, onnx),
         "Robots": (collect, rig),

@@ -55,6 +55,7 @@ Delay = Annotated[
     str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
 ]
 Recordings = Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")]
+Rows = Annotated[str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1.")]
 DatasetOrSession = Annotated[
     Path, typer.Argument(metavar="DATASET|SESSION", help="Folder of a dataset, or of one of its sessions.")
 ]
@@ -71,6 +72,18 @@ def parse_settings(settings: list[str] | None) -> dict[str, str]:
         if not (name and equals):
             raise typer.BadParameter(f"--set {name}: write it as NAME=VALUE, such as seed=1")
     return {name: value for name, _, value in pairs}
+
+
+def parse_rows(rows: str) -> tuple[int, ...]:
+    """Return the row numbers given with ``--rows``.
+
+    >>> parse_rows("0,1")
+    (0, 1)
+    """
+    try:
+        return tuple(int(row) for row in rows.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"--rows {rows}: must be row numbers such as 0,1") from None
 
 
 def load_flow(target: str, settings: list[str] | None) -> "Flow":

@@ -11,6 +11,7 @@ from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.robotiq import Request
 from flows.graph import Flow
 from flows.graph.testing import TestSource
+from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
 from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
@@ -313,3 +314,22 @@ async def write_on(gripper: Gripper, batch: Commands) -> None:
     while True:
         await gripper.write(batch)
         await asyncio.sleep(0)
+
+
+async def test_the_check_before_a_run_reads_the_status_and_moves_nothing() -> None:
+    async with lab() as at:
+        clock = at.run.clock
+        states = [(await diagnose({"hand": at.gripper()}, clock))["hand"][0]]
+        async with at.gripping():
+            await asyncio.sleep(10)
+        states += (await diagnose({"hand": at.gripper()}, clock))["hand"]
+        fail(at.server.mechanism, RELEASED)
+        states += (await diagnose({"hand": at.gripper()}, clock))["hand"]
+        assert [found.state for found in states] == ["note", "good", "bad"]
+        assert states[2].text.startswith("has released automatically, and must be reset: remove what")
+        assert len(at.writes) == 1  # by the run
+    [silent] = (await diagnose({"hand": Gripper("127.0.0.1", 1)}, clock))["hand"]
+    assert (silent.state, silent.text) == (
+        "bad",
+        "cannot be reached: is it on, is this its address and port?",
+    )

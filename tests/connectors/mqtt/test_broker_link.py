@@ -1,10 +1,7 @@
 import asyncio
-import shutil
 import signal
 import socket
-import subprocess
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,23 +12,9 @@ from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
 from connectors.mqtt.broker_link import Link, connect
 from operators.errors import EndpointError
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
-from tests.inside import inside
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
-
-
-@pytest.fixture
-def guarded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBroker]:
-    """A broker that lets in only the user rig, who may only use topics below mine; we are that user."""
-    passwords, rights = tmp_path / "passwords", tmp_path / "rights"
-    subprocess.run(["mosquitto_passwd", "-c", "-b", passwords, "rig", "right"], check=True)
-    rights.write_text("user rig\ntopic readwrite mine/#\n")
-    monkeypatch.setenv(USER, "rig")
-    monkeypatch.setenv(PASSWORD, "right")
-    broker = TestBroker(tmp_path, f"password_file {passwords}", f"acl_file {rights}", "allow_anonymous false")
-    yield broker
-    broker.close()
 
 
 async def use(broker: Broker | str, *topics: str) -> None:
@@ -191,25 +174,6 @@ async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
         with pytest.raises(EndpointError, match=r"refuses to subscribe to a/#: Not authorized; allow it in"):
             await link.listen("a/#")
         await link.disconnect()
-
-
-@pytest.fixture(scope="module")
-def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestBroker]:
-    """A broker that speaks TLS, with a certificate that it signed itself."""
-    folder = tmp_path_factory.mktemp("secure")
-    certificate, key = folder / "certificate.pem", folder / "key.pem"
-    curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
-    kind = ["-x509", *curve, "-nodes", "-days", "2", "-subj", "/CN=test"]
-    files = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
-    subprocess.run(["openssl", "req", *kind, *files], check=True, capture_output=True)
-    with TestBroker(folder, "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}") as broker:
-        yield broker
-
-
-@pytest.fixture
-def secure(secured: TestBroker, tmp_path: Path) -> TestBroker:
-    shutil.copy(inside(secured, "_log").with_name("certificate.pem"), tmp_path)
-    return secured
 
 
 @pytest.mark.parametrize("name", ["SSL_CERT_FILE", CA])

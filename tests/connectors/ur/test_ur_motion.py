@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from connectors import UrMotion
 from connectors.emulators.shared_scene import SharedScene
+from connectors.emulators.ur_control_box import SafetyMode
 from connectors.emulators.ur_controller import Ports
 from connectors.ur import rtde_client
 from connectors.ur.rtde import Version
@@ -21,8 +22,20 @@ from connectors.ur.ur_motion import PackageStamps
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.run.clocks import LoopClock
+from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
-from operators import Clocks, DeviceClock, EndpointError, Motion, ParameterError, WatchClock, concat, ms, s
+from operators import (
+    Clocks,
+    DeviceClock,
+    EndpointError,
+    Finding,
+    Motion,
+    ParameterError,
+    WatchClock,
+    concat,
+    ms,
+    s,
+)
 from operators.batch import Commands, Times
 from tests.connectors.emulators.faulty_ur import FaultyUrController
 from tests.connectors.emulators.free_arm import FreeArm
@@ -342,3 +355,29 @@ def test_missing_packages_are_counted_alike_for_any_cut(steps: list[int], cuts: 
     assert (parts.missed, parts.repeated) == (whole.missed, whole.repeated)
     assert new == [True, *(step > 0 for step in steps[1:])]
     assert whole.missed == sum(max(step // (8 * ms) - 1, 0) for step in steps[1:])
+
+
+# --- checks before a run ---
+
+
+def test_controller_and_rate_are_checked() -> None:
+    async def main(version: Version, rate: float) -> list[Finding]:
+        async with lab(version, rate) as here:
+            return (await diagnose({"motion": here.source}, here.clock))["motion"]
+
+    assert [(found.text, found.state) for found in run_virtually(main(E_SERIES, 500.0))] == [
+        ("controller of version 5.11.0.1", "good"),
+        ("500.0 packages per second of 500", "good"),
+    ]
+    [found] = run_virtually(main(CB3, 100.0))
+    assert (found.state, "sends 125.0 Hz at most" in found.text) == ("bad", True)
+
+
+def test_an_arm_that_cannot_move_is_noted() -> None:
+    async def main() -> list[Finding]:
+        async with lab() as here:
+            here.controller.box.safety_mode = SafetyMode.PROTECTIVE_STOP
+            return (await diagnose({"motion": here.source}, here.clock))["motion"]
+
+    found = run_virtually(main())
+    assert (found[1].text, found[1].state) == ("protective stop: see the teach pendant", "note")

@@ -27,7 +27,7 @@ def test_help_lists_every_command_in_panels_with_the_most_used_first() -> None:
     assert set(names(main.app)) <= set(shown)
     panels = ["Record and run:", "View:", "Train and evaluate:", "Robots:", "Data:"]
     assert [line for line in text.splitlines() if line in panels] == panels
-    assert shown[shown.index("run") :][:4] == ["run", "demo", "check", "graph"]
+    assert shown[shown.index("run") :][:4] == ["run", "demo", "check", "doctor"]
 
 
 def test_version_prints_the_installed_version() -> None:

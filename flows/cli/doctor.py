@@ -1,0 +1,157 @@
+"""The command `slipflow doctor`."""
+
+import asyncio
+import json
+from contextlib import AsyncExitStack
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flows.cli.options import AsJson, Rows, Settings, load_flow, parse_rows
+
+if TYPE_CHECKING:
+    from flows.run.diagnosis import Findings
+    from operators.ports import Endpoint, Finding
+
+HOST = "machine"
+
+
+def doctor(
+    target: Annotated[
+        str | None, typer.Argument(metavar="[FILE[:FLOW]]", help="Flow whose sources and sinks are checked.")
+    ] = None,
+    *,
+    settings: Settings = None,
+    bus: Annotated[
+        str | None, typer.Option(metavar="BUS", help="I2C bus of TakkTile fingertips: a number or a path.")
+    ] = None,
+    rows: Rows = "0",
+    robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of a UR controller.")] = None,
+    gripper: Annotated[
+        str | None, typer.Option(metavar="HOST[:PORT]", help="Address of a Robotiq gripper.")
+    ] = None,
+    mqtt: Annotated[str | None, typer.Option(metavar="URL", help="MQTT broker.")] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="Check the devices of a virtual lab, which runs meanwhile.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check the machine, and the devices, servers and files that a flow uses.
+
+    Each line is good, a note, or bad and says how to fix it. Nothing moves; the bus is scanned, the broker
+    gets one message on the topic doctor of the rig, and a temporary file is written to each disk. End runs
+    that use the same devices first. Exits 1 if anything is bad.
+
+    Examples:
+      slipflow doctor
+      slipflow doctor --bus 1 --rows 0,1 --robot 10.0.0.2
+      slipflow doctor mine.py --set robot=10.0.0.2
+      slipflow doctor --virtual --json
+    """
+    from connectors.emulators.lab_loop import run_lab
+
+    parts: dict[str, Endpoint] = _declared(target, settings)
+    parts |= _devices(bus, rows, robot, gripper, mqtt)
+    execute = run_lab if virtual else asyncio.run
+    found = execute(_diagnose(parts, out, virtual=virtual))
+    bad = sum(finding.state == "bad" for findings in found.values() for finding in findings)
+    typer.echo(_as_json(found) if as_json else _as_text(found, bad))
+    if bad:
+        raise typer.Exit(1)
+
+
+def _declared(target: str | None, settings: list[str] | None) -> "dict[str, Endpoint]":
+    """Return the sources and sinks of a flow by name."""
+    from operators.ports import Sink, Source
+
+    if target is None:
+        if settings:
+            raise typer.BadParameter("--set requires a flow")
+        return {}
+    nodes = load_flow(target, settings).nodes
+    return {node.name: node.part for node in nodes if isinstance(node.part, Source | Sink)}
+
+
+def _devices(
+    bus: str | None, rows: str, robot: str | None, gripper: str | None, mqtt: str | None
+) -> "dict[str, Endpoint]":
+    """Return the sources and sinks for the options."""
+    from connectors import Gripper, Mqtt, TakkTile, UrMotion
+
+    found: dict[str, Endpoint] = {}
+    if bus is not None:
+        found["--bus"] = TakkTile(int(bus) if bus.isdigit() else bus, parse_rows(rows))
+    if robot is not None:
+        found["--robot"] = UrMotion(robot)
+    if gripper is not None:
+        host, colon, port = gripper.rpartition(":")
+        if colon and not port.isdigit():
+            raise typer.BadParameter(f"--gripper {gripper}: write it as HOST or HOST:PORT")
+        found["--gripper"] = Gripper(host, int(port)) if colon else Gripper(gripper)
+    if mqtt is not None:
+        found["--mqtt"] = Mqtt(mqtt)
+    return found
+
+
+async def _diagnose(parts: "dict[str, Endpoint]", out: Path, *, virtual: bool) -> "Findings":
+    """Check the machine and `parts`, and with `virtual` the devices of a virtual lab."""
+    from connectors import Metrics, Page
+    from flows.run.clocks import LoopClock
+    from flows.run.diagnosis import diagnose
+    from flows.run.host_checks import host_findings
+    from storage import Dataset
+
+    clock = LoopClock()
+    async with AsyncExitStack() as running:
+        if virtual:
+            parts |= await _start_virtual_lab(running)
+        unused: dict[str, Endpoint] = {"disk": Dataset(out), "page": Page(), "metrics": Metrics()}
+        taken = {type(part) for part in parts.values()}
+        unused = {name: part for name, part in unused.items() if type(part) not in taken}
+        machine = await diagnose(unused, clock)
+        for name in machine.keys() - {"disk"}:  # ports that a run need not use
+            machine[name] = [_at_most_a_note(finding) for finding in machine[name]]
+        host = [*host_findings(), *(finding for name in unused for finding in machine[name])]
+        return {HOST: host, **await diagnose(parts, clock)}
+
+
+def _at_most_a_note(finding: "Finding") -> "Finding":
+    return replace(finding, state="note") if finding.state == "bad" else finding
+
+
+async def _start_virtual_lab(running: AsyncExitStack) -> "dict[str, Endpoint]":
+    """Start a virtual lab on free ports; return its devices, with a gripper if that extra is installed."""
+    from connectors import Gripper, TakkTile, UrMotion
+    from connectors.emulators.ur_controller import Ports
+    from connectors.emulators.virtual_lab import virtual_lab
+    from operators.extras import missing_packages
+
+    gripper = None if missing_packages("gripper") else 0
+    lab = await running.enter_async_context(virtual_lab(ports=Ports(0, 0, 0), gripper=gripper))
+    controller = lab.controller
+    found: dict[str, Endpoint] = {
+        "virtual fingertip": TakkTile(lab.bus),
+        "virtual arm": UrMotion(controller.host, port=controller.ports.rtde),
+    }
+    if lab.gripper:
+        found["virtual gripper"] = Gripper(lab.gripper.host, lab.gripper.port, lab.gripper.unit)
+    return found
+
+
+def _as_text(found: "Findings", bad: int) -> str:
+    lines = list[str]()
+    for part, findings in found.items():
+        lines.append(part)
+        lines += [f"  {each.state:4} {each.subject}: {each.text}" for each in findings]
+    total = sum(map(len, found.values()))
+    return "\n".join(
+        [*lines, f"{bad} of {total} checks failed" if bad else f"{total} checks: nothing is bad"]
+    )
+
+
+def _as_json(found: "Findings") -> str:
+    rows = [{"part": part, **asdict(each)} for part, findings in found.items() for each in findings]
+    return json.dumps({"good": all(row["state"] != "bad" for row in rows), "findings": rows})

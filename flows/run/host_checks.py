@@ -1,0 +1,88 @@
+"""Checks of the machine before a run: Python, packages, clock."""
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from struct import unpack_from
+from typing import Final
+
+from operators.extras import EXTRAS, Requirement, install_command, missing_packages, requirements
+from operators.ports import Finding
+from operators.software import software_version
+
+PYTHONS: Final = ((3, 11), (3, 13))  # oldest and newest supported version
+OMITTED: Final = ("numba", "polars", "scipy")  # a small installation may lack them, see deploy/edge.txt
+_TIMEX: Final = "@Illl"  # start of struct timex: modes, offset, frequency, largest error (us)
+_TIMEX_BYTES: Final = 512  # at least
+_TIME_ERROR: Final = 5  # result of adjtimex: not synchronised
+
+
+def i2c_finding() -> Finding:
+    """Return which I2C buses this user can access."""
+    buses = sorted(Path("/dev").glob("i2c-*"))
+    if not buses:
+        return Finding(
+            "I2C", "no bus; to attach fingertips here, enable I2C, for example in raspi-config", "note"
+        )
+    names = ", ".join(map(str, buses))
+    if locked := [str(bus) for bus in buses if not os.access(bus, os.R_OK | os.W_OK)]:
+        remedy = "add the user: sudo usermod -aG i2c $USER, then log in again"
+        return Finding("I2C", f"{', '.join(locked)} may be used only by the group i2c; {remedy}", "note")
+    return Finding("I2C", f"{names}; give --bus or a flow to check its fingertips")
+
+
+def host_findings() -> Iterator[Finding]:
+    """Yield findings about Python, slipflow's packages and extras, and the clock."""
+    yield python_finding(sys.version_info[:2])
+    yield from package_findings()
+    yield clock_finding()
+    yield i2c_finding()
+
+
+def python_finding(running: tuple[int, int]) -> Finding:
+    """Return whether slipflow supports a version of Python."""
+    oldest, newest = (".".join(map(str, each)) for each in PYTHONS)
+    text = f"{sys.version.split()[0]} (supported: {oldest} to {newest})"
+    if PYTHONS[0] <= running <= PYTHONS[1]:
+        return Finding("Python", text)
+    return Finding("Python", f"{text}: create the environment with Python {oldest} to {newest}", "note")
+
+
+def package_findings() -> Iterator[Finding]:
+    """Yield findings about the packages that slipflow needs, and about each extra."""
+    wrong = [each for each in requirements() if not each.extra and not each.satisfied]
+    if not wrong:
+        yield Finding("slipflow", f"{software_version()} with all required packages")
+    yield from map(_problem, wrong)
+    for extra, use in EXTRAS.items():
+        packages = [each for each in requirements() if each.extra == extra]
+        if missing_packages(extra):
+            yield Finding(f"extra {extra}", f"not installed; for {use}: {install_command(extra)}", "note")
+        elif old := [each for each in packages if not each.satisfied]:
+            yield from map(_problem, old)
+        else:
+            installed = ", ".join(f"{each.package} {each.installed}" for each in packages)
+            yield Finding(f"extra {extra}", installed)
+
+
+def _problem(requirement: Requirement) -> Finding:
+    if requirement.installed is None and requirement.package in OMITTED:
+        text = f"not installed; simulation, imports and analyses need it: pip install {requirement.package}"
+        return Finding(requirement.package, text, "note")
+    found = requirement.installed or "not installed"
+    name = f"{requirement.package}{requirement.versions}"
+    return Finding(requirement.package, f"{found}, must be {name}: pip install '{name}'", "bad")
+
+
+def clock_finding() -> Finding:
+    """Return whether the system's clock is synchronised, as the kernel reports it."""
+    result = ctypes.create_string_buffer(_TIMEX_BYTES)
+    state = ctypes.CDLL(None).adjtimex(result)
+    if state < 0:
+        return Finding("clock", "the system does not say whether it is synchronised", "note")
+    if state == _TIME_ERROR:
+        remedy = "run an NTP client, for example: timedatectl set-ntp true"
+        return Finding("clock", f"not synchronised, so times of events are wrong elsewhere: {remedy}", "bad")
+    return Finding("clock", f"synchronised within {unpack_from(_TIMEX, result)[3] / 1000:.1f} ms")

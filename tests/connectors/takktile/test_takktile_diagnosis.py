@@ -1,0 +1,79 @@
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from connectors import TakkTile
+from flows.run.clocks import LoopClock
+from flows.run.diagnosis import diagnose
+from operators import us
+from operators.batch import Counts
+from operators.ports import Finding
+from tests.connectors.emulators.faulty_i2c import Defect, FaultyI2cBus
+from tests.connectors.emulators.i2c_device import served
+
+PATH = "/dev/i2c-1"
+
+
+class Skin:
+    """Constant counts."""
+
+    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
+        del finger, time
+        return np.full(6, 400, np.int16), np.full(6, 507, np.int16)
+
+
+@pytest.fixture
+def bus() -> Iterator[FaultyI2cBus]:
+    """A bus with fingertips at the rows 0 and 5."""
+    bus = FaultyI2cBus(Skin(), {0: 0, 5: 1}, conversion=200 * us)
+    with served(bus, PATH):
+        yield bus
+
+
+async def found(*rows: int) -> list[Finding]:
+    source = TakkTile(1, rows, rate=50.0)
+    return (await diagnose({"touch": source}, LoopClock()))["touch"]
+
+
+@pytest.mark.usefixtures("bus")
+async def test_cells_and_rate_of_working_fingertips_are_good() -> None:
+    opened, *rows, rate = await found(0, 5)
+    assert opened == Finding(PATH, "opens; its speed is unknown")
+    assert rows == [Finding(f"{PATH} row {row}", "6 cells answer") for row in (0, 5)]
+    assert (rate.subject, rate.text.endswith(" scans per second of 50")) == (PATH, rate.state == "good")
+
+
+@pytest.mark.usefixtures("bus")
+async def test_a_wrong_row_is_bad_and_the_right_ones_are_named() -> None:
+    text = "does not answer; rows 0, 5 answer: declare them, or program the fingertip"
+    assert (await found(3))[1:] == [Finding(f"{PATH} row 3", text, "bad")]
+    assert (await found(0, 3))[2] == Finding(f"{PATH} row 3", text, "bad")
+
+
+async def test_silent_and_defective_cells_are_named(bus: FaultyI2cBus) -> None:
+    bus.tip(0).barometers[2].defect = Defect.DEAD
+    bus.tip(5).barometers[4].defect = Defect.ZERO
+    silent, defective = (await found(0, 5))[1:3]
+    assert (silent.state, silent.text.startswith("cells 2 do not answer")) == ("bad", True)
+    assert (defective.state, defective.text.startswith("cells 4 give implausible values")) == ("bad", True)
+
+
+async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: FaultyI2cBus) -> None:
+    for row in bus.fingertips:
+        bus.tip(row).unplug()
+    silent = "no fingertip answers: check the power and the rows (errno 121)"
+    assert await found(0) == [Finding(PATH, silent, "bad")]
+    [missing] = (await diagnose({"touch": TakkTile(99)}, LoopClock()))["touch"]
+    assert (missing.subject, missing.text, missing.state) == (
+        "/dev/i2c-99",
+        "the bus does not exist: is I2C enabled? (errno 2)",
+        "bad",
+    )
+
+
+async def test_a_slow_bus_is_bad(bus: FaultyI2cBus) -> None:
+    bus.adapter = type(bus.adapter)(chained=False, speed=20_000)
+    rate = (await found(0, 5))[-1]
+    assert rate.state == "bad"
+    assert "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate" in rate.text

@@ -1,0 +1,59 @@
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator
+
+from flows.run.clocks import LoopClock
+from flows.run.diagnosis import diagnose
+from operators import Clock, Finding, InputError, Scores, Source
+
+
+class Device(Source[Scores]):
+    """Source that finds what it is given; an error is raised, None waits for ever."""
+
+    def __init__(self, *found: Finding | Exception | None) -> None:
+        self._found = found
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        raise NotImplementedError
+
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
+        for found in self._found:
+            if isinstance(found, Exception):
+                raise found
+            if found is None:
+                await asyncio.Event().wait()
+            else:
+                yield found
+
+
+async def test_findings_before_an_error_or_a_timeout_are_kept() -> None:
+    opened = Finding("bus", "opens")
+    found = await diagnose(
+        {
+            "silent": Device(opened, None),
+            "wrong": Device(opened, InputError("a.toml", "is empty")),
+            "lost": Device(ConnectionResetError(104, "Connection reset by peer")),
+            "broken": Device(ValueError("no value")),
+            "plain": Device(),
+        },
+        LoopClock(),
+        limit=0.1,
+    )
+    assert found == {
+        "silent": [opened, Finding("silent", "no result within 0.1 s: check that it responds", "bad")],
+        "wrong": [opened, Finding("a.toml", "is empty", "bad")],
+        "lost": [Finding("lost", "Connection reset by peer", "bad")],
+        "broken": [Finding("broken", "ValueError: no value", "bad")],
+        "plain": [Finding("plain", "Device: nothing to check")],
+    }
+
+
+async def test_a_missing_extra_is_the_only_finding() -> None:
+    device = Device(Finding("bus", "opens"))
+    device.extra = "rerun"
+    [missing] = (await diagnose({"device": device}, LoopClock()))["device"]
+    if missing.state == "bad":  # else that extra, half a gigabyte, is installed here
+        assert missing.text.startswith("needs rerun-sdk: ")
