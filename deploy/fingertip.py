@@ -20,6 +20,8 @@ def fingertip(
     site: str = "lab",
     rig: str = "fingertip",
     out: Path | None = None,
+    home_assistant: str | None = None,
+    announce: bool = True,
 ) -> Flow:
     """Detect slip on one fingertip.
 
@@ -31,6 +33,8 @@ def fingertip(
         site: Site name used in topics.
         rig: Rig name used in topics.
         out: Folder of a dataset to record into; None: do not record.
+        home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
+        announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("fingertip")
     touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
@@ -41,7 +45,18 @@ def fingertip(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules, connect_required=False))
+        sinks.append(
+            Mqtt(
+                broker,
+                site,
+                rig,
+                identify_detector(detector),
+                *rules,
+                connect_required=False,
+                home_assistant=home_assistant,
+                announce=announce,
+            )
+        )
     if out:
         dataset = Dataset(out)
         touch.to(dataset)

@@ -7,7 +7,14 @@ from storage import identify_detector, load_debounce, load_detector
 
 
 def live(
-    detector: str = "tcn", broker: str | None = None, site: str = "lab", rig: str = "rig", seed: int = 0
+    detector: str = "tcn",
+    broker: str | None = None,
+    site: str = "lab",
+    rig: str = "rig",
+    seed: int = 0,
+    *,
+    home_assistant: str | None = None,
+    announce: bool = True,
 ) -> Flow:
     """Detect slip on the simulated fingertip, and publish events if a broker is given.
 
@@ -17,6 +24,8 @@ def live(
         site: Site name used in topics.
         rig: Rig name used in topics.
         seed: Random seed of the simulation.
+        home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
+        announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("live")
     touch = flow.source(SimulatedRig(seed=seed).touch)
@@ -28,7 +37,8 @@ def live(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules))
+        names = broker, site, rig, identify_detector(detector)
+        sinks.append(Mqtt(*names, *rules, home_assistant=home_assistant, announce=announce))
     for sink in sinks:
         slips.to(sink)
         faults.to(sink)

@@ -88,9 +88,9 @@ class Run:
     describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
     sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
     sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])
-    sink_types: dict[str, tuple[type[Batch], ...]] = field(  # by destination: types that it can receive
-        default_factory=dict[str, tuple[type[Batch], ...]]
-    )
+    sink_types: dict[str, dict[type[Batch], tuple[int, ...]]] = field(
+        default_factory=dict[str, dict[type[Batch], tuple[int, ...]]]
+    )  # by destination: types that it can receive, and their fingertips
     fingertips: dict[str, dict[type[Batch], Fingertip]] = field(  # by destination and type, if known
         default_factory=dict[str, dict[type[Batch], Fingertip]]
     )

@@ -50,7 +50,7 @@ class SessionWriter:
         self.folder = new_session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
-        kinds = run.sink_types.get(str(root), ())
+        kinds = run.sink_types.get(str(root), {})
         self._fingertips = run.fingertips.get(str(root), {})
         self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # may get rows
         self._buffers: dict[str, Buffer] = {

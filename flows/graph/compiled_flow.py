@@ -117,7 +117,7 @@ class CompiledFlow:
     Attributes:
         entries: Source nodes with their fingertips.
         stages: Operators and joins, one per fingertip, in the order of declaration.
-        sink_types: Batch types that each sink can receive, by its destination.
+        sink_types: Batch types that each sink can receive with their fingertips, by its destination.
         fingertips: Fingertips of the touch streams of each sink, by its destination and their type.
 
     Raises:
@@ -150,7 +150,14 @@ class CompiledFlow:
         }
         self.fingertips = sink_fingertips(flow.nodes)
         self.sink_types = {
-            node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
+            node.part.destination: {
+                cast("type[Batch]", parent.gives): tuple(
+                    sorted(
+                        {each for same in node.inputs if same.gives is parent.gives for each in same.fingers}
+                    )
+                )
+                for parent in node.inputs
+            }
             for node in flow.nodes
             if isinstance(node.part, Sink)
         }

@@ -114,7 +114,7 @@ def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(
     tmp_path: Path, *, live: bool
 ) -> None:
     run = new_run(live=live)
-    run.sink_types = {str(tmp_path): (Touch, Slips, Clocks), "elsewhere": (Faults,)}
+    run.sink_types = {str(tmp_path): dict.fromkeys((Touch, Slips, Clocks), (0,)), "elsewhere": {Faults: (0,)}}
     record(Dataset(tmp_path), run, [new_batch(Touch)])
     session = Session.open(tmp_path)
     assert session.about["tables"] == ["touch", "slips", "clocks"]
@@ -130,7 +130,7 @@ async def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, failing = new_run(), [True]
-    run.sink_types = {str(tmp_path): (Slips,)}
+    run.sink_types = {str(tmp_path): {Slips: (0,)}}
 
     def describe(folder: Path, run: Run, *, ended: bool = False, **named: Any) -> None:  # noqa: ANN401
         if ended and failing and failing.pop():

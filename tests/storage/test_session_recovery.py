@@ -318,7 +318,7 @@ def test_a_missing_segment_of_single_file_tables_is_reported(left: Path) -> None
 
 def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(tmp_path: Path) -> None:
     run = new_run()
-    run.sink_types = {str(tmp_path): (Touch, Slips)}
+    run.sink_types = {str(tmp_path): {Touch: (0,), Slips: (0,)}}
     folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
     assert recover(folder).lost == ()
     session = Session.open(folder)
@@ -330,7 +330,7 @@ def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(tmp_pa
 
 def test_slips_that_may_have_been_lost_are_not_said_to_be_none(tmp_path: Path) -> None:
     run = new_run()
-    run.sink_types = {str(tmp_path): (Touch, Slips)}
+    run.sink_types = {str(tmp_path): {Touch: (0,), Slips: (0,)}}
     folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
     single_log(folder).unlink()
     assert "single.wal: is missing" in " ".join(recover(folder).lost)

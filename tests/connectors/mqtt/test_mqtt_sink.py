@@ -136,6 +136,7 @@ async def test_a_late_subscriber_gets_the_retained_documents(broker: TestBroker,
         "0/state": {
             "slip": True,
             "p": 0.9,
+            "quality": "good",
             "since": "1970-01-01T00:01:39.990000000Z",
             "epoch": epoch,
             "seq": 3,

@@ -92,14 +92,18 @@ def test_the_arm_motion_reaches_every_fingertip() -> None:
     assert all(isinstance(batch, Sample) and batch.matched.all() for batch in joined)
 
 
-def test_a_compiled_flow_lists_the_types_of_each_sink() -> None:
+def test_a_compiled_flow_lists_types_and_fingertips_of_each_sink() -> None:
     flow, one, other = Flow("pressed"), TestSink("one"), TestSink("other")
-    probabilities = flow.source(TestSource(Scores))
+    probabilities = flow.source(TestSource(Scores, fingers=(1,)))
     slips = probabilities | Debounce()
     slips.to(one)
+    (flow.source(TestSource(Scores, fingers=(0,))) | Debounce()).to(one)
     probabilities.to(one)
     slips.to(other)
-    assert CompiledFlow(flow).sink_types == {one.destination: (Slips, Scores), other.destination: (Slips,)}
+    assert CompiledFlow(flow).sink_types == {
+        one.destination: {Slips: (0, 1), Scores: (1,)},
+        other.destination: {Slips: (1,)},
+    }
 
 
 def test_streams_given_together_reach_their_join_together() -> None:
