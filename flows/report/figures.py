@@ -1,7 +1,7 @@
 """Figures in one style, as SVG files that are identical for identical data."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from html import escape
@@ -10,28 +10,46 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
 
+from flows.report.colours import light, with_variables
+from flows.report.markup import plain_text
 from operators.errors import InputError
 
 Given = ParamSpec("Given")
 Figure: TypeAlias = Any  # matplotlib lacks many type annotations
 Axes: TypeAlias = Any
 
-INK: Final = "#22272e"
-FAINT: Final = "#9aa4b0"
-SHADE: Final = "#f3d9b1"  # background of slip
-MAIN: Final = "#0b6e99"
-SECOND: Final = "#d1495b"
-CELLS: Final = ("#0b6e99", "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # cells 0 to 5
+INK: Final = light("ink")
+SOFT: Final = light("soft")  # of text
+FAINT: Final = light("faint")  # of lines
+SHADE: Final = light("shade")  # background of slip
+GROUND: Final = light("ground")
+MAIN: Final = light("main")
+SECOND: Final = light("second")
+# cells 0 to 5
+CELLS: Final = tuple(map(light, ("main", "amber", "green", "magenta", "violet", "brown")))
+WIDTH: Final = 11.0  # inches, the most that fits on a page
+_TEXT: Final = 9  # points, of all text in figures
+_TEXT_PX: Final = 13  # the same on a page
+_ROW_GAP: Final = 0.08  # inches above and below each panel
+_LINE: Final = 12.0  # points from one name of a point to the next
+_LETTER: Final = 5.4  # points, width
+_LEADER: Final = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "shrinkA": 0, "relpos": (0, 0.5)}
 _DPI: Final = 110  # of .png, and of images in .svg
 STYLE: Final[Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial", "sans-serif"],
-    "font.size": 9,
+    "font.size": _TEXT,
     "text.color": INK,
     "axes.edgecolor": FAINT,
     "axes.labelcolor": INK,
     "axes.titlelocation": "left",
-    "axes.titlesize": 9,
+    "axes.titlesize": _TEXT,
+    "axes.labelsize": _TEXT,
+    "figure.labelsize": _TEXT,
+    "xtick.labelsize": _TEXT,
+    "ytick.labelsize": _TEXT,
+    "legend.fontsize": _TEXT,
+    "legend.title_fontsize": _TEXT,
     "axes.titleweight": "bold",
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -40,11 +58,12 @@ STYLE: Final[Any] = {
     "ytick.color": INK,
     "xtick.major.size": 3,
     "ytick.major.size": 3,
-    "grid.color": "#e6e9ed",
+    "grid.color": light("grid"),
     "legend.frameon": False,
     "lines.linewidth": 1.2,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
+    "figure.facecolor": GROUND,
+    "axes.facecolor": GROUND,
+    "savefig.facecolor": GROUND,
     "svg.fonttype": "none",
     "svg.hashsalt": "slipflow",
 }
@@ -95,10 +114,35 @@ def grid(
     from matplotlib import figure as matplotlib  # noqa: PLC0415
 
     figure: Figure = matplotlib.Figure(figsize=size, layout="constrained")
+    figure.get_layout_engine().set(h_pad=_ROW_GAP)
     axes = figure.subplots(
         rows, columns, squeeze=False, sharex=sharex, sharey=sharey, height_ratios=heights, width_ratios=widths
     )
     return figure, list(axes.flat)
+
+
+def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tuple[float, float]) -> None:
+    """Write the name of each point to its right, lower where names would overlap.
+
+    Args:
+        axis: Panel, whose limits are final.
+        points: Name, x and y of each point.
+        size: Width and height of the panel, inches, about.
+    """
+    scaled = axis.transScale + axis.transLimits  # to fractions of the panel
+    marks = list[tuple[float, float, str, float, float]]()
+    for name, x, y in points:
+        across, up = scaled.transform((x, y)).tolist()
+        marks.append((-up * size[1] * 72, across * size[0] * 72 + 9, name, x, y))
+    taken = list[tuple[float, float, float]]()  # left, right and height of names, points
+    for depth, left, name, x, y in sorted(marks):
+        height = -depth
+        right, lowered = left + _LETTER * len(name), height + _LINE / 2  # above lines through the point
+        while any(a < right and left < b and abs(lowered - c) < _LINE for a, b, c in taken):
+            lowered -= 1
+        taken.append((left, right, lowered))
+        axis.annotate(name, (x, y), (9, lowered - height), textcoords="offset points", va="center",
+                      arrowprops=_LEADER)  # fmt: skip
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -123,6 +167,8 @@ def svg(figure: Figure) -> str:
 def inline(drawn: str, name: str, text: str) -> str:
     """Return an SVG file as an element of an HTML page, without prolog and external references.
 
+    Its colours are variables of the page. Its text has the same size in all figures.
+
     Args:
         drawn: Text of the file.
         name: Letters and hyphens; prefix that makes the identifiers unique on a page with several figures.
@@ -132,9 +178,13 @@ def inline(drawn: str, name: str, text: str) -> str:
     head, _, body = element.partition(">")
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body.replace("xlink:href", "href"))
-    size = re.search(r'viewBox="[^"]+"', head)
+    size = re.search(r'viewBox="0 0 ([0-9.]+) [^"]+"', head)
     assert size, "matplotlib writes the size of a figure"
-    return f'<svg {size[0]} role="img" aria-label="{escape(text)}">{body}'
+    width = float(size[1]) * _TEXT_PX / _TEXT
+    start = (
+        f'<svg {size[0]} style="--width: {width:.0f}px" role="img" aria-label="{escape(plain_text(text))}">'
+    )
+    return f"{start}{with_variables(body)}"
 
 
 def _style() -> AbstractContextManager[None]:

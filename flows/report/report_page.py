@@ -8,24 +8,13 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
+from flows.report.colours import variables
 from flows.report.figures import Figure, inline, missing_matplotlib, svg
+from flows.report.markup import html_text, plain_text
 from flows.report.table import Table
 from operators.errors import EndpointError, os_error_reason
 
-_STYLE: Final = """
-:root { color-scheme: light; }
-body { margin: 2.5rem auto; max-width: 66rem; padding: 0 1.5rem; background: #fff; color: #22272e;
-       font: 16px/1.5 system-ui, "DejaVu Sans", Helvetica, Arial, sans-serif; }
-h1 { font-size: 1.6rem; line-height: 1.25; } h2 { font-size: 1.15rem; line-height: 1.3; margin-top: 3rem; }
-p { max-width: 46rem; } svg { width: 100%; height: auto; max-height: 36rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-size: .86rem; font-variant-numeric: tabular-nums; }
-div.table { overflow-x: auto; } caption { text-align: left; font-weight: 600; padding: .2rem 0; }
-th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed; white-space: nowrap; }
-th.text, td.text { text-align: left; } th:first-child, td:first-child { padding-left: 0; text-align: left; }
-th { font-weight: 600; border-bottom-color: #9aa4b0; }
-pre { background: #f5f7f9; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
-footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
-"""
+_STYLE: Final = Path(__file__).with_suffix(".css")
 
 
 @dataclass(frozen=True)
@@ -46,8 +35,11 @@ class Section:
 
     def html(self) -> str:
         """Return the section as an HTML element."""
-        figure = inline(self.svg, self.name, self.finding) if self.svg else ""
-        parts = [f"<h2>{escape(self.finding)}</h2>", f"<p>{escape(self.text)}</p>", figure]
+        parts = [f"<h2>{html_text(self.finding)}</h2>", f"<p>{html_text(self.text)}</p>"]
+        if self.svg:
+            parts.append(
+                f'<div class="scroll" tabindex="0">{inline(self.svg, self.name, self.finding)}</div>'
+            )
         body = "\n".join([*parts, *(table.html() for table in self.tables)])
         return f'<section id="{self.name}">\n{body}\n</section>'
 
@@ -73,8 +65,9 @@ class Report:
         return (
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-            f"<h1>{escape(self.title)}</h1>\n<p>{escape(self.text)}</p>\n{sections}\n"
+            f"<title>{escape(plain_text(self.title))}</title>\n"
+            f"<style>{variables()}\n{_STYLE.read_text()}</style>\n</head>\n<body>\n"
+            f"<h1>{html_text(self.title)}</h1>\n<p>{html_text(self.text)}</p>\n{self._contents()}\n{sections}\n"
             f"<footer>Printed by<pre>{escape(self.command)}</pre></footer>\n</body>\n</html>\n"
         )
 
@@ -88,16 +81,25 @@ class Report:
     def json(self) -> dict[str, Any]:
         """Return facts, findings and tables as JSON data; unknown values are null."""
         found = {
-            section.name: {"finding": section.finding, "tables": [table.json() for table in section.tables]}
+            section.name: {
+                "finding": plain_text(section.finding),
+                "tables": [table.json() for table in section.tables],
+            }
             for section in self.sections
         }
-        return {"title": self.title, "command": self.command, **self.facts, "sections": found}
+        return {"title": plain_text(self.title), "command": self.command, **self.facts, "sections": found}
 
     def terminal(self) -> str:
         """Return the findings and tables as text for a terminal."""
         shown = [section for section in self.sections if section.terminal]
-        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in shown]
+        parts = [[plain_text(section.finding), *(t.markdown() for t in section.tables)] for section in shown]
         return "\n\n".join("\n\n".join(each) for each in parts)
+
+    def _contents(self) -> str:
+        """Return the table of contents, which lists the findings."""
+        links = [f'<li><a href="#{each.name}">{html_text(each.finding)}</a></li>' for each in self.sections]
+        lines = "\n".join(links)
+        return f'<nav aria-label="Contents"><p>Contents</p><ol>\n{lines}\n</ol></nav>'
 
     def write(self, folder: Path, name: str) -> list[Path]:
         """Write NAME.html, NAME.md, NAME.json and the figures (SVG) into a folder; return their paths.

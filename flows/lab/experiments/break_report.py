@@ -11,11 +11,12 @@ from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.study import NOMINAL, Study
 from flows.lab.experiments.study_report import FALSE_FIRM, SUCCESS, TITLES, interval, study_facts
 from flows.lab.experiments.trial import Conditions
-from flows.report.figures import CELLS, FAINT, Figure, grid, styled
+from flows.report.figures import CELLS, FAINT, WIDTH, Figure, grid, styled
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value
 
 GOOD: Final = 90.0  # %; a lower success counts as broken
+_COLUMNS: Final = 3  # panels in a row of the figure
 
 
 def _factors(name: str, *factors: float) -> dict[str, Conditions]:
@@ -112,17 +113,24 @@ def _broken(study: Study, method: Method, axis: str) -> list[str]:
 def figure(study: Study) -> Figure:
     """Draw success and false slips along each axis: a line for each method."""
     axes = axes_of(study.name)
-    drawing, panels = grid(2, len(axes), (2.3 * len(axes) + 0.6, 5.2), sharey=True)
-    for column, axis in enumerate(axes):
+    rows = -(-len(axes) // _COLUMNS)
+    drawing, panels = grid(2 * rows, _COLUMNS, (WIDTH, 4.4 * rows), sharey=True)
+    for panel in panels:
+        panel.set_axis_off()
+    for number, axis in enumerate(axes):
         found = _along(study, axis)
-        for row, values in enumerate((SUCCESS, FALSE_FIRM)):
-            panel = panels[row * len(axes) + column]
+        top = number // _COLUMNS * 2 * _COLUMNS + number % _COLUMNS
+        for panel, values, title in (
+            (panels[top], SUCCESS, "success"),
+            (panels[top + _COLUMNS], FALSE_FIRM, "false slips"),
+        ):
             for method, color in zip(study.methods, CELLS, strict=False):
                 heights = [each.filter(method=str(method)).select(values).item() for each in found.values()]
                 panel.plot(list(found), heights, color=color, marker="o", markersize=3.5, label=str(method))
+            panel.set_axis_on()
             panel.yaxis.grid(visible=True)
-            panel.set(ylim=(-4, 104), title=f"{axis}: {('success', 'false slips')[row]}, %")
-        panels[column].axhline(GOOD, color=FAINT, linestyle="--", linewidth=0.8, zorder=0)
+            panel.set(ylim=(-4, 104), title=f"{axis}: {title}, %")
+        panels[top].axhline(GOOD, color=FAINT, linestyle="--", linewidth=0.8, zorder=0)
     drawing.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(study.methods)
     )

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from flows.learn.benchmark.benchmark_study import DatasetResult
-from flows.report.figures import CELLS, FAINT, Figure, grid, styled
+from flows.report.figures import CELLS, FAINT, WIDTH, Axes, Figure, grid, name_points, styled
 
 _HEIGHT: Final = 0.24  # inches per row
 _CHANCE: Final = 50  # %
@@ -39,23 +39,24 @@ def overview(of: DatasetResult) -> Figure:
 @styled
 def events(of: DatasetResult) -> Figure:
     """Draw missed slips and delay against false alarms."""
-    figure, (missed, delay) = grid(1, 2, (11, 4.2))
+    figure, (missed, delay) = grid(1, 2, (WIDTH, 4.2))
     regimes = list(dict.fromkeys(each.entrant.regime for each in of.results))
+    named: dict[Axes, list[tuple[str, float, float]]] = {missed: [], delay: []}
     for each in of.results:
         color, found = CELLS[regimes.index(each.entrant.regime)], each.figures
         for axis, value in ((missed, found.missed.value), (delay, found.delay.value)):
             alarms = found.false_alarms_per_min.value
             if np.isfinite(value) and np.isfinite(alarms):
                 axis.plot(alarms, value, "o", color=color, markersize=5)
-                axis.annotate(each.entrant.name, (alarms, value), (5, 3), textcoords="offset points",
-                              fontsize=7, color=color)  # fmt: skip
+                named[axis].append((each.entrant.name, alarms, value))
     missed.set(title="Missed slips", ylabel="slips without an event, %", ylim=(0, 105))
     delay.set(title="Delay of events", ylabel="median from the start of the slip, ms")
     for axis in (missed, delay):
-        axis.set(xlabel="false alarms per static minute", xlim=(0, None))
-        axis.margins(x=0.15)
+        most = max([1.0, *(alarms for _, alarms, _ in named[axis])])
+        axis.set(xlabel="false alarms per static minute", xlim=(-0.03 * most, 1.35 * most))
         axis.yaxis.grid(visible=True)
+        name_points(axis, named[axis], (4.6, 3.5))
     for regime, color in zip(regimes, CELLS, strict=False):
         missed.plot([], [], "o", color=color, label=regime)
-    missed.legend()
+    figure.legend(*missed.get_legend_handles_labels(), loc="outside upper center", ncols=len(regimes))
     return figure

@@ -1,7 +1,7 @@
 """Figure of speed against accuracy, and of delay against false alarms."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -9,14 +9,24 @@ from numpy.typing import NDArray
 
 from flows.learn.chart.chart_study import Point
 from flows.learn.evaluation import published
-from flows.report.figures import FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
+from flows.report.figures import (
+    FAINT,
+    GROUND,
+    INK,
+    MAIN,
+    SECOND,
+    SOFT,
+    WIDTH,
+    Axes,
+    Figure,
+    grid,
+    name_points,
+    styled,
+)
 
-_SIZE: Final = (12.0, 5.4)  # inches
-_LINE: Final = 11.0  # points from one name to the next below it
-_LETTER: Final = 4.6  # points, wide
-_PANEL: Final = (400.0, 330.0)  # points, about
+_SIZE: Final = (WIDTH, 5.6)  # inches
+_PANEL: Final = (4.8, 4.4)  # inches, about
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
-_LEADER: Final = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "shrinkA": 0, "relpos": (0, 0.5)}
 _ZERO: Final = 0.2  # false alarms that stand for 0 on the logarithmic axis
 
 
@@ -36,6 +46,7 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
     values = [*published.ACCURACY.values(), *(point.performance.accuracy for point in points)]
     bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
     axis.set_xscale("log")
+    axis.xaxis.set_major_formatter("{x:g}")
     axis.set_yscale("function", functions=(_stretch, _shrink))
     axis.set_yticks([tick for tick in _TICKS if bottom <= _stretch([tick])[0] <= top])
     axis.set(
@@ -57,13 +68,11 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
     )
     for name, accuracy in published.ACCURACY.items():
         axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
-        axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=FAINT, fontsize=7,
+        axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=SOFT,
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
-    heights = (_stretch([point.performance.accuracy for point in points]) - bottom) / (top - bottom)
-    positions = [math.log(point.us / low) / math.log(high / low) for point in points]
-    _draw(axis, zip(points, positions, heights.tolist(), strict=True))
+    _draw(axis, [(point, point.us, point.performance.accuracy) for point in points])
     for marker, text in (("o", "sample by sample"), ("s", "on windows")):
-        axis.plot([], [], marker, color=INK, markerfacecolor="white", label=text)
+        axis.plot([], [], marker, color=INK, markerfacecolor=GROUND, label=text)
 
 
 def _onsets(axis: Axes, points: Sequence[Point]) -> None:
@@ -83,33 +92,18 @@ def _onsets(axis: Axes, points: Sequence[Point]) -> None:
         ylabel="false alarms per static minute",
         title="Delay against false alarms",
     )
-    heights = np.log(alarms / low) / np.log(high / low)
-    positions = (delays - left) / (right - left)
-    _draw(axis, zip(points, positions.tolist(), heights.tolist(), strict=True))
+    _draw(axis, [*zip(points, delays.tolist(), alarms.tolist(), strict=True)])
 
 
-def _draw(axis: Axes, marks: Iterable[tuple[Point, float, float]]) -> None:
-    """Draw points with their names to the right, moved down where they would overlap.
-
-    Args:
-        axis: Panel.
-        marks: Each point with its position, as fractions of the panel's width and height.
-    """
+def _draw(axis: Axes, marks: Sequence[tuple[Point, float, float]]) -> None:
+    """Draw points at x and y with their names."""
     axis.grid(visible=True)
     axis.set_axisbelow(True)
-    taken = list[tuple[float, float, float]]()  # left, right and height of names, points
-    for point, across, up in sorted(marks, key=lambda mark: (-mark[2], mark[1])):
-        x, y = across * _PANEL[0], up * _PANEL[1]
-        left, right = x + 9, x + 9 + _LETTER * len(point.name)
-        height = y
-        while any(a < right and left < b and abs(height - c) < _LINE for a, b, c in taken):
-            height -= 1
-        taken.append((left, right, height))
+    for point, x, y in marks:
         colour = MAIN if point.pareto else SECOND if point.same else INK
-        axis.plot(across, up, "o" if point.streams else "s", color=colour, markersize=6,
-                  markerfacecolor=colour if point.pareto else "white", transform=axis.transAxes)  # fmt: skip
-        axis.annotate(point.name, (across, up), (9, height - y), xycoords="axes fraction", color=colour,
-                      textcoords="offset points", fontsize=8, va="center", arrowprops=_LEADER)  # fmt: skip
+        axis.plot(x, y, "o" if point.streams else "s", color=colour, markersize=6,
+                  markerfacecolor=colour if point.pareto else GROUND)  # fmt: skip
+    name_points(axis, [(point.name, x, y) for point, x, y in marks], _PANEL)
 
 
 def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from flows.learn.evaluation.evaluation_study import MethodResult
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SPEEDS, SURFACES, TABLE_3
 from flows.learn.evaluation.sample_metrics import EDGES
-from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
+from flows.report.figures import CELLS, FAINT, MAIN, SECOND, WIDTH, Axes, Figure, grid, name_points, styled
 
 _LINES: Final = ("-", "--", ":")
 _COLUMNS: Final = 5  # confusion matrices in a row
@@ -22,16 +23,17 @@ def confusions(results: Sequence[MethodResult]) -> Figure:
     """Draw the confusion matrices."""
     columns = min(len(results), _COLUMNS)
     rows = -(-len(results) // columns)
-    figure, axes = grid(rows, columns, (2.3 * columns, 0.4 + 2.4 * rows))
+    figure, axes = grid(rows, columns, (WIDTH / _COLUMNS * columns, 0.4 + 2.3 * rows))
     for axis, result in zip(axes, results, strict=False):
         counts = result.confusion.counts
         share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)  # of each truth
-        axis.imshow(share, cmap="Blues", vmin=0, vmax=1.6)
         for truth in range(2):
             for prediction in range(2):
                 number = f"{100 * share[truth, prediction]:.1f} %\n{int(counts[truth, prediction])}"
-                axis.text(prediction, truth, number, ha="center", va="center", fontsize=8, color=INK)
-        axis.set(title=result.method.name)
+                axis.axhspan(truth - 0.5, truth + 0.5, prediction / 2, (prediction + 1) / 2, color=MAIN,
+                             alpha=0.06 + 0.34 * share[truth, prediction], linewidth=0)  # fmt: skip
+                axis.text(prediction, truth, number, ha="center", va="center")
+        axis.set(title=result.method.name, xlim=(-0.5, 1.5), ylim=(1.5, -0.5), aspect="equal")
         axis.set_xticks([0, 1], ["static", "slip"])
         axis.set_yticks([0, 1], ["static", "slip"])
         axis.tick_params(length=0)
@@ -40,14 +42,14 @@ def confusions(results: Sequence[MethodResult]) -> Figure:
     for axis in axes[len(results) :]:
         axis.set_axis_off()
     axes[0].set_ylabel("label")
-    figure.supxlabel("prediction", fontsize=9)
+    figure.supxlabel("prediction")
     return figure
 
 
 @styled
 def curves(results: Sequence[MethodResult]) -> Figure:
     """Draw ROC and reliability."""
-    figure, (roc, reliability) = grid(1, 2, (11, 4.6))
+    figure, (roc, reliability) = grid(1, 2, (WIDTH, 4.6))
     for result, look in _styles(results):
         curve = result.roc
         label = f"{result.method.name}  {100 * curve.area:.1f}"
@@ -68,7 +70,7 @@ def curves(results: Sequence[MethodResult]) -> Figure:
 @styled
 def delays(results: Sequence[MethodResult]) -> Figure:
     """Draw the share of detected slips by delay, and delay against false alarms."""
-    figure, (found, cost) = grid(1, 2, (11, 4.4), widths=[1.6, 1])
+    figure, (found, cost) = grid(1, 2, (WIDTH, 4.4), widths=[1.6, 1])
     for result, look in _styles(results):
         events = result.events
         late = np.sort(events.delays)  # (caught,) ms
@@ -76,16 +78,17 @@ def delays(results: Sequence[MethodResult]) -> Figure:
         share = 100 * np.arange(len(late) + 1) / max(events.slips, 1)
         found.step([-50, *late, _LATEST], [*share, share[-1]], where="post", label=result.method.name, **look)
         cost.plot(events.false_alarms_per_min, events.onset_ms, "o", color=look["color"], markersize=6)
-        cost.annotate(result.method.name, (events.false_alarms_per_min, events.onset_ms), (6, 4),
-                      textcoords="offset points", fontsize=8)  # fmt: skip
+    costs = {each.method.name: (each.events.false_alarms_per_min, each.events.onset_ms) for each in results}
+    most = max([1.0, *(alarms for alarms, _ in costs.values() if isfinite(alarms))])
     found.axvline(0, color=FAINT, linewidth=0.8)
     found.set(title="Slips with an onset", xlabel="ms after the label changes to slip", ylabel="slips, %",
               xlim=(-50, _LATEST), ylim=(0, 100))  # fmt: skip
     found.yaxis.grid(visible=True)
     found.legend(loc="lower right")
     cost.set(title="Delay against false alarms", xlabel="false alarms per static minute",
-             ylabel="median delay, ms", xlim=(0, None), ylim=(min(0, cost.get_ylim()[0]), None))  # fmt: skip
-    cost.margins(x=0.3)
+             ylabel="median delay, ms", xlim=(-0.03 * most, 1.5 * most),
+             ylim=(min(0, cost.get_ylim()[0]), None))  # fmt: skip
+    name_points(cost, [(name, *at) for name, at in costs.items() if isfinite(at[1])], (3.6, 3.6))
     cost.yaxis.grid(visible=True)
     return figure
 
@@ -93,7 +96,7 @@ def delays(results: Sequence[MethodResult]) -> Figure:
 @styled
 def changes(results: Sequence[MethodResult]) -> Figure:
     """Draw accuracy and errors by distance from the nearest change of the label."""
-    figure, (axis, errors) = grid(1, 2, (11, 4.2), widths=[1.4, 1])
+    figure, (axis, errors) = grid(2, 1, (8, 6.4))
     places = np.arange(len(EDGES))
     for result, look in _styles(results):
         axis.plot(places, result.changes.accuracy, marker="o", markersize=3, label=result.method.name, **look)
@@ -102,7 +105,7 @@ def changes(results: Sequence[MethodResult]) -> Figure:
         errors.plot(places, share, label=result.method.name, **look)
     names = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]}-"]
     for each in (axis, errors):
-        each.set_xticks(places, names, rotation=40, ha="right")
+        each.set_xticks(places, names)
         each.set(xlabel="ms to the nearest change of the label")
         each.yaxis.grid(visible=True)
     axis.set(title="Accuracy", ylabel="%", ylim=(None, 100))
@@ -114,7 +117,7 @@ def changes(results: Sequence[MethodResult]) -> Figure:
 @styled
 def motion(found: Mapping[str, MotionConfusions]) -> Figure:
     """Draw the F1 of the paper's Table III for up to two detectors."""
-    figure, axes = grid(1, len(SURFACES), (11, 3.4), sharey=True)
+    figure, axes = grid(1, len(SURFACES), (WIDTH, 3.4), sharey=True)
     rotation = len(SPEEDS)  # place of rotation
     styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
     for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):

@@ -8,10 +8,11 @@ from typing import Final
 from flows.learn.labelled_recordings import Target
 from flows.learn.stress.stress_fields import FIELDS, StressField
 from flows.learn.stress.stress_study import Stress
-from flows.report.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
+from flows.report.colours import light
+from flows.report.figures import CELLS, FAINT, INK, SECOND, WIDTH, Axes, Figure, grid, styled
 
-_COLUMNS: Final = 7  # the barometers' fields are the first row
-_COLOURS: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)
+_COLUMNS: Final = 4
+_COLOURS: Final = (*CELLS, SECOND, INK, *map(light, ("teal", "olive", "steel")), FAINT)
 _MARKS: Final = "osD^vP*X"
 _POWERS: Final = (0, 1, 10, 100)  # labels of a logarithmic axis
 _LATEST: Final = 400.0  # ms, delays that are shown
@@ -73,7 +74,7 @@ def abstention(of: Stress) -> Figure:
 def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
     """Draw values from nominal to broken, or from the lowest to the highest if there are two sides."""
     rows = -(-len(FIELDS) // _COLUMNS)
-    figure, axes = grid(rows, _COLUMNS, (13, 2.1 * rows), sharey=True)
+    figure, axes = grid(rows, _COLUMNS, (WIDTH, 2.1 * rows), sharey=True)
     for number, (axis, (field, values)) in enumerate(zip(axes, FIELDS.items(), strict=False)):
         shown = sorted(values.values) if len(values.sides) > 1 else list(values.values)
         for place, (name, height) in enumerate(lines):
@@ -90,11 +91,11 @@ def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
             )
         _scale(axis, values, shown)
         if number % _COLUMNS == 0:
-            axis.set_ylabel(text, fontsize=8)
+            axis.set_ylabel(text)
     for axis in axes[len(FIELDS) :]:
         axis.set_axis_off()
     handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 8))
+    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 6))
     return figure, axes[: len(FIELDS)]
 
 
@@ -102,7 +103,6 @@ def _scale(axis: Axes, values: StressField, shown: Sequence[float]) -> None:
     axis.axvline(shown.index(values.values[0]), color=FAINT, linewidth=0.8, zorder=0)
     axis.set_xticks(range(len(shown)), [values.number(value) for value in shown])
     axis.set(xlim=(-0.4, len(shown) - 0.6))
-    axis.tick_params(labelsize=7)
     title = f"{values.text}, {values.unit}" if values.unit else values.text
-    axis.set_title(title, fontsize=8)
+    axis.set_title(title)
     axis.yaxis.grid(visible=True)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flows.report.figures import CELLS, FAINT, Figure, grid, styled
+from flows.report.figures import CELLS, INK, SOFT, Figure, grid, styled
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,5 +40,5 @@ def draw(curves: Mapping[str, Sequence[Check]]) -> Figure:
     axes.set_xlabel("minutes of training")
     axes.set_ylabel("accuracy on validation, %")
     axes.grid(axis="y")
-    axes.legend(labelcolor=FAINT if len(curves) == 1 else "black")
+    axes.legend(labelcolor=SOFT if len(curves) == 1 else INK)
     return figure

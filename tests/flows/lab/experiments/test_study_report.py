@@ -1,9 +1,11 @@
 import json
+from pathlib import Path
 from typing import Any
 
 from flows.lab.experiments.study import Study
 from flows.lab.experiments.study_report import experiment_report, interval
 from flows.report.report_page import Report
+from tests.readability import report_faults
 
 
 def rows(report: Report, section: str, table: int = 0) -> list[dict[str, Any]]:
@@ -78,3 +80,7 @@ def test_failures_are_counted_by_ending(taps: Study) -> None:
     assert "psd, ours fails in 1 of 4 trials, mostly: too late" in report.terminal()
     assert rows(report, "failures")[0] == {"method": "psd, ours", "object": "ball", "endings": "1 too late"}
     assert [row["object"] for row in rows(report, "failures") if row["method"] == "psd, ours"] == ["ball"]
+
+
+def test_the_page_is_readable_on_a_desk_and_a_phone(lifts: Study, tmp_path: Path) -> None:
+    assert report_faults(experiment_report(lifts, "slipflow experiment lift"), tmp_path) == []

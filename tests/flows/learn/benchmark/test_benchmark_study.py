@@ -22,6 +22,7 @@ from operators.errors import ParameterError
 from operators.fingertip import Fingertip, grid
 from storage import load_weights, save_weights
 from storage.models import load_card, save_card, shipped
+from tests.readability import report_faults
 
 Having: TypeAlias = Callable[[Sequence[LabelledRecording]], Path]
 
@@ -208,8 +209,8 @@ def test_the_page_gives_the_share_of_the_gap_that_adaptation_closes(
     assert section.tables[1].rows == [["adapted", 50.0, 50.0, 50.0]]
 
 
-def test_the_page_has_every_figure_and_its_interval(
-    surfaces: list[LabelledRecording], having: Having, course: Course
+def test_the_page_has_every_figure_and_its_interval_and_is_readable(
+    surfaces: list[LabelledRecording], having: Having, course: Course, tmp_path: Path
 ) -> None:
     found = benchmark(
         {"strokes": having(surfaces)}, course, regimes=["in-domain"], names=["logistic", "majority"], jobs=1
@@ -227,6 +228,7 @@ def test_the_page_has_every_figure_and_its_interval(
     assert {"area", "events_per_min", "false_alarms_per_min", "missed", "delay"} <= best.keys()
     assert figures.balanced.interval() in report.title
     assert page["datasets"]["strokes"]["folds"]["wood"] == [each.name for each in surfaces[3:6]]
+    assert report_faults(report, tmp_path) == []
 
 
 def test_unknown_regimes_and_detectors_are_refused(

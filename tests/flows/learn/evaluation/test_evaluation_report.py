@@ -1,6 +1,7 @@
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from flows.learn.evaluation.event_metrics import EventMetrics
 from flows.learn.evaluation.intervals import Estimate
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.leaks.leak import Leak
+from tests.readability import report_faults
 
 COMMAND = "slipflow evaluate tiny"
 
@@ -125,3 +127,7 @@ def test_intervals_contain_the_figure(found: Evaluation) -> None:
     assert section.finding.endswith("is 90.0 %, 88.0 to 91.0 over recordings")
     [row] = section.tables[0].rows
     assert row[1:3] == [90.0, "88.0 to 91.0"]
+
+
+def test_the_page_is_readable_on_a_desk_and_a_phone(found: Evaluation, tmp_path: Path) -> None:
+    assert report_faults(evaluation_report(found, COMMAND), tmp_path) == []

@@ -19,6 +19,7 @@ from operators import Debounce
 from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd
 from operators.errors import ParameterError
+from tests.readability import report_faults
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
 SEED = 7
@@ -186,3 +187,7 @@ def test_a_negative_seed_or_zero_jobs_are_refused() -> None:
         stress(seed=-1)
     with pytest.raises(ParameterError, match="jobs"):
         stress(jobs=0)
+
+
+def test_the_page_is_readable_on_a_desk_and_a_phone(found: Stress, tmp_path: Path) -> None:
+    assert report_faults(stress_report(found, "slipflow stress"), tmp_path) == []

@@ -1,0 +1,47 @@
+"""Readability of pages in Chromium: on a desk and on a phone, light and dark."""
+
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, Literal
+
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+
+from flows.report.report_page import Report
+from tests.connectors.web.browsing import FLAGS
+
+WIDTHS: Final = (1280, 390)  # px
+SCHEMES: Final[tuple[Literal["light", "dark"], ...]] = ("light", "dark")
+_CHECK: Final = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
+
+
+@contextmanager
+def chromium() -> Generator[Browser]:
+    """Start headless Chromium."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        yield browser
+        browser.close()
+
+
+def faults(browser: Browser, url: str, ready: Callable[[Page], object] = Page.title) -> list[str]:
+    """Return what makes a page hard to read, in all widths and schemes; `ready` waits for its content."""
+    found = list[str]()
+    for width in WIDTHS:
+        for scheme in SCHEMES:
+            context = browser.new_context(viewport=ViewportSize(width=width, height=860), color_scheme=scheme)
+            tab = context.new_page()
+            tab.goto(url)
+            ready(tab)
+            seen: list[str] = tab.evaluate(_CHECK, {"phone": width < WIDTHS[0]})
+            found += [f"{width} px, {scheme}: {each}" for each in dict.fromkeys(seen)]
+            context.close()
+    return found
+
+
+def report_faults(report: Report, folder: Path) -> list[str]:
+    """Return what makes the page of a report hard to read."""
+    page = folder / "page.html"
+    page.write_text(report.html(), encoding="utf-8")
+    with chromium() as browser:
+        return faults(browser, page.as_uri())
