@@ -1,9 +1,9 @@
-"""Page of a recorded session: sink that keeps the curves in memory, and the requests for them."""
+"""Curves and events of a recorded session, kept in memory for its page."""
 
-import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from dataclasses import replace
 from math import isnan, nan
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from connectors.web.curves import (
     thin_curve,
 )
 from connectors.web.page_frames import FINGERS_MAX
-from connectors.web.web_server import Answer, Handler, json_answer
+from operators import Debounce
 from operators.batch import Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Json, Run, Sink
@@ -27,18 +27,17 @@ from operators.ports import Json, Run, Sink
 VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
 ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
 EVENTS_MAX: Final = 20_000
-_TIME_MAX: Final = 1e12  # ms
-_COLUMNS_MAX: Final = 8192
-_USAGE: Final = (
-    "must be ?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session; 1 to 8192 columns"
-)
+_Values: TypeAlias = NDArray[
+    np.float32 | np.float64
+]  # (n, ...) of a curve; scores have all digits, for `detected`
+_Event: TypeAlias = tuple[str, tuple[int, int, float]]  # fingertip; time, state, probability
 
 
 class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
     """Sink that keeps the events and curves of a replay in memory.
 
     Args:
-        threshold: Probability from which a sample counts as slip, marked on the page.
+        rule: Rule of `detected`; the page marks its threshold.
         about: Additional text for the page.
         flow: Name of the flow that recorded the session.
         dataset: Name of the dataset that contains the session.
@@ -47,18 +46,18 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
     def __init__(
         self,
         *,
-        threshold: float | None = None,
+        rule: Debounce | None = None,
         about: str = "",
         flow: str | None = None,
         dataset: str | None = None,
     ) -> None:
-        self.threshold, self.about = threshold, about
+        self.rule, self.about = rule or Debounce(), about
         self._origin: dict[str, Json] = {"flow": flow, "dataset": dataset}
         self.start = self.end = 0  # ns, start of the run and newest row
         # by stream and fingertip: batches, and the curves joined in `close`
-        self._arriving: dict[tuple[str, str], list[tuple[Times, NDArray[np.float32]]]] = {}
-        self._curves: dict[tuple[str, str], tuple[Times, NDArray[np.float32]]] = {}
-        self._events: list[tuple[str, tuple[int, int, float]]] = []  # fingertip; time, state, probability
+        self._arriving: dict[tuple[str, str], list[tuple[Times, _Values]]] = {}
+        self._curves: dict[tuple[str, str], tuple[Times, _Values]] = {}
+        self._events: list[_Event] = []
         self._zeroed, self._falls, self._rows = False, True, 0
 
     @property
@@ -82,11 +81,12 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """
         finger = finger_name(batch.finger)
         if isinstance(batch, Slips):
-            rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
-            self._events.extend((finger, row) for row in rows)
+            self._events += _events(finger, batch)
         else:
             self._zeroed |= isinstance(batch, Zeroed)
-            values = plotted_values(batch).astype(np.float32)
+            values = plotted_values(batch)
+            if not isinstance(batch, Scores):
+                values = values.astype(np.float32)
             self._arriving.setdefault((stream_name(batch), finger), []).append((batch.time, values))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
@@ -98,7 +98,6 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
 
     async def close(self) -> None:
         """Sort the events and join the curves; out-of-order rows are dropped."""
-        self._events.sort(key=lambda event: event[1][0])  # fingertips are written one after the other
         for key, parts in self._arriving.items():
             time = np.concatenate([each for each, _ in parts])  # (n,) ns
             values = np.concatenate([each for _, each in parts])  # (n, ...)
@@ -116,15 +115,28 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             "about": self.about,
             "start": self.start / ms,
             "length": (self.end - self.start) / ms,
-            "threshold": self.threshold,
+            "threshold": self.rule.threshold,
             "fingers": [*fingers],
             "zeroed": self._zeroed,
             "deepest": self._deepest(),
-            "events": [
-                event_json(number, finger, row, self.start, None)
-                for number, (finger, row) in enumerate(self._events, 1)
-            ],
+            "events": self._events_json(self._events),
         }
+
+    def detected(self, threshold: float) -> list[Json]:
+        """Return the events that the debounce finds in the scores at another threshold.
+
+        Raises:
+            ParameterError: if the threshold is not above 0 and at most 1.
+            InputError: if there are too many events.
+        """
+        rule, events = replace(self.rule, threshold=threshold), list[_Event]()
+        for (stream, finger), (time, probability) in self._curves.items():
+            if stream == "scores":
+                found = rule.reset_copy().push(Scores(time, probability.astype(np.float64)))
+                events += _events(finger, found)
+        if len(events) > EVENTS_MAX:
+            raise InputError(self._session, f"has more than {EVENTS_MAX:,} events at this threshold")
+        return self._events_json(events)
 
     def window(self, begin: float, end: float, columns: int) -> dict[str, Json]:
         """Return the curves from `begin` to `end` (ms since `start`) as the streams of a frame.
@@ -133,7 +145,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """
         first, last = (self.start + round(each * ms) for each in (begin, end))
 
-        def cut(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
+        def cut(time: Times, values: _Values) -> dict[str, Json]:
             rows = slice(*np.searchsorted(time, [first, last + 1]))
             return curve_json(*thin_curve(time[rows], values[rows], first, last, columns), self.start)
 
@@ -143,18 +155,26 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`)."""
         at = self.start + round(instant * ms)
 
-        def newest(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
+        def newest(time: Times, values: _Values) -> dict[str, Json]:
             first, end = np.searchsorted(time, [at - VALID_FOR, at + 1])
             rows = slice(max(first, end - 1), end)
             return curve_json(time[rows], values[rows], self.start)
 
         return self._streams(newest)
 
-    def _streams(self, cut: Callable[[Times, NDArray[np.float32]], dict[str, Json]]) -> dict[str, Json]:
+    def _streams(self, cut: Callable[[Times, _Values], dict[str, Json]]) -> dict[str, Json]:
         """Return the streams of a frame, each curve cut by `cut`."""
         found = {key: cut(*curve) for key, curve in self._curves.items()}
         empty: dict[str, Json] = {"touch": {}, "scores": {}, "speed": None}
         return {**empty, **streams_json(found, found if self._zeroed else ())}
+
+    def _events_json(self, events: list[_Event]) -> list[Json]:
+        """Return events in order of time; fingertips are written one after the other."""
+        ordered = sorted(events, key=lambda event: event[1][0])
+        return [
+            event_json(number, finger, row, self.start, None)
+            for number, (finger, row) in enumerate(ordered, 1)
+        ]
 
     def _deepest(self) -> float | None:
         """Return the minimum of all cells, for the scale of the pressure maps; None without touch.
@@ -170,27 +190,6 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         return None if isnan(least) else least
 
 
-def session_handlers(curves: SessionCurves) -> dict[str, Handler]:
-    """Return the requests of the page, by path: ``/about.json`` describes it, ``/window`` has curves.
-
-    Documents are built in a thread, as that takes some ms.
-    """
-
-    async def about(query: Mapping[str, str]) -> Answer:  # noqa: ARG001 - no parameters
-        return await asyncio.to_thread(lambda: json_answer({"mode": "recorded", **curves.contents()}))
-
-    async def window(query: Mapping[str, str]) -> Answer:
-        try:
-            begin, end, at = (float(query[name]) for name in ("begin", "end", "at"))
-            columns = int(query["columns"])
-        except (KeyError, ValueError):
-            raise InputError("/window", _USAGE) from None
-        if not (
-            -_TIME_MAX <= begin <= end <= _TIME_MAX and abs(at) <= _TIME_MAX and 0 < columns <= _COLUMNS_MAX
-        ):
-            raise InputError("/window", _USAGE)  # also for NaN
-        return await asyncio.to_thread(
-            lambda: json_answer({**curves.window(begin, end, columns), "at": curves.values_at(at)})
-        )
-
-    return {"/about.json": about, "/window": window}
+def _events(finger: str, slips: Slips) -> list[_Event]:
+    rows = zip(slips.time.tolist(), slips.state.tolist(), slips.probability.tolist(), strict=True)
+    return [(finger, row) for row in rows]

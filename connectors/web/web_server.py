@@ -7,23 +7,26 @@ import resource
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Final, TypeAlias
 
 from aiohttp import web
 
 from connectors.events import encode
 from connectors.web.access import COOKIE, PAGE_PORT, Access, http_url, local_host
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Json
 
 Answer: TypeAlias = tuple[bytes, str]  # body and content type
 Handler: TypeAlias = Callable[[Mapping[str, str]], Awaitable[Answer]]  # answers the query of a request
+Writer: TypeAlias = Callable[[bytes], Awaitable[Answer]]  # answers the body of a POST request
 
 STATIC: Final = Path(__file__).parent / "static"
 CONNECTIONS_MAX: Final = 64
 IDLE_TIMEOUT: Final = 20.0  # s without a complete request, after which a connection is closed
 _DESCRIPTORS: Final = 4  # a server uses at most 1/4 of the process's file descriptors
 _BACKLOG: Final = 16  # connections accepted at once
+_BODY_MAX: Final = 16 << 20  # bytes of a POST request
 _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
 _HEADERS: Final = {
@@ -52,7 +55,10 @@ def json_answer(document: Json) -> Answer:
 
 
 class WebServer:
-    """HTTP server for GET requests that `Access` admits.
+    """HTTP server for requests that `Access` admits: GET, and POST from its own pages.
+
+    A POST request must have an Origin header that names the same host and port as its Host header, and JSON
+    as its content. Browsers send the origin of the page, so that no other site can write.
 
     Connections are limited to 64, and to a quarter of the process's file descriptors, so that a recording can
     always open its files. A further connection replaces the one that was silent for the longest time; one
@@ -96,8 +102,14 @@ class WebServer:
         """URL with the token, if there is one: keep it secret."""
         return f"{self.url}/?token={self._access.token}" if self._access.token else self.url
 
-    async def open(self, handlers: Mapping[str, Handler]) -> None:
-        """Listen, and serve the static files and `handlers`, by path.
+    async def open(
+        self, handlers: Mapping[str, Handler], writers: Mapping[str, Writer] = MappingProxyType({})
+    ) -> None:
+        """Listen, and serve the static files and the requests.
+
+        Args:
+            handlers: Answers to GET requests, by path.
+            writers: Answers to POST requests, by path.
 
         Raises:
             EndpointError: if the server cannot listen on its address.
@@ -106,12 +118,14 @@ class WebServer:
         self._limit = max(2, limit // 2)  # of connections with access, and of those without
         files = await asyncio.to_thread(_read_files, self._files) if self._files else {}
         self._locked = files.pop(_LOCKED, (b"", ""))[0]
-        app = web.Application(middlewares=[self._admit])
+        app = web.Application(middlewares=[self._admit], client_max_size=_BODY_MAX)
         app.on_response_prepare.append(_set_headers)
         for path, answer in files.items():
             app.router.add_get(path, _responder(_constant(answer)))
         for path, handler in handlers.items():
             app.router.add_get(path, _responder(handler))
+        for path, writer in writers.items():
+            app.router.add_post(path, _write_responder(writer))
         self._runner = web.AppRunner(
             app,
             access_log=None,
@@ -237,12 +251,28 @@ def _constant(answer: Answer) -> Handler:
 
 def _responder(handler: Handler) -> Callable[[web.Request], Awaitable[web.Response]]:
     async def respond(request: web.Request) -> web.Response:
-        try:
-            body, kind = await handler(request.query)
-        except InputError as error:
-            return web.Response(status=400, text=f"{error}\n")
-        except UnavailableError as error:
-            return web.Response(status=503, text=f"{error}\n")
-        return web.Response(body=body, headers={"Content-Type": kind})
+        return await _response(handler(request.query))
 
     return respond
+
+
+def _write_responder(writer: Writer) -> Callable[[web.Request], Awaitable[web.Response]]:
+    async def respond(request: web.Request) -> web.Response:
+        _, _, origin = request.headers.get("Origin", "").partition("://")
+        if not origin or origin.lower() != request.host.lower():
+            return web.Response(status=403, text="Only pages of this server can write.\n")
+        if request.content_type != "application/json":
+            return web.Response(status=415, text="Send JSON.\n")
+        return await _response(writer(await request.read()))
+
+    return respond
+
+
+async def _response(answer: Awaitable[Answer]) -> web.Response:
+    try:
+        body, kind = await answer
+    except (InputError, ParameterError) as error:
+        return web.Response(status=400, text=f"{error}\n")
+    except (UnavailableError, EndpointError) as error:
+        return web.Response(status=503, text=f"{error}\n")
+    return web.Response(body=body, headers={"Content-Type": kind})

@@ -11,9 +11,9 @@ from flows.cli.options import parse_address
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
-    from connectors.web.session_page import SessionCurves
+    from connectors.web.session_requests import SessionPage
     from connectors.web.web_server import WebServer
-    from operators.ports import Recording
+    from storage import Session
 
 
 def show(
@@ -27,10 +27,11 @@ def show(
     listen: Listen = None,
     no_browser: NoBrowser = False,
 ) -> None:
-    """Show a recorded session in a browser.
+    """Show a recorded session in a browser, and label it by hand.
 
     Scores the recorded touch again. Shows the recorded slip events if there are any, else those found by the
-    detector. Ends at Ctrl-C.
+    detector; a slider changes the threshold. Drag over the curves to zoom, and over the bands below them to
+    mark slip, static or unknown; `slipflow train` and `evaluate` use these labels. Ends at Ctrl-C.
 
     Examples:
       slipflow show recordings/sessions/stroke-9 --detector psd
@@ -43,12 +44,12 @@ def show(
     asyncio.run(_show(Session.open(session), detector, server, browse=not no_browser))
 
 
-async def _show(recording: "Recording", detector: str, server: "WebServer", *, browse: bool) -> None:
-    from connectors.web.session_page import session_handlers
+async def _show(session: "Session", detector: str, server: "WebServer", *, browse: bool) -> None:
     from flows.run.stop_signals import signals_to
 
-    note(f"{recording.name}: reading and scoring by {detector}")
-    await server.open(session_handlers(await load(recording, detector)))
+    note(f"{session.name}: reading and scoring by {detector}")
+    page = await load(session, detector)
+    await server.open(page.handlers(), page.writers())
     announce_page("page, until Ctrl-C", server.url, server.login_url, browse=browse)
     stop = asyncio.Event()
     try:
@@ -58,50 +59,50 @@ async def _show(recording: "Recording", detector: str, server: "WebServer", *, b
         await server.close()
 
 
-async def load(recording: "Recording", detector: str = "tcn") -> "SessionCurves":
-    """Load the data of a recording that the page shows.
+async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
+    """Load the data of a session that the page shows.
 
     Raises:
-        InputError: if the recording has no touch, is damaged or too long, or the detector is unknown.
+        InputError: if the session has no touch, is damaged or too long, or the detector is unknown.
     """
     from connectors import Replay
+    from connectors.web.session_bands import SessionBands
     from connectors.web.session_page import SessionCurves
+    from connectors.web.session_requests import SessionPage
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
-    from operators import Debounce, Motion, Score, Slips, Touch, Zero
+    from operators import Debounce, Labelled, Motion, Score, Slips, Touch, Truth, Zero
     from storage import load_debounce, load_detector
 
+    session.hand_labels()  # an error of its files ends the command before the scoring
     debounce = load_debounce(detector) or Debounce()
-    has_slips = bool(recording.fingers(Slips))
+    has_slips = bool(session.fingers(Slips))
     source = "recorded" if has_slips else f"found by {detector} now, as none were recorded"
     about = f"Slip probability: computed now by detector {detector}. Slip events: {source}."
-    recorded = SessionCurves(
-        threshold=debounce.threshold,
-        about=about,
-        flow=_flow_name(recording),
-        dataset=_dataset_name(recording),
+    curves, bands = (
+        SessionCurves(rule=debounce, about=about, flow=_flow_name(session), dataset=_dataset_name(session)),
+        SessionBands(),
     )
     flow = Flow("show")
-    zeroed = flow.source(Replay(recording, Touch)) | Zero()
+    zeroed = flow.source(Replay(session, Touch)) | Zero()
     scores = zeroed | Score(load_detector(detector))
-    zeroed.to(recorded)
-    scores.to(recorded)
-    (flow.source(Replay(recording, Slips)) if has_slips else scores | debounce).to(recorded)
-    if recording.fingers(Motion):
-        flow.source(Replay(recording, Motion)).to(recorded)
-    await ReplayRunner(flow, recording, recording.name).execute()
-    return recorded
+    zeroed.to(curves)
+    scores.to(curves)
+    (flow.source(Replay(session, Slips)) if has_slips else scores | debounce).to(curves)
+    if session.fingers(Motion):
+        flow.source(Replay(session, Motion)).to(curves)
+    for kind in (Labelled, Truth):
+        if session.fingers(kind):
+            flow.source(Replay(session, kind)).to(bands)
+    await ReplayRunner(flow, session, session.name).execute()
+    return SessionPage(curves, bands, session)
 
 
-def _flow_name(recording: "Recording") -> str | None:
-    name = recording.describe().get("flow")
+def _flow_name(session: "Session") -> str | None:
+    name = session.describe().get("flow")
     return name if isinstance(name, str) else None
 
 
-def _dataset_name(recording: "Recording") -> str | None:
-    from storage import Session
-
-    if not isinstance(recording, Session):
-        return None
-    folder = recording.folder.resolve()
+def _dataset_name(session: "Session") -> str | None:
+    folder = session.folder.resolve()
     return folder.parent.parent.name if folder.parent.name == "sessions" else None

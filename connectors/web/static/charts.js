@@ -1,10 +1,14 @@
 // Three charts with one time axis: counts of each barometer, slip probability, TCP speed.
+// A view of a time axis has `begin`, `end` and `origin` (ms), the time of label 0.
 
 /* global uPlot */
 
-const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
+export const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
 
-const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+const STEPS = [1, 2, 5].flatMap((each) => [10, 100, 1000].map((ten) => each * ten)).sort((a, b) => a - b)
+  .concat([10000, 30000, 60000, 120000, 300000, 600000, 1800000]); // ms between labelled times
 
 const HUES = ["--left", "--middle", "--right"];
 
@@ -27,7 +31,7 @@ class Chart {
     this.range = range;
     this.extra = extra;
     this.data = [[], ...series.map(() => [])];
-    this.view = { begin: -10000, end: 0, slips: [] };
+    this.view = { begin: -10000, end: 0, origin: 0, slips: [] };
     this.#build();
     new ResizeObserver(() => this.#resize()).observe(this.host);
   }
@@ -85,27 +89,39 @@ class Chart {
     this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight });
   }
 
+  get #step() {
+    const span = this.view.end - this.view.begin;
+    return STEPS.find((each) => span / each <= (this.host.clientWidth < 480 ? 5 : 10)) ?? STEPS.at(-1);
+  }
+
+  // Return the labelled times: multiples of a step from the origin.
   #times() {
-    const { begin, end } = this.view, span = end - begin;
-    const steps = [1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000];
-    const step = steps.find((each) => span / each <= (this.host.clientWidth < 480 ? 5 : 10)) ?? steps.at(-1);
-    const times = [];
-    if (this.view.whole) for (let t = begin; t <= end; t += step) times.push(t);
-    else for (let t = end; t >= begin - 1; t -= step) times.unshift(t);
+    const { begin, end, origin } = this.view, step = this.#step, times = [];
+    for (let k = Math.ceil((begin - 1 - origin) / step); origin + k * step <= end + 1; k++) times.push(origin + k * step);
     return times;
   }
 
-  // Label of a time: seconds before the end, or since the start of a whole session.
+  // Label of a time: seconds from the origin.
   #label(t) {
-    if (this.view.whole) return t === this.view.begin ? "0 s" : String(Math.round((t - this.view.begin) / 1000));
-    const seconds = Math.round((t - this.view.end) / 1000);
-    return seconds === 0 ? "0 s" : `−${-seconds}`;
+    const seconds = (t - this.view.origin) / 1000, digits = Math.max(0, 3 - Math.floor(Math.log10(this.#step)));
+    const text = Math.abs(seconds).toFixed(digits);
+    return Number(text) === 0 ? "0 s" : seconds < 0 ? `−${text}` : text;
+  }
+
+  // Return the horizontal position of a time, in px from the left edge of the host.
+  place(t) {
+    return this.plot.over.offsetLeft + this.plot.valToPos(t, "x");
   }
 
   // Draw the slip bands under the curves.
   #bands(plot) {
-    const { ctx, bbox } = plot, { begin, end, at, slips } = this.view;
+    const { ctx, bbox } = plot, { begin, end, at, slips, selected } = this.view;
     ctx.save();
+    if (selected) {
+      const [left, right] = selected.map((t) => plot.valToPos(Math.min(Math.max(t, begin), end), "x", true));
+      ctx.fillStyle = colour("--selected");
+      ctx.fillRect(left, bbox.top, right - left, bbox.height);
+    }
     for (const [from, to] of slips) {
       if (to < begin || from > end) continue;
       const left = plot.valToPos(Math.max(from, begin), "x", true);
@@ -178,6 +194,10 @@ export class Charts {
     this.scores.last = !shown;
   }
 
+  get all() {
+    return [this.counts, this.scores, this.motion];
+  }
+
   // Width of the curves, pixels.
   get columns() {
     return Math.max(100, Math.round((this.counts.host.clientWidth - LEFT - RIGHT) * devicePixelRatio));
@@ -190,7 +210,7 @@ export class Charts {
   }
 
   rebuild() {
-    for (const chart of [this.counts, this.scores, this.motion]) chart.rebuild();
+    for (const chart of this.all) chart.rebuild();
   }
 
   // Draw the threshold as a dashed line.

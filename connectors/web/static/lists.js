@@ -33,6 +33,13 @@ export class Events {
     return added;
   }
 
+  // Replace all events.
+  replace(events) {
+    this.clear();
+    this.changed = true;
+    this.add(events, Infinity);
+  }
+
   // Return the spans [from, to] in which a fingertip slipped; the last one may end at `end`.
   spans(finger, end) {
     const spans = [];

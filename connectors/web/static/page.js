@@ -124,7 +124,8 @@ class View {
 
   // Return the `streams` of the curves, their `end` (ms), and the full streams of the numbers, `figures`. Optional:
   // `at`, time of the numbers (default `end`); `span`, [begin, end] of the curves (default the window before `end`);
-  // `whole`, true if that is the whole session. Both modes override it.
+  // `origin`, time of label 0 on the time axis, and `last`, end of the recording (default the end of the span);
+  // `selected`, [begin, end] that is highlighted. Both modes override it.
   scene() {
     return { streams: this.streams, figures: this.streams, end: this.newest };
   }
@@ -156,11 +157,11 @@ class View {
     }
     write($("ramp-from"), raw ? String(this.range[0]) : "0");
     write($("ramp-to"), raw ? String(this.range[1]) : String(this.deepest));
-    const [from, to] = scene.span ?? [end - this.window, end], whole = scene.whole ?? false;
-    const slips = this.events.spans(this.finger, to);
+    const [from, to] = scene.span ?? [end - this.window, end], { origin = to, last = to, selected } = scene;
+    const slips = this.events.spans(this.finger, Math.min(to, last));
     const { touch, speed } = streams;
     const shown = { touch: touch.get(this.finger), scores: streams.scoring(this.finger), speed };
-    this.charts.draw(shown, { begin: from, end: to, at: end, slips, whole });
+    this.charts.draw(shown, { begin: from, end: to, at: end, slips, origin, selected });
     if (readable) this.#showFigures(figures, at);
   }
 

@@ -1,70 +1,108 @@
-// Recorded session: a slider selects a time; the page draws the window before it, or the whole session.
+// Recorded session: a slider selects a time; the page draws the window around it, a zoom, or the whole session.
 
+import { Bands } from "./bands.js";
+import { LEFT, RIGHT } from "./charts.js";
+import { Labels } from "./labels.js";
+import { Overview } from "./overview.js";
 import { write } from "./pad.js";
+import { Readout } from "./readout.js";
 import { Streams } from "./rows.js";
+import { Hairline, pointer, Span } from "./span.js";
+import { thresholdSlider } from "./threshold.js";
 
 const $ = (id) => document.getElementById(id);
 const STRIDES = { PageUp: 10000, PageDown: -10000 }; // ms, by key
-const STEP = 100; // ms, of the arrow keys; ten times that with Shift
+const STEP = 100; // ms, of the arrow keys; ten times that with Shift, a tenth with Alt
 const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // these use Space
 
 export function recorded(view, about) {
-  const slider = $("instant"), play = $("play"), canvas = $("overview");
-  let loading = false, again = false, playing = null;
+  const slider = $("instant"), play = $("play"), span = new Span(about.length);
+  let loading = false, again = false, playing = null, dragged = null, events = about.events, loaded = {}, remark = about.about;
 
   document.body.dataset.link = "recorded";
-  $("scrub").hidden = false;
+  for (const id of ["scrub", "readout", "bands-figure"]) $(id).hidden = false;
   $("window").append(new Option("1 min", "60"), new Option("5 min", "300"), new Option("all", "Infinity"));
   const of = [["Flow", about.flow], ["dataset", about.dataset], ["session", about.session]].filter(([, name]) => name);
   write($("session"), of.map((each) => each.join(" ")).join(" · "));
   view.name = about.session;
   write($("link"), "Recorded");
   write($("no-events"), "None.");
-  $("notice").hidden = !about.about;
-  write($("notice"), about.about);
-  view.threshold = about.threshold;
   view.fingertip = about.fingertip;
   view.clear();
   view.deepest = about.zeroed && about.deepest < -100 ? roundUp(-about.deepest) : 100;
-  view.events.add(about.events, Infinity);
-  const slips = about.events.filter((event) => event.onset).length;
-  write($("events-count"), slips ? `${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}` : "");
   slider.max = about.length;
-  slider.value = Math.min(about.length, Math.max(view.window, first(about.events)));
+  slider.value = Math.min(about.length, Math.max(view.window, first(events)));
 
   const begun = new Date(about.start);
-  const clock = (t) => new Date(begun.getTime() + t).toISOString().slice(11, 22);
+  const clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
+  const shown = () => span.at(instant(), view.window);
+  const bands = new Bands($("bands")), hairline = new Hairline(view.charts.all), overview = new Overview(view, about.length);
+  const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed: (t) => elapsed(t, 2), changed: () => redraw() });
+  const readout = new Readout($("readout"), view, bands, async (t) => (await load(t, t, t, 1)).at, (t) => `${elapsed(t, 2)} · ${clock(t)} UTC`);
   let figures = new Streams(view.sign); // rows at the selected time; the curves are reduced to pixel columns
-  view.scene = () => ({ streams: view.streams, figures, at: Infinity, end: instant(), span: span(), whole: view.window === Infinity });
-  // Return the time span of the curves: the window before the selected time, or the whole session.
-  const span = () => (view.window === Infinity ? [0, about.length] : [instant() - view.window, instant()]);
+  view.scene = () => ({
+    streams: view.streams, figures, at: Infinity, end: instant(), span: shown(), selected: dragged ?? labels?.selected,
+    last: about.length, origin: span.zoomed || view.window === Infinity ? 0 : instant(),
+  });
   view.onchange = () => refresh();
-  view.events.show((t) => elapsed(t), (t) => go(t + 1000));
+  $("window").addEventListener("change", () => { span.zooms = []; refresh(); });
+
+  const setThreshold = thresholdSlider(about, (threshold, found) => {
+    const own = found === about.events;
+    events = found;
+    view.threshold = threshold;
+    view.events.replace(found);
+    view.events.show((t) => elapsed(t), (t) => go(t + 1000));
+    const slips = found.filter((event) => event.onset).length;
+    write($("events-count"), slips ? `${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}` : "");
+    remark = own ? about.about : `Slip events: found now at threshold ${threshold}. Reset shows the first ones again.`;
+    overview.draw();
+    refresh();
+  });
+
+  function notice(text) {
+    $("notice").hidden = !text;
+    write($("notice"), text);
+  }
+
+  // Draw everything that was loaded.
+  function redraw() {
+    const [begin, end] = shown(), rows = {}, { finger } = view;
+    const of = (name) => loaded[name]?.[finger] ?? loaded[name]?.every;
+    rows.slips = view.events.spans(finger, about.length).map((each) => [...each, 1]);
+    for (const name of ["arm", "truth"]) if (loaded[name]) rows[name] = of(name) ?? [];
+    if (labels) rows.hand = labels.band(finger);
+    bands.show(rows, { begin, end, at: instant(), selected: dragged ?? labels?.selected });
+    overview.mark(begin, end);
+    $("unzoom").hidden = !span.zoomed;
+    view.dirty();
+  }
 
   async function refresh() {
     const t = instant();
     write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
-    view.slipping = slipping(about.events, t);
+    view.slipping = slipping(events, t);
     showTime(t);
-    write($("axis"), view.window === Infinity ? "seconds since the start of the session" : "seconds before the selected time");
-    view.dirty();
+    const whole = span.zoomed || view.window === Infinity;
+    write($("axis"), whole ? "seconds since the start of the session" : "seconds from the selected time");
+    redraw();
     again = loading;
     if (loading) return;
     loading = true;
     try {
-      const answer = await load(...span(), t, view.charts.columns);
+      const answer = await load(...shown(), t, view.charts.columns);
       figures = new Streams(view.sign);
       figures.take(answer.at);
+      loaded = answer.bands;
       view.take(answer, "replace");
       showTime(instant()); // the fingertip is known now
-      $("notice").hidden = !about.about;
-      write($("notice"), about.about);
-      view.dirty();
+      notice(remark);
+      redraw();
+      readout.show(t, figures);
     } catch {
       stop();
-      $("notice").hidden = false;
-      write($("notice"), "The server does not respond. Restart it: slipflow show SESSION");
+      notice("The server does not respond. Restart it: slipflow show SESSION");
     } finally {
       loading = false;
       if (again) refresh();
@@ -77,6 +115,7 @@ export function recorded(view, about) {
 
   function go(t) {
     slider.value = Math.min(Math.max(t, 0), about.length);
+    span.follow(instant());
     refresh();
   }
 
@@ -86,8 +125,42 @@ export function recorded(view, about) {
     write(play, "Play");
   }
 
+  function zoomOut() {
+    span.zooms.pop();
+    refresh();
+  }
+
+  const time = (x) => {
+    const box = $("bands").getBoundingClientRect(), [begin, end] = shown();
+    const share = (x - box.left - LEFT) / (box.width - LEFT - RIGHT);
+    return Math.round(begin + (end - begin) * Math.min(Math.max(share, 0), 1));
+  };
+  pointer([...view.charts.all.map((chart) => chart.host), $("bands")], new Set(labels ? [$("bands")] : []), time, {
+    hover(t) {
+      hairline.show(t);
+      if (t !== null) readout.at(t);
+      else readout.show(instant(), figures);
+    },
+    dragged(each) { dragged = each; redraw(); },
+    click(t, marks) {
+      if (playing !== null) stop();
+      if (marks && labels) labels.pick(t);
+      go(t);
+    },
+    zoom(begin, end) {
+      if (playing !== null) stop();
+      span.zoom(begin, end);
+      if (instant() < begin || instant() > end) slider.value = (begin + end) / 2;
+      refresh();
+    },
+    mark(begin, end) { if (labels) labels.select([begin, end]); },
+    out: zoomOut,
+  });
+
   play.addEventListener("click", () => toggle());
+  $("unzoom").addEventListener("click", zoomOut);
   document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && span.zoomed) return zoomOut();
     if (event.key !== " " || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
     if (event.target.closest(TAKES_SPACE)) return;
     event.preventDefault(); // do not scroll
@@ -109,44 +182,18 @@ export function recorded(view, about) {
     playing = requestAnimationFrame(step);
   }
 
-  slider.addEventListener("input", () => { if (playing !== null) stop(); refresh(); });
+  slider.addEventListener("input", () => { if (playing !== null) stop(); go(instant()); });
   slider.addEventListener("keydown", (event) => {
     const arrow = { ArrowLeft: -STEP, ArrowDown: -STEP, ArrowRight: STEP, ArrowUp: STEP }[event.key];
-    const stride = arrow ? arrow * (event.shiftKey ? 10 : 1) : STRIDES[event.key];
+    const stride = arrow ? arrow * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1) : STRIDES[event.key];
     if (!stride) return;
     event.preventDefault();
     if (playing !== null) stop();
     go(instant() + stride);
   });
 
-  // Draw the overview of the whole session above the slider: pressure and slips.
-  async function draw() {
-    const style = getComputedStyle(document.documentElement), ratio = devicePixelRatio;
-    const width = canvas.clientWidth, height = canvas.clientHeight, edge = 8; // px, half the thumb of the slider
-    canvas.width = width * ratio;
-    canvas.height = height * ratio;
-    const pen = canvas.getContext("2d"), x = (t) => edge + ((width - 2 * edge) * t) / about.length;
-    pen.scale(ratio, ratio);
-    pen.fillStyle = style.getPropertyValue("--middle");
-    pen.globalAlpha = 0.55;
-    const touch = whole.touch[view.finger ?? Object.keys(whole.touch)[0]];
-    touch?.t.forEach((t, row) => {
-      const value = Math.max(0, ...touch.v[row].map((each) => view.pressure(each, touch.zeroed)));
-      const tall = Math.min(height - 8, ((height - 8) * value) / (touch.zeroed ? view.deepest : view.most));
-      pen.fillRect(x(t), height - tall, 1, tall);
-    });
-    pen.globalAlpha = 1;
-    pen.fillStyle = style.getPropertyValue("--slip");
-    for (const [from, to] of view.events.spans(view.finger, about.length)) pen.fillRect(x(from), 0, Math.max(1.5, x(to) - x(from)), 5);
-  }
-
-  let whole = { touch: {} };
-  refresh().then(async () => {
-    whole = await load(0, about.length, 0, Math.max(1, canvas.clientWidth));
-    new ResizeObserver(draw).observe(canvas);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
-    $("fingers").addEventListener("change", draw);
-  });
+  refresh().then(() => overview.load(load));
+  return { setThreshold };
 }
 
 // Load the curves between two times, reduced to pixel columns, and the rows at a time.
@@ -174,7 +221,8 @@ const first = (events) => (events.find((event) => event.onset)?.t ?? 0) + 1000;
 const roundUp = (value) => Math.ceil(value / 100) * 100;
 
 // Format a time since the start of the session as m:ss.t.
-function elapsed(t) {
-  const tenths = Math.round(t / 100);
-  return `${Math.floor(tenths / 600)}:${String(Math.floor(tenths / 10) % 60).padStart(2, "0")}.${tenths % 10}`;
+function elapsed(t, digits = 1) {
+  const parts = Math.round((t / 1000) * 10 ** digits), seconds = Math.floor(parts / 10 ** digits);
+  const [minutes, rest] = [Math.floor(seconds / 60), String(seconds % 60).padStart(2, "0")];
+  return `${minutes}:${rest}.${String(parts % 10 ** digits).padStart(digits, "0")}`;
 }

@@ -5,8 +5,12 @@ from collections.abc import Coroutine
 from threading import Thread
 from typing import Any, Self
 
+import numpy as np
+from playwright.sync_api import ConsoleMessage, Request
+from playwright.sync_api import Page as Tab
+
 from connectors import Page
-from connectors.web.session_page import SessionCurves, session_handlers
+from connectors.web.session_requests import SessionPage
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
@@ -24,6 +28,37 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+LATE = 60_000  # ms, for a busy machine
+
+
+class Watched:
+    """A tab with its errors, warnings and requests."""
+
+    def __init__(self, tab: Tab) -> None:
+        self.tab = tab
+        self.complaints: list[str] = []
+        self.asked: list[str] = []
+        tab.set_default_timeout(LATE)
+        tab.on("console", self._complained)
+        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
+        tab.on("request", self._requested)
+
+    def _complained(self, message: ConsoleMessage) -> None:
+        if message.type in ("error", "warning"):
+            self.complaints.append(f"{message.text} {message.location.get('url')}")
+
+    def _requested(self, request: Request) -> None:
+        self.asked.append(request.url)
+
+
+def shaking(seconds: int) -> list[Touch]:
+    """Batches of one row: still for 2 s, then pressed and shaken for each other second."""
+    batches = list[Touch]()
+    for k in range(seconds * 100):
+        shaken = k > 200 and k // 100 % 2 == 0
+        counts = np.full((1, 6), 700 - (250 + 200 * (k % 3) if shaken else k % 2), np.int16)
+        batches.append(Touch(np.array([k * 10 * ms]), counts, counts, np.ones((1, 6), np.bool_), finger=0))
+    return batches
 
 
 class Served:
@@ -104,14 +139,15 @@ class ServedPage(Served):
 class ServedRecording(Served):
     """A recorded session's page."""
 
-    def __init__(self, recorded: Coroutine[Any, Any, SessionCurves]) -> None:
+    def __init__(self, recorded: Coroutine[Any, Any, SessionPage]) -> None:
         super().__init__()
         self._recorded = recorded
 
     def __enter__(self) -> Self:
         super().__enter__()
         self._server = page_server("127.0.0.1", 0)
-        self.do(self._server.open(session_handlers(self.do(self._recorded))))
+        page: SessionPage = self.do(self._recorded)
+        self.do(self._server.open(page.handlers(), page.writers()))
         self.url = self._server.url
         return self
 

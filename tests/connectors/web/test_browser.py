@@ -2,13 +2,13 @@
 
 import asyncio
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, ConsoleMessage, Page, Request, ViewportSize, expect, sync_playwright
+from playwright.sync_api import ViewportSize, expect
 
 from connectors.web.session_page import SessionCurves
+from connectors.web.session_requests import SessionPage
 from flows.cli.live_view import add_page
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
@@ -17,61 +17,14 @@ from flows.run.live_runner import LiveRunner
 from operators import Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
 from operators.fingertip import Fingertip, grid
 from storage import load_detector
-from tests.connectors.web.browsing import FLAGS, Served, ServedPage, ServedRecording
+from tests.connectors.web.browsing import Served, ServedPage, ServedRecording, Watched, shaking
 from tests.connectors.web.reading import moved, scored, slip, touched
 
-LATE = 60_000  # ms, for a busy machine
 MOVE = """(slider, t) => {
   slider.step = 10;  // finer than by hand
   slider.value = t;
   slider.dispatchEvent(new Event("input"));
 }"""
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
-        yield chromium
-        chromium.close()
-
-
-class Watched:
-    """A tab with its errors, warnings and requests."""
-
-    def __init__(self, tab: Page) -> None:
-        self.tab = tab
-        self.complaints: list[str] = []
-        self.asked: list[str] = []
-        tab.set_default_timeout(LATE)
-        tab.on("console", self._complained)
-        tab.on("pageerror", lambda error: self.complaints.append(str(error)))
-        tab.on("request", self._requested)
-
-    def _complained(self, message: ConsoleMessage) -> None:
-        if message.type in ("error", "warning"):
-            self.complaints.append(f"{message.text} {message.location.get('url')}")
-
-    def _requested(self, request: Request) -> None:
-        self.asked.append(request.url)
-
-
-@pytest.fixture
-def watched(browser: Browser) -> Iterator[Watched]:
-    expect.set_options(timeout=LATE)
-    context = browser.new_context(viewport=ViewportSize(width=1280, height=860))
-    yield Watched(context.new_page())
-    context.close()
-
-
-def shaking(seconds: int) -> list[Touch]:
-    """Batches of one row: still for 2 s, then pressed and shaken for each other second."""
-    batches = list[Touch]()
-    for k in range(seconds * 100):
-        shaken = k > 200 and k // 100 % 2 == 0
-        counts = np.full((1, 6), 700 - (250 + 200 * (k % 3) if shaken else k % 2), np.int16)
-        batches.append(Touch(np.array([k * 10 * ms]), counts, counts, np.ones((1, 6), np.bool_), finger=0))
-    return batches
 
 
 def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched) -> None:
@@ -314,9 +267,9 @@ def test_a_token_in_the_url_opens_the_page_and_is_removed_from_the_url(watched: 
         assert watched.complaints == []
 
 
-async def a_minute(run: Run) -> SessionCurves:
+async def a_minute(run: Run) -> SessionPage:
     """Return a recording of a minute: the counts are the second; slip from the 40th to the 42nd."""
-    recorded = SessionCurves(threshold=0.78, about="A recorded session.", flow="record", dataset="lab")
+    recorded = SessionCurves(rule=Debounce(0.78), about="A recorded session.", flow="record", dataset="lab")
     await recorded.open(run)
     for k in range(6000):
         await recorded.write(touched(run.start + k * 10 * ms, -(k // 100)))
@@ -325,7 +278,7 @@ async def a_minute(run: Run) -> SessionCurves:
     await recorded.write(slip(run.start + 40 * s, 1))
     await recorded.write(slip(run.start + 42 * s, 0))
     await recorded.close()
-    return recorded
+    return SessionPage(recorded)
 
 
 def test_a_recorded_session_is_scrubbed_by_slider_keys_and_events(watched: Watched, run: Run) -> None:
@@ -399,7 +352,7 @@ def test_space_plays_and_stops_unless_the_focused_element_uses_it(watched: Watch
 def test_thinned_curves_keep_the_figures_of_the_recording(watched: Watched, run: Run) -> None:
     """A row in a thousand is another; no figure may be that of its neighbours, nor its own theirs."""
     rows, odd = 200_000, 123_456
-    recorded = SessionCurves(threshold=0.78)
+    recorded = SessionCurves(rule=Debounce(0.78))
     time = run.start + np.arange(rows) * 10 * ms
     probability = np.full(rows, 0.25)
     probability[odd] = 0.75
@@ -408,13 +361,13 @@ def test_thinned_curves_keep_the_figures_of_the_recording(watched: Watched, run:
     onsets = np.arange(0, rows, 50)[:3000]
     state = (1 - np.arange(3000) % 2).astype(np.int8)
 
-    async def fill() -> SessionCurves:
+    async def fill() -> SessionPage:
         await recorded.open(run)
         await recorded.write(Zeroed(time, counts, counts, np.ones((rows, 6), np.bool_), finger=0))
         await recorded.write(Scores(time, probability, finger=0))
         await recorded.write(Slips(time[onsets], state, time[onsets], np.full(3000, 0.9), finger=0))
         await recorded.close()
-        return recorded
+        return SessionPage(recorded)
 
     tab = watched.tab
     with ServedRecording(fill()) as served:

@@ -16,7 +16,7 @@ START = 90 * s
 
 def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> SessionCurves:
     async def main() -> SessionCurves:
-        recorded = SessionCurves(threshold=0.5, about="A recorded session.", flow="record", dataset="lab")
+        recorded = SessionCurves(about="A recorded session.", flow="record", dataset="lab")
         await recorded.open(run)
         for batch in batches:
             await recorded.write(batch)

@@ -12,7 +12,7 @@ from aiohttp import ClientResponse, ClientSession, CookieJar
 from connectors.web import web_server
 from connectors.web.access import Access
 from connectors.web.web_server import CONNECTIONS_MAX, STATIC, WebServer, page_server
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
 from tests.waiting import PATIENCE, until
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
@@ -22,11 +22,17 @@ async def answer(_: Mapping[str, str]) -> tuple[bytes, str]:
     return b"text", "text/plain"
 
 
+async def echo(body: bytes) -> tuple[bytes, str]:
+    if body == b"wrong":
+        raise InputError("/notes", "is wrong")
+    return body, "application/json"
+
+
 @asynccontextmanager
 async def served(access: Access) -> AsyncGenerator[tuple[ClientSession, str]]:
     """A browser with cookies at a server."""
     server = WebServer("127.0.0.1", 0, access, "numbers")
-    await server.open({"/data": answer})
+    await server.open({"/data": answer}, {"/notes": echo})
     async with ClientSession(cookie_jar=CookieJar(unsafe=True)) as session:
         yield session, server.url
     await server.close()
@@ -48,6 +54,46 @@ def test_every_response_has_security_headers() -> None:
                 assert headers["Referrer-Policy"] == "no-referrer"  # the token may be in the address
                 assert headers["Cache-Control"] == "no-store"
                 assert "Access-Control-Allow-Origin" not in headers
+
+    asyncio.run(main())
+
+
+def test_only_pages_of_the_server_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(web_server, "_BODY_MAX", 1000)
+    json = {"Content-Type": "application/json"}
+
+    async def main() -> None:
+        async with served(Access()) as (session, url):
+
+            async def post(body: bytes, headers: dict[str, str]) -> int:
+                async with session.post(f"{url}/notes", data=body, headers={**json, **headers}) as response:
+                    return response.status
+
+            own = {"Origin": url}
+            assert await post(b"{}", own) == 200
+            assert await post(b"wrong", own) == 400
+            assert await post(b"{}", {}) == 403  # no origin
+            for origin in ("http://evil.example", "null", "http://127.0.0.1:1", f"{url}.evil.example", ""):
+                assert await post(b"{}", {"Origin": origin}) == 403, origin
+            assert (
+                await post(b"{}", {**own, "Content-Type": "text/plain"}) == 415
+            )  # as a form of another site
+            assert await post(b"{}", {"Host": "evil.example", "Origin": "http://evil.example"}) == 421
+            assert (await get(session, f"{url}/notes"))[0] == 405
+            assert await post(b" " * 1001, own) == 413
+
+    asyncio.run(main())
+
+
+def test_a_write_needs_the_token() -> None:
+    async def main() -> None:
+        async with served(Access(SECRET)) as (session, url):
+            headers = {"Content-Type": "application/json", "Origin": url}
+            response = await session.post(f"{url}/notes", data=b"{}", headers=headers)
+            assert response.status == 401
+            headers["Authorization"] = f"Bearer {SECRET}"
+            response = await session.post(f"{url}/notes", data=b"{}", headers=headers)
+            assert response.status == 200
 
     asyncio.run(main())
 

@@ -37,7 +37,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session) -> None:
-    recorded = asyncio.run(load(session))
+    recorded = asyncio.run(load(session)).curves
     contents: dict[str, Any] = {**recorded.contents()}
     assert (contents["flow"], contents["session"]) == ("demo", "test")
     assert contents["dataset"] == session.folder.parent.parent.name
@@ -53,7 +53,7 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert len(window["speed"]["t"]) == pytest.approx(125, abs=2)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
     seen: dict[str, Any] = {**recorded.values_at(onset)}
-    assert seen["scores"]["0"]["v"][0] >= recorded.threshold
+    assert seen["scores"]["0"]["v"][0] >= recorded.rule.threshold
 
 
 def test_a_session_without_recorded_slips_is_shown_with_detected_ones(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_a_session_without_recorded_slips_is_shown_with_detected_ones(tmp_path: 
         await runner.execute()
 
     run_virtually(main())
-    contents: dict[str, Any] = {**asyncio.run(load(Session.open(tmp_path), "psd")).contents()}
+    contents: dict[str, Any] = {**asyncio.run(load(Session.open(tmp_path), "psd")).curves.contents()}
     assert "found by psd now" in contents["about"]
     assert contents["events"]
 

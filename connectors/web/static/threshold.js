@@ -1,0 +1,52 @@
+// Slider of the threshold: the server finds the events at another one with the debounce of the detector.
+
+import { write } from "./pad.js";
+
+const $ = (id) => document.getElementById(id);
+
+// `changed(threshold, events)` is called with the events at a threshold, and with the first ones on a reset.
+export function thresholdSlider(about, changed) {
+  const slider = $("threshold"), reset = $("threshold-reset"), say = $("threshold-text");
+  let wanted = null, busy = false;
+
+  const show = (threshold, events) => {
+    const slips = events.filter((event) => event.onset).length;
+    write(say, `${threshold} · ${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}`);
+    reset.hidden = threshold === about.threshold && events === about.events;
+    changed(threshold, events);
+  };
+
+  async function load(threshold) {
+    wanted = threshold;
+    if (busy) return;
+    busy = true;
+    try {
+      while (wanted !== null) {
+        const next = wanted;
+        wanted = null;
+        const answer = await fetch(`events?${new URLSearchParams({ threshold: next })}`);
+        if (!answer.ok) throw new Error(await answer.text());
+        const events = await answer.json();
+        if (wanted === null) show(next, events);
+      }
+    } catch (error) {
+      write(say, error.message);
+    } finally {
+      busy = false;
+    }
+  }
+
+  $("tuning").hidden = false;
+  slider.value = about.threshold;
+  slider.addEventListener("input", () => load(Number(slider.value)));
+  reset.addEventListener("click", () => {
+    slider.value = about.threshold;
+    wanted = null;
+    show(about.threshold, about.events);
+  });
+  show(about.threshold, about.events);
+  return (threshold) => {
+    slider.value = threshold;
+    load(threshold);
+  };
+}

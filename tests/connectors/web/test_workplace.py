@@ -1,0 +1,211 @@
+"""The page of a recorded session in a real browser: zoom, readout, threshold and labels by hand."""
+
+import re
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from connectors.web.session_requests import SessionPage
+from flows.cli.show import load
+from operators.batch import Labelled, Motion, Touch, Truth, concat, ms, s
+from storage import LabelSpan, Session
+from tests.connectors.web.browsing import ServedRecording, Watched, shaking
+from tests.storage.made import record
+
+SECONDS = 12
+START = 1_700_000_000 * s
+WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Session:
+    """Return a session of 12 s: touch that shakes each other second, with labels, truth and motion."""
+    touch = concat(Touch, shaking(SECONDS))
+    time = touch.time + START + 5
+    rows = len(time)
+    label = ((np.arange(rows) > 200) & (np.arange(rows) // 100 % 2 == 0)).astype(np.int8)
+    unknown, flags = np.full((rows, 6), np.nan), np.ones(rows, np.bool_)
+    values = touch.counts, touch.temperature, touch.valid
+    samples = Labelled(time, *values, unknown, unknown, flags, 0.01 * label, label, finger=0)
+    truth = Truth(time, 0.02 * label, np.ones(rows), np.zeros((rows, 3)), finger=0)
+    motion = Motion(time, time, np.full((rows, 6), 0.001), unknown)
+    batches = [Touch(time, *values, finger=0), samples, truth, motion]
+    with ThreadPoolExecutor(1) as pool:  # the browser has an event loop in this thread
+        return pool.submit(record, tmp_path, batches).result()
+
+
+@pytest.fixture
+def served(session: Session) -> Iterator[ServedRecording]:
+    with ServedRecording(load(session, "psd")) as found:
+        yield found
+
+
+def drag(tab: Page, place: Locator, begin: float, end: float, *, y: float = 0.5) -> None:
+    """Drag over a chart, from and to shares of its time axis."""
+    place.scroll_into_view_if_needed()
+    box = place.bounding_box()
+    assert box is not None
+    wide = box["width"] - WIDTH_OF_AXIS - RIGHT
+    at = [box["x"] + WIDTH_OF_AXIS + share * wide for share in (begin, end)]
+    tab.mouse.move(at[0], box["y"] + y * box["height"])
+    tab.mouse.down()
+    tab.mouse.move(at[1], box["y"] + y * box["height"], steps=5)
+    tab.mouse.up()
+
+
+def spans(session: Session) -> list[tuple[float, float, str]]:
+    """Return the newest labels by hand, in s since the start."""
+    return [
+        ((each.begin - START) / s, (each.end - START) / s, each.value) for each in session.hand_labels().spans
+    ]
+
+
+def test_the_pointer_shows_all_values_of_its_time_in_all_charts(
+    watched: Watched, served: ServedRecording
+) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    expect(tab.locator("#bands-figure")).to_be_visible()
+    tab.get_by_role("combobox", name="Window").select_option(label="all")
+    chart = tab.locator("#scores")
+    box = chart.bounding_box()
+    assert box is not None
+    tab.mouse.move(box["x"] + WIDTH_OF_AXIS + 0.375 * (box["width"] - WIDTH_OF_AXIS - RIGHT), box["y"] + 40)
+    expect(tab.locator("#readout")).to_contain_text("0:04.50 · 22:13:24.50 UTC · counts ")
+    for text in ("probability 0.", "TCP 1.7 mm/s", "arm label slip", "truth slip"):
+        expect(tab.locator("#readout")).to_contain_text(text)
+    lines = tab.locator(".hair")
+    expect(lines).to_have_count(3)
+    places = {lines.nth(k).evaluate("line => line.getBoundingClientRect().left") for k in range(3)}
+    assert len(places) == 1
+    tab.mouse.move(5, 5)
+    expect(lines.first).to_be_hidden()
+    expect(tab.locator("#readout")).not_to_contain_text("0:04.50")  # the selected time again
+    assert watched.complaints == []
+
+
+def test_a_drag_zooms_and_escape_goes_back(watched: Watched, served: ServedRecording) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    tab.get_by_role("combobox", name="Window").select_option(label="all")
+    expect(tab.locator("#axis")).to_have_text("seconds since the start of the session")
+    with tab.expect_request(re.compile(r"window\?begin=(29|30)\d\d&end=(59|60)\d\d&")):
+        drag(tab, tab.locator("#counts"), 0.25, 0.5)
+    expect(tab.get_by_role("button", name="Zoom out")).to_be_visible()
+    with tab.expect_request(re.compile(r"window\?begin=44\d\d&end=(45|44|46)\d\d&")):
+        drag(tab, tab.locator("#scores"), 0.5, 0.51)
+    with tab.expect_request(re.compile(r"window\?begin=(29|30)\d\d&end=(59|60)\d\d&")):
+        tab.keyboard.press("Escape")
+    with tab.expect_request(re.compile(r"window\?begin=0&end=119\d\d&")):
+        tab.get_by_role("button", name="Zoom out").click()
+    expect(tab.get_by_role("button", name="Zoom out")).to_be_hidden()
+    assert watched.complaints == []
+
+
+def test_the_window_has_context_after_the_selected_time(watched: Watched, served: ServedRecording) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    tab.get_by_role("combobox", name="Window").select_option(label="5 s")
+    slider = tab.get_by_role("slider", name="Time in the session")
+    slider.press("Home")
+    with tab.expect_request(re.compile(r"window\?begin=1250&end=6250&at=5000&")):
+        for _ in range(5):
+            slider.press("Shift+ArrowRight")
+    expect(tab.locator("#axis")).to_have_text("seconds from the selected time")
+    slider.press("Alt+ArrowRight")
+    expect(tab.locator("#readout")).to_contain_text("0:05.01")
+
+
+def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
+    watched: Watched, session: Session
+) -> None:
+    tab, pages = watched.tab, list[SessionPage]()
+
+    async def loaded() -> SessionPage:
+        pages.append(await load(session, "psd"))
+        return pages[0]
+
+    with ServedRecording(loaded()) as served:
+        tab.goto(served.url)
+        slider = tab.get_by_role("slider", name="Threshold")
+        counts = set[int]()
+        for threshold in (0.005, 0.5, 1.0):
+            slider.evaluate(
+                "(each, to) => { each.value = to; each.dispatchEvent(new Event('input')); }", threshold
+            )
+            found: list[Any] = pages[0].curves.detected(threshold)
+            onsets = [each for each in found if each["onset"]]
+            word = "slip" if len(onsets) == 1 else "slips"
+            expect(tab.locator("#threshold-text")).to_have_text(f"{threshold:g} · {len(onsets)} {word}")
+            counts.add(len(onsets))
+        assert len(counts) > 1
+        expect(tab.locator("#notice")).to_contain_text("found now at threshold 1.")
+        tab.get_by_role("button", name="Reset").click()
+        expect(tab.locator("#notice")).to_contain_text("Slip probability: computed now by detector psd.")
+    assert watched.complaints == []
+
+
+def test_spans_are_marked_corrected_undone_and_saved_as_versions(
+    watched: Watched, served: ServedRecording, session: Session
+) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    tab.get_by_role("combobox", name="Window").select_option(label="all")
+    state, bands = tab.locator("#label-state"), tab.locator("#bands")
+    expect(state).to_have_text("No labels by hand yet")
+    expect(tab.get_by_role("button", name="Slip", exact=True)).to_be_disabled()
+    tab.get_by_label("Your name").fill("Ada")
+    drag(tab, bands, 0.25, 0.5)
+    expect(tab.locator("#label-selected")).to_contain_text("0:03.0")
+    tab.keyboard.press("s")
+    expect(state).to_have_text("1 span, not saved")
+    drag(tab, tab.locator("#counts"), 0.75, 0.8)  # a zoom is no mark
+    tab.keyboard.press("Escape")
+    drag(tab, bands, 0.35, 0.4)
+    tab.get_by_role("button", name="Unknown").click()
+    expect(state).to_have_text("3 spans, not saved")
+    tab.keyboard.press("Control+z")
+    expect(state).to_have_text("1 span, not saved")
+    tab.get_by_role("button", name="Save").click()
+    expect(state).to_have_text("1 span, saved as version 1")
+    [(begin, end, value)] = spans(session)
+    assert (begin, end) == (pytest.approx(3, abs=0.02), pytest.approx(6, abs=0.02))
+    assert value == "slip"
+    assert session.hand_labels().spans[0].author == "Ada"
+    assert session.hand_labels().spans[0].created > START
+
+    slider = tab.get_by_role("slider", name="Time in the session")  # with keys only
+    slider.press("Home")
+    slider.press("[")
+    for _ in range(2):
+        slider.press("Shift+ArrowRight")
+    slider.press("]")
+    expect(tab.locator("#label-selected")).to_have_text("0:00.00 to 0:02.00 (2.00 s)")
+    slider.press("t")
+    slider.press("Control+s")
+    expect(state).to_have_text("2 spans, saved as version 2")
+    assert spans(session)[0] == (pytest.approx(0, abs=1e-6), pytest.approx(2), "static")
+    assert len(session.hand_labels(1).spans) == 1
+    tab.reload()
+    expect(state).to_have_text("2 spans, saved as version 2")
+    assert watched.complaints == []
+
+
+def test_a_page_that_is_not_up_to_date_does_not_overwrite_labels(
+    watched: Watched, served: ServedRecording, session: Session
+) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    expect(tab.locator("#label-state")).to_have_text("No labels by hand yet")
+    session.write_hand_labels([LabelSpan(START, START + 10 * ms, 0, "static")], based_on=0)
+    drag(tab, tab.locator("#bands"), 0.25, 0.5)
+    tab.keyboard.press("s")
+    tab.get_by_role("button", name="Save").click()
+    expect(tab.locator("#label-state")).to_contain_text("Not saved: ")
+    expect(tab.locator("#label-state")).to_contain_text("has version 1 of hand labels, not 0")
+    assert len(session.hand_labels().spans) == 1
