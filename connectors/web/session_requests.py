@@ -109,7 +109,9 @@ class SessionPage:
                     self.curves.start + round(each["begin"] * ms),
                     self.curves.start + round(each["end"] * ms),
                     EVERY if each["finger"] == finger_name(EVERY) else int(each["finger"]),
-                    *(str(each[name]) for name in ("value", "author", "note")),
+                    value=str(each["value"]),
+                    author=str(each["author"]),
+                    note=str(each["note"]),
                     created=int(each["created"] or now),
                 )
                 for each in cast("list[dict[str, Any]]", content["spans"])

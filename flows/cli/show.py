@@ -91,9 +91,10 @@ async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
     (flow.source(Replay(session, Slips)) if has_slips else scores | debounce).to(curves)
     if session.fingers(Motion):
         flow.source(Replay(session, Motion)).to(curves)
-    for kind in (Labelled, Truth):
-        if session.fingers(kind):
-            flow.source(Replay(session, kind)).to(bands)
+    if session.fingers(Labelled):
+        flow.source(Replay(session, Labelled)).to(bands)
+    if session.fingers(Truth):
+        flow.source(Replay(session, Truth)).to(bands)
     await ReplayRunner(flow, session, session.name).execute()
     return SessionPage(curves, bands, session)
 

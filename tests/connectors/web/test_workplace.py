@@ -174,7 +174,7 @@ def test_spans_are_marked_corrected_undone_and_saved_as_versions(
     tab.get_by_role("button", name="Save").click()
     expect(state).to_have_text("1 span, saved as version 1")
     [(begin, end, value)] = spans(session)
-    assert (begin, end) == (pytest.approx(3, abs=0.02), pytest.approx(6, abs=0.02))
+    assert [begin, end] == pytest.approx([3, 6], abs=0.02)
     assert value == "slip"
     assert session.hand_labels().spans[0].author == "Ada"
     assert session.hand_labels().spans[0].created > START
@@ -189,7 +189,8 @@ def test_spans_are_marked_corrected_undone_and_saved_as_versions(
     slider.press("t")
     slider.press("Control+s")
     expect(state).to_have_text("2 spans, saved as version 2")
-    assert spans(session)[0] == (pytest.approx(0, abs=1e-6), pytest.approx(2), "static")
+    assert spans(session)[0][:2] == pytest.approx((0, 2), abs=1e-6)
+    assert spans(session)[0][2] == "static"
     assert len(session.hand_labels(1).spans) == 1
     tab.reload()
     expect(state).to_have_text("2 spans, saved as version 2")
