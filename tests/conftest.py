@@ -5,7 +5,8 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from importlib.metadata import PackageNotFoundError, version
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
 
@@ -103,3 +104,18 @@ def broker(tmp_path: Path) -> Iterator[TestBroker]:
     """Running mosquitto without access control."""
     with TestBroker(tmp_path) as server:
         yield server
+
+
+@pytest.fixture
+def hide_packages(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Function after which packages, all if none is named, count as not installed."""
+
+    def hide(*packages: str) -> None:
+        def find(package: str) -> str:
+            if not packages or package in packages:
+                raise PackageNotFoundError(package)
+            return version(package)
+
+        monkeypatch.setattr("operators.extras.version", find)
+
+    return hide

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,6 +13,7 @@ from connectors.files.message_table import Decode, Message, read_topic
 from connectors.files.ros_messages import ros_decoder
 from connectors.files.trace_table import TraceTable
 from operators.errors import InputError, os_error_reason
+from operators.extras import require_extra
 
 if TYPE_CHECKING:
     from mcap.records import Chunk, Schema
@@ -55,8 +55,7 @@ def mcap_messages(path: Path) -> Iterator[Message]:
     Raises:
         InputError: if the library is not installed, or the file cannot be read or is damaged.
     """
-    if find_spec("mcap") is None:
-        raise InputError("MCAP import", "needs mcap: in the clone, pip install -e '.[mcap]'")
+    require_extra("mcap", "MCAP import")
     try:
         yield from _messages(path)
     except InputError:

@@ -1,11 +1,11 @@
 """Decoding of ROS 2 messages through the rosbags library, an extra."""
 
 from functools import partial
-from importlib.util import find_spec
 from typing import Any, Final
 
 from connectors.files.message_table import Decode
 from operators.errors import InputError
+from operators.extras import require_extra
 
 _RULE: Final = "=" * 80 + "\n"
 
@@ -16,8 +16,7 @@ def check_rosbags() -> None:
     Raises:
         InputError: if it is not installed.
     """
-    if find_spec("rosbags") is None:
-        raise InputError("ROS 2 import", "needs rosbags: in the clone, pip install -e '.[ros]'")
+    require_extra("ros", "ROS 2 import")
 
 
 def ros_decoder(where: str, name: str, form: str, definition: str) -> Decode:

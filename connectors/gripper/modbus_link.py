@@ -3,11 +3,11 @@
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from connectors.gripper.robotiq import PACE, SETTLE, STATUS, Request, RobotiqError, Status, octets, registers
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError
+from operators.extras import require_extra
 
 if TYPE_CHECKING:
     from pymodbus.pdu import ModbusPDU
@@ -143,8 +143,7 @@ def check_pymodbus(owner: str) -> None:
     Raises:
         InputError: if it is not installed.
     """
-    if find_spec("pymodbus") is None:
-        raise InputError(owner, "needs pymodbus: in the clone, pip install -e '.[gripper]'")
+    require_extra("gripper", owner)
     log = logging.getLogger("pymodbus.logging")
     if log.level == logging.NOTSET:
         log.setLevel(logging.CRITICAL)

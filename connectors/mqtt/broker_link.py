@@ -214,6 +214,8 @@ class Link(aiomqtt.Client):
         text = str(error)
         if isinstance(error, MqttConnectError):
             return f"; check {USER} and {PASSWORD}"
+        if "key usage" in text or "Key Identifier" in text:
+            return "; Python 3.13 needs this extension: create the certificates again"
         if "CERTIFICATE_VERIFY_FAILED" in text:
             return f"; set {CA} to the file of the CA that signed its certificate"
         if text == _CLOSED or "SSL" in text or "reset by peer" in text:

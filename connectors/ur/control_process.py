@@ -15,13 +15,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum, auto
 from importlib import import_module
-from importlib.util import find_spec
 from math import hypot
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
 
 from operators.errors import EndpointError, InputError
+from operators.extras import require_extra
 
 SILENCE: Final = 0.5  # s without a command until the arm is stopped; longer for a slow watchdog
 REPEAT: Final = 0.05  # s, longest time between two writes to the controller
@@ -90,9 +90,7 @@ def check_ur_rtde() -> None:
     Raises:
         InputError: if it is not installed.
     """
-    if find_spec("rtde_control") is None:
-        install = "in the clone, pip install -e '.[ur]' (x86-64 Linux, Python 3.11 or 3.12)"
-        raise InputError("commanding a UR arm", f"needs ur-rtde: {install}")
+    require_extra("ur", "commanding a UR arm")
 
 
 def connect(host: str) -> Control:

@@ -14,6 +14,8 @@ from flows.report.table import counted
 if TYPE_CHECKING:
     from storage import Session
 
+_EXTRAS = {"lerobot": "", "mcap": "mcap", "rrd": "rerun"}  # needed, by format
+
 
 def export(
     dataset: Annotated[
@@ -63,10 +65,14 @@ def export(
       slipflow export recordings lerobot --to lerobot --rate 50
       slipflow export recordings/sessions/stroke-9 stroke.mcap --to mcap
     """
-    if to not in ("lerobot", "mcap", "rrd"):
+    from operators.extras import require_extra
+
+    if to not in _EXTRAS:
         raise typer.BadParameter(f"--to {to}: give lerobot, mcap or rrd")
     if detector is not None and to != "rrd":
         raise typer.BadParameter(f"--detector requires --to rrd: omit it with --to {to}")
+    if extra := _EXTRAS[to]:
+        require_extra(extra, f"--to {to}")
     sessions = _sessions(dataset)
     if to == "lerobot":
         found, text = _lerobot(sessions, out, rate, task)

@@ -24,8 +24,10 @@ def onnx(
     from flows.learn.training.onnx_export import export_onnx
     from operators.detectors import Tcn
     from operators.errors import InputError
+    from operators.extras import require_extra
     from storage import load_detector
 
+    require_extra("train", "onnx")
     detector = load_detector(model)
     if not isinstance(detector, Tcn):
         raise InputError(model, "is not a tcn; only a tcn can be exported: give tcn or a file of its weights")

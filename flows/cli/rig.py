@@ -52,8 +52,11 @@ def rig(
     from connectors.sim.scene import Curvature
     from flows.graph.quantity import parse_time
     from operators.checks import check_choice
+    from operators.extras import require_extra
 
     begin_log()
+    if gripper >= 0:
+        require_extra("gripper", "rig, unless --gripper is -1,")
     check_choice("rig", "--surface", surface, get_args(Curvature))
     seconds = None if duration is None else parse_time("rig", "--for", duration) / 1e9
     port, shape = None if gripper < 0 else gripper, cast("Curvature", surface)

@@ -101,9 +101,11 @@ def train(
     from flows.learn.training.recipe import Recipe
     from flows.learn.training.trainer import train as run_training
     from flows.report.figures import save
+    from operators.extras import require_extra
 
     delay = None if lag is None else parse_time("train", "--lag", lag) / 1e9  # s
     if curve is not None:
+        require_extra("report", "--curve")
         check_output_file(curve)
     if parent is not None:
         from flows.learn.adaptation.derived_model import fine_tune_model

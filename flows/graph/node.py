@@ -6,6 +6,7 @@ from typing import Any, TypeAlias, cast, get_args, get_type_hints
 
 from operators.batch import EVERY, Batch
 from operators.errors import ParameterError
+from operators.extras import require_extra
 from operators.operator import Join, Operator, input_types, output_type
 from operators.ports import Description, Sink, Source
 
@@ -62,6 +63,17 @@ class Node:
             return self.part.fingers
         found = {finger for parent in self.inputs for finger in parent.fingers}
         return tuple(sorted(found - {EVERY})) or (EVERY,)
+
+
+def check_extras(nodes: Iterable[Node]) -> None:
+    """Require the extras that sources and sinks need.
+
+    Raises:
+        InputError: if a package is missing; the message contains the command that installs it.
+    """
+    for node in nodes:
+        if isinstance(node.part, Source | Sink) and node.part.extra:
+            require_extra(node.part.extra, node.name)
 
 
 def consumers(nodes: Iterable[Node]) -> Mapping[Node, list[Node]]:

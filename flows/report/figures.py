@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from html import escape
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
@@ -13,6 +12,7 @@ from typing import Any, Final, ParamSpec, TypeAlias
 from flows.report.colours import light, with_variables
 from flows.report.markup import plain_text
 from operators.errors import InputError
+from operators.extras import install_command, missing_packages
 
 Given = ParamSpec("Given")
 Figure: TypeAlias = Any  # matplotlib lacks many type annotations
@@ -71,7 +71,8 @@ STYLE: Final[Any] = {
 
 def missing_matplotlib() -> str:
     """Return why figures cannot be drawn, with the remedy; empty if matplotlib is installed."""
-    return "" if find_spec("matplotlib") else "need matplotlib: in the clone, pip install -e '.[report]'"
+    missing = ", ".join(missing_packages("report"))
+    return f"need {missing}: {install_command('report')}" if missing else ""
 
 
 def require() -> None:

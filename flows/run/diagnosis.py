@@ -3,11 +3,11 @@
 import asyncio
 from collections.abc import Mapping
 from contextlib import aclosing
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
 from operators.extras import require_extra
-from operators.ports import Clock, Endpoint, Finding, Sink, Source
+from operators.ports import Clock, Endpoint, Finding
 
 LIMIT: Final = 20.0  # s, for a source or sink
 
@@ -19,17 +19,6 @@ async def diagnose(parts: Mapping[str, Endpoint], clock: Clock, limit: float = L
     found: Findings = {name: [] for name in parts}
     await asyncio.gather(*(_diagnose(name, part, clock, limit, found[name]) for name, part in parts.items()))
     return found
-
-
-def check_extras(parts: Mapping[str, Source[Any] | Sink[Any]]) -> None:
-    """Require the extras that sources and sinks need.
-
-    Raises:
-        InputError: if a package is missing; the message contains the command that installs it.
-    """
-    for name, part in parts.items():
-        if part.extra:
-            require_extra(part.extra, name)
 
 
 async def _diagnose(name: str, part: Endpoint, clock: Clock, limit: float, found: list[Finding]) -> None:

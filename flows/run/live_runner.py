@@ -9,7 +9,7 @@ from typing import Any, Final
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
-from flows.graph.node import Node, consumers
+from flows.graph.node import Node, check_extras, consumers
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import reason_of, warn
 from flows.run.replay_runner import close_sinks, replayed_recording
@@ -58,6 +58,7 @@ class LiveRunner:
         signals: bool = True,
     ) -> None:
         self.compiled = CompiledFlow(flow)
+        check_extras(flow.nodes)
         self.clock = clock or LoopClock()
         self._duration, self._signals = duration, signals
         sources: dict[Node, Source[Any]] = {

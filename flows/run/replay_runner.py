@@ -11,7 +11,7 @@ from connectors.replay import Replay
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
-from flows.graph.node import Node, Part, consumers
+from flows.graph.node import Node, Part, check_extras, consumers
 from flows.run.cancellation import own_cancellation
 from flows.run.clocks import EventClock
 from flows.run.log_events import reason_of, warn
@@ -97,6 +97,7 @@ class ReplayRunner:
     ) -> None:
         self._flow = replayed(flow, recording, paced=False)
         self.compiled = compile_flow(self._flow)
+        check_extras(self._flow.sinks())
         self._consumers = consumers(self._flow.nodes)
         self._recording, self._rows = recording, rows
         self._clock = EventClock(0)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from operators.batch import Batch
-from operators.errors import InputError
+from operators.extras import require_extra
 from storage.exports import mcap_messages
 from storage.files import partial_file
 from storage.layout import TABLES, Table
@@ -44,8 +44,7 @@ def export(
     References:
         MCAP format specification, https://mcap.dev/spec
     """
-    if find_spec("mcap") is None:
-        raise InputError("MCAP export", "needs mcap: in the clone, pip install -e '.[mcap]'")
+    require_extra("mcap", "MCAP export")
     from mcap.writer import Writer  # noqa: PLC0415 - an extra
 
     with partial_file(path) as file:

@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +13,8 @@ import numpy as np
 
 from operators.batch import SLIP, AnyBatch, Batch, Faults, Labelled, Motion, Slips, Touch, Zeroed
 from operators.detectors import Detector
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError
+from operators.extras import require_extra
 from operators.health import FaultKind
 from operators.score import Score
 from operators.zero import Zero
@@ -50,8 +50,7 @@ def export(
         InputError: if the library is not installed, or the session is damaged.
         EndpointError: if the file exists or cannot be written; then nothing is left of it.
     """
-    if find_spec("rerun") is None:
-        raise InputError("Rerun export", "needs rerun-sdk: in the clone, pip install -e '.[rerun]'")
+    require_extra("rerun", "Rerun export")
     counts = Counter[str]()
     with partial_file(path) as file:
         with closing(_Recording(session.name, file.name)) as recording:

@@ -1,6 +1,7 @@
 """Client certificates from deploy/mosquitto/make_certificates, with a real mosquitto."""
 
 import asyncio
+import ssl
 import subprocess
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from tests.connectors.mqtt.broker_process import TestBroker
 from tests.deploy.shipped import DEPLOY
 
 pytestmark = pytest.mark.broker
+_context = ssl.create_default_context
 SETTINGS = ("cafile", "certfile", "keyfile")
 
 
@@ -26,9 +28,17 @@ async def meet(url: str) -> None:
     await link.disconnect()
 
 
+def strict(cafile: str | None) -> ssl.SSLContext:
+    """Return the context that Python 3.13 creates: it checks certificates as RFC 5280 demands."""
+    context = _context(cafile=cafile)
+    context.verify_flags |= ssl.VERIFY_X509_STRICT | ssl.VERIFY_X509_PARTIAL_CHAIN
+    return context
+
+
 def test_the_broker_admits_only_clients_with_a_certificate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(ssl, "create_default_context", strict)
     make(tmp_path, "fingertip")
     make(tmp_path / "other", "fingertip")
     monkeypatch.setenv(CA, str(tmp_path / "ca.crt"))

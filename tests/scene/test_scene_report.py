@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -12,7 +13,6 @@ from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import MotionKind
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
-from flows.report import figures
 from operators.errors import EndpointError, InputError, ParameterError
 from tests.scene.__main__ import main, write_scene
 from tests.scene.scene_judges import by_motion, confusion, fit
@@ -127,12 +127,9 @@ def test_the_command_documents_its_options(
 
 
 def test_without_matplotlib_it_says_what_to_install_before_it_measures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, hide_packages: Callable[..., None]
 ) -> None:
-    def missing(name: str) -> None:
-        del name
-
-    monkeypatch.setattr(figures, "find_spec", missing)
+    hide_packages("matplotlib")
     with pytest.raises(InputError, match=re.escape("pip install -e '.[report]'")):
         write_scene(tmp_path, log=pytest.fail)
 

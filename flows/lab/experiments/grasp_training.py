@@ -15,12 +15,12 @@ from flows.lab.experiments.rivals import CARDS, DEFAULT, load_rival
 from flows.lab.experiments.tuning import Tuned, tune
 from flows.learn.labelled_recordings import LabelledRecording, by_split, labelled_by, simulated_recordings
 from flows.learn.onsets import runs
-from flows.learn.train_extra import require_train_extra
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import Augmentation, PaperRecipe, Recipe
 from flows.learn.training.trained_model import Model, label_scores, write_model
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import Detector, GraspTcn, PaperTcn
+from operators.extras import require_extra
 from operators.software import software_version
 from storage.models import save_card
 
@@ -83,7 +83,7 @@ def learn(
         InputError: if the train extra is missing.
         OSError: if a file cannot be written.
     """
-    require_train_extra("learn")
+    require_extra("train", "learn")
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
     from flows.learn.training.paper_training import train_windowed  # noqa: PLC0415
 

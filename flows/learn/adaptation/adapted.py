@@ -19,10 +19,10 @@ from flows.learn.adaptation.alignment import (
 from flows.learn.adaptation.segmentation import Segmentation, segmented, two_states
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.train_extra import require_train_extra
 from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Counts, Flags
 from operators.detectors import Tcn
 from operators.errors import InputError
+from operators.extras import require_extra
 
 SHORTEST: Final = 20.0  # s, of all recordings together
 CONTRAST: Final = 1.0  # least difference of the log activity of strokes from that of rest
@@ -67,7 +67,7 @@ def adapt(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> Adapted:
             strokes, as constant ones.
         FingertipError: if the fingertip has other cells, another rate or another unit.
     """
-    require_train_extra("adapt")
+    require_extra("train", "adapt")
     for recording in recordings:
         tcn.fingertip.check_fits(tcn.name, recording.fingertip)
     found = [_Part(each.counts, segmented(each.counts, each.fingertip.rate)) for each in recordings]

@@ -30,6 +30,7 @@ from operators.batch import SLIP, STATIC
 from operators.checks import check_above, check_between, check_choice
 from operators.detectors import Tcn
 from operators.errors import InputError, ParameterError
+from operators.extras import require_extra
 from operators.software import software_version
 from storage import load_detector
 from storage.models import identify_detector, load_card, shipped
@@ -173,6 +174,7 @@ def fine_tune_model(
 
 
 def _parent(owner: str, model: str, out: Path) -> Tcn:
+    require_extra("train", owner)
     if out.suffix != ".safetensors":
         raise ParameterError(owner, "out", str(out), "a path that ends in .safetensors")
     if not out.parent.is_dir():

@@ -8,12 +8,12 @@ import numpy as np
 from flows.learn.adaptation.adapted import Adapted
 from flows.learn.adaptation.alignment import aligned, best_alignment
 from flows.learn.labelled_recordings import LabelledRecording, common_fingertip
-from flows.learn.train_extra import require_train_extra
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from flows.learn.training.trained_model import label_scores
 from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Reals
 from operators.detectors import Tcn
 from operators.errors import InputError
+from operators.extras import require_extra
 
 STEPS: Final = 300
 _HELD_OUT: Final = 0.3  # of each recording, if no recording is held out
@@ -49,7 +49,7 @@ def fine_tune(
         ParameterError: if the recordings are too short.
         FingertipError: if the fingertip has other cells, another rate or another unit.
     """
-    require_train_extra("train")
+    require_extra("train", "train")
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
 
     tcn.fingertip.check_fits(tcn.name, common_fingertip([*recordings, *held_out]))

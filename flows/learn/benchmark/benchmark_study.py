@@ -19,10 +19,10 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.leaks.leak import Leak, card_leaks, constant_leaks, lists_recordings
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
-from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread, process_map
 from operators.checks import check_choice
 from operators.errors import SlipflowError
+from operators.extras import require_extra
 
 Log: TypeAlias = Callable[[str], object]
 Progress: TypeAlias = Callable[[int, int, str], object]  # parts done, all parts, part that was done
@@ -95,7 +95,7 @@ def benchmark(
         ParameterError: if a regime or name is unknown, or `jobs` is below 1.
         SlipflowError: if a process died.
     """
-    require_train_extra("benchmark")
+    require_extra("train", "benchmark")
     for regime in regimes:
         check_choice("benchmark", "regime", regime, REGIMES)
     methods = trained_methods(models)

@@ -14,11 +14,11 @@ from flows.learn.evaluation.event_metrics import Performance, performances
 from flows.learn.evaluation.methods import trained_methods, with_baselines
 from flows.learn.labelled_recordings import Target, by_split, load
 from flows.learn.scoring import probabilities
-from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread
 from operators.detectors.detector import Detector, Streaming
 from operators.detectors.tcn import Tcn
 from operators.errors import InputError
+from operators.extras import require_extra
 
 DEFAULT: Final = "tcn"
 MANY: Final = 64  # fingertips
@@ -83,7 +83,7 @@ def chart(
         InputError: if the train extra is missing, the dataset does not exist or lacks a validation or test
             split, or a method or model does not exist.
     """
-    require_train_extra("chart")
+    require_extra("train", "chart")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
     train, validation, test = by_split(load(dataset)).values()

@@ -42,11 +42,11 @@ from flows.learn.leaks.leak import (
 )
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
-from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread
 from operators import Debounce, Score
 from operators.batch import SLIP, STATIC, UNKNOWN, Reals
 from operators.errors import InputError
+from operators.extras import require_extra
 
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests
 _LABEL_RULE: Final = Debounce(threshold=0.5, consecutive=1, release=PAUSE // PERIOD)  # slips as in `Slips`
@@ -122,7 +122,7 @@ def evaluate(
         InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
         FingertipError: if a detector was made for another fingertip; it names the operators that convert it.
     """
-    require_train_extra("evaluate")
+    require_extra("train", "evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
     everything = load(dataset, labels=labels)

@@ -22,12 +22,12 @@ from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.labelled_recordings import WARM_UP, Target, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import FIELDS, breaking_point, plan_of, stressed
-from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread, process_map
 from operators import Debounce
 from operators.batch import Flags
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector
+from operators.extras import require_extra
 
 PLAN: Final = Plan(repeats=1, rotations=1)  # 16 recordings, 5 minutes
 TRAINING: Final = Plan(repeats=3, rotations=1)  # 40 recordings, 14 minutes
@@ -104,7 +104,7 @@ def stress(
         ParameterError: if the seed is negative or `jobs` is below 1.
         SlipflowError: if a process ended early.
     """
-    require_train_extra("stress")
+    require_extra("train", "stress")
     check_at_least("stress", "seed", seed, 0)
     if jobs is not None:
         check_at_least("stress", "jobs", jobs, 1)

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import catch_warnings, simplefilter
 
-from flows.learn.train_extra import require_train_extra
 from operators.detectors.tcn import Tcn
+from operators.extras import require_extra
 from storage.files import put
 
 OPSET: Final = 17
@@ -24,7 +24,7 @@ def export_onnx(tcn: Tcn, path: Path) -> None:
         InputError: if the train extra is missing.
         OSError: if the file cannot be written.
     """
-    require_train_extra("ONNX export")
+    require_extra("train", "ONNX export")
     import torch  # noqa: PLC0415 - an extra, slow to import
     from torch import nn, onnx  # noqa: PLC0415
 

@@ -22,7 +22,6 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.leaks.leak import SEEN, Leak, seen_recordings, split_leaks
-from flows.learn.train_extra import require_train_extra
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.probability_calibration import calibration_of
@@ -32,6 +31,7 @@ from operators.checks import check_at_least, check_between, check_choice
 from operators.detectors import TRAINED, Detector
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
+from operators.extras import require_extra
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.software import software_version
 from storage import load_weights
@@ -184,7 +184,7 @@ def _interval(scores: Mapping[str, float]) -> str:
 
 
 def _check(out: Path, method: str, seeds: int, target: str, lag: float | None) -> None:
-    require_train_extra("train")
+    require_extra("train", "train")
     check_choice("train", "method", method, METHODS)
     check_choice("train", "target", target, TARGETS)
     if out.suffix != ".safetensors":

@@ -197,15 +197,14 @@ def test_values_beyond_the_limit_are_refused(tmp_path: Path, monkeypatch: pytest
     ("module", "extra", "make"), [("mcap", "mcap", BAGS[".mcap"]), ("rosbags", "ros", BAGS[".db3"])]
 )
 def test_a_missing_library_is_named_with_its_extra(
-    module: str, extra: str, make: Callable[[Path], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    module: str,
+    extra: str,
+    make: Callable[[Path], Path],
+    tmp_path: Path,
+    hide_packages: Callable[..., None],
 ) -> None:
     path = make(tmp_path)
-
-    def find(wanted: str) -> object:
-        return None if wanted == module else object()
-
-    for name in ("connectors.files.mcap_table", "connectors.files.ros_messages"):
-        monkeypatch.setattr(f"{name}.find_spec", find)
+    hide_packages(module)
     with pytest.raises(InputError, match=rf"needs {module}: in the clone, pip install -e '.\[{extra}\]'"):
         read_table(path, topic="/pad")
 

@@ -1,4 +1,5 @@
 import asyncio
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
@@ -6,7 +7,6 @@ from math import inf, nan
 import pytest
 
 from connectors import Gripper
-from connectors.gripper import modbus_link as gripper_link
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.robotiq import Request
 from flows.graph import Flow
@@ -22,10 +22,6 @@ from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
-
-
-def found_nowhere(name: str) -> None:
-    del name
 
 
 async def test_requests_equal_the_frames_in_the_manual() -> None:
@@ -241,8 +237,10 @@ async def test_a_flow_continues_when_the_gripper_works_again() -> None:
         assert at.scene.forces.count(0.0) == 1
 
 
-def test_the_error_without_pymodbus_names_the_pip_command(monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
-    monkeypatch.setattr(gripper_link, "find_spec", found_nowhere)
+def test_the_error_without_pymodbus_names_the_pip_command(
+    hide_packages: Callable[..., None], run: Run
+) -> None:
+    hide_packages("pymodbus")
     with pytest.raises(InputError, match=r"needs pymodbus: in the clone, pip install -e '\.\[gripper\]'"):
         asyncio.run(Gripper("127.0.0.1").open(run))
 

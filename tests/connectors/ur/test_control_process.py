@@ -1,5 +1,5 @@
 import multiprocessing
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
 from multiprocessing.connection import Connection
@@ -230,10 +230,7 @@ def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]
     assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")
 
 
-def test_the_error_without_ur_rtde_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        assert name == "rtde_control"
-
-    monkeypatch.setattr(control_process, "find_spec", missing)
+def test_the_error_without_ur_rtde_names_the_pip_command(hide_packages: Callable[..., None]) -> None:
+    hide_packages("ur-rtde")
     with pytest.raises(InputError, match=r"pip install -e '\.\[ur\]'"):
         control_process.connect("robot")

@@ -139,8 +139,8 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], reason: str
 def test_without_ur_rtde_nothing_starts(tmp_path: Path) -> None:
     code = (
         "import sys\n"
-        "import importlib.util; find = importlib.util.find_spec\n"
-        "importlib.util.find_spec = lambda name, *a: None if name == 'rtde_control' else find(name, *a)\n"
+        "from operators import extras\n"
+        "extras.missing_packages = lambda extra: ['ur-rtde']\n"
         "from flows.cli.main import main; sys.argv[1:] = ['collect', 'tiny', '--virtual']; main()"
     )
     done = subprocess.run(

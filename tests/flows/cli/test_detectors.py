@@ -1,6 +1,7 @@
 """The commands `slipflow evaluate`, `train` and `onnx` as processes."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from shutil import copytree
 
@@ -8,12 +9,10 @@ import pytest
 
 from flows.cli.report_output import prepare_report
 from flows.cli.train import train as train_command
-from flows.learn import train_extra
-from flows.learn.train_extra import require_train_extra
 from flows.learn.training import training_loop
-from flows.report import figures
 from operators.batch import s
 from operators.errors import InputError
+from operators.extras import require_extra
 from storage import LabelSpan, Session
 from storage.models import shipped
 from tests.command import slipflow
@@ -131,12 +130,9 @@ def test_labels_cannot_come_before_the_signal_or_much_after(tiny: Path, tmp_path
 
 
 def test_evaluate_notes_beforehand_that_figures_need_matplotlib(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, hide_packages: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def nothing(_: str) -> None:
-        return None
-
-    monkeypatch.setattr(figures, "find_spec", nothing)
+    hide_packages("matplotlib")
     prepare_report(tmp_path / "out")
     assert (tmp_path / "out").is_dir()
     assert (
@@ -147,16 +143,11 @@ def test_evaluate_notes_beforehand_that_figures_need_matplotlib(
 
 @pytest.mark.parametrize("command", ["evaluate", "chart", "stress", "train"])
 def test_a_missing_train_extra_is_an_error_with_the_command_that_installs_it(
-    command: str, monkeypatch: pytest.MonkeyPatch
+    command: str, hide_packages: Callable[..., None]
 ) -> None:
-    def missing(_: str) -> None:
-        return None
-
-    monkeypatch.setattr(train_extra, "find_spec", missing)
-    with pytest.raises(
-        InputError, match=f"{command}: needs scikit-learn, torch, .*: in the clone, pip install -e"
-    ):
-        require_train_extra(command)
+    hide_packages("torch")
+    with pytest.raises(InputError, match=f"{command}: needs torch: in the clone, pip install -e"):
+        require_extra("train", command)
 
 
 def test_evaluate_and_train_use_labels_by_hand_and_print_how_many(tiny: Path, tmp_path: Path) -> None:

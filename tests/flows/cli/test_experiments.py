@@ -4,6 +4,7 @@ import importlib.util
 import json
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,6 @@ from flows.cli.experiments import app
 from flows.lab.experiments import lift_trial
 from flows.lab.experiments.break_report import AXES
 from flows.lab.experiments.lift_trial import LiftOutcome
-from flows.learn import train_extra
-from flows.report import figures
 from operators import InputError
 
 ONE = ["--method", "psd", "--object", "ball", "--trials", "1", "--jobs", "1"]
@@ -31,10 +30,6 @@ def _no_constant(name: str) -> None:
     raise AssertionError(name)
 
 
-def _nothing(_: str) -> None:
-    return None
-
-
 @pytest.fixture(scope="module")
 def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
     """The output of a simulated lift, and the folder of its report."""
@@ -43,7 +38,7 @@ def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
 
 
 @pytest.fixture
-def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+def no_simulation(monkeypatch: pytest.MonkeyPatch, hide_packages: Callable[..., None]) -> None:
     """Lose the object in each trial, without a simulation and without figures."""
     lost = LiftOutcome("missed", True, 30.0, math.nan, math.nan, 0.5)  # noqa: FBT003
 
@@ -51,7 +46,7 @@ def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
         return [(None, lost)] * len(setups)
 
     monkeypatch.setattr(lift_trial, "lift", lift)
-    monkeypatch.setattr(figures, "find_spec", _nothing)
+    hide_packages("matplotlib")
 
 
 def test_a_lift_is_printed_as_tables_and_written_as_a_report(lifted: tuple[str, Path]) -> None:
@@ -110,16 +105,13 @@ def test_without_a_method_ours_and_its_rivals_run_each_with_its_rule(tmp_path: P
 
 
 def test_learning_without_the_train_extra_fails_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hide_packages: Callable[..., None]
 ) -> None:
     def simulated(*_: Any) -> None:  # noqa: ANN401
         raise AssertionError
 
-    monkeypatch.setattr(train_extra, "find_spec", _nothing)
+    hide_packages("torch", "onnx")
     monkeypatch.setattr("flows.lab.experiments.grasp_training.grasp_recordings", simulated)
     result = CliRunner().invoke(app, ["learn", "-o", str(tmp_path)])
     assert isinstance(result.exception, InputError)
-    assert (
-        "learn: needs scikit-learn, torch, onnx, onnxruntime: in the clone, pip install -e '.[train]'"
-        in str(result.exception)
-    )
+    assert "learn: needs onnx, torch: in the clone, pip install -e '.[train]'" in str(result.exception)

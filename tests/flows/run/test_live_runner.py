@@ -5,7 +5,7 @@ import os
 import re
 import signal
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from threading import Thread
 from typing import Any
@@ -24,6 +24,7 @@ from operators import (
     Clock,
     Debounce,
     EndpointError,
+    InputError,
     Join,
     Motion,
     OperatorError,
@@ -73,6 +74,16 @@ def test_garbage_collections_ignore_older_objects_during_a_run_only() -> None:
     execute(flow)
     assert min(counts) > before / 2
     assert gc.get_freeze_count() == 0
+
+
+def test_a_missing_extra_is_an_error_before_anything_starts(hide_packages: Callable[..., None]) -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(TestSource(Scores, scores(0, 5))).to(sink)
+    sink.extra = "gripper"
+    hide_packages("pymodbus")
+    with pytest.raises(InputError, match=r"^testsink: needs pymodbus: in the clone, pip install -e"):
+        execute(flow)
+    assert sink.opened == 0
 
 
 def test_a_run_ends_after_its_duration() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Callable
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
@@ -199,11 +200,10 @@ def test_chunks_are_compressed_with_an_installed_library(
     assert alike(read(path)) == alike(rows(batch))
 
 
-def test_a_missing_library_is_an_error_with_the_fix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(_: str) -> None:
-        return None
-
-    monkeypatch.setattr(mcap_file, "find_spec", nothing)
+def test_a_missing_library_is_an_error_with_the_fix(
+    tmp_path: Path, hide_packages: Callable[..., None]
+) -> None:
+    hide_packages("mcap")
     session = record(tmp_path, [new_batch(Touch)])
     with pytest.raises(InputError, match=r"needs mcap: in the clone, pip install -e '\.\[mcap\]'$"):
         export(session, tmp_path / "one.mcap")

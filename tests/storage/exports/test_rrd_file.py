@@ -1,6 +1,7 @@
 """A session as a Rerun recording, read back by the library's reader."""
 
 import json
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -129,11 +130,10 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(
     assert path.read_text() == "mine"
 
 
-def test_a_missing_library_is_an_error_with_the_fix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(_: str) -> None:
-        return None
-
-    monkeypatch.setattr(rrd_file, "find_spec", nothing)
+def test_a_missing_library_is_an_error_with_the_fix(
+    tmp_path: Path, hide_packages: Callable[..., None]
+) -> None:
+    hide_packages("rerun-sdk")
     session = record(tmp_path / "data", [new_batch(Touch)])
     with pytest.raises(InputError, match=r"needs rerun-sdk: in the clone, pip install -e '\.\[rerun\]'$"):
         export(session, tmp_path / "one.rrd")
