@@ -23,6 +23,8 @@ RUN = [
     "how-to/public-recordings.md",
     "how-to/extend.md",
     "how-to/import.md",
+    "how-to/lerobot.md",
+    "how-to/ros2.md",
     "reference/dataset.md",
     "reference/mqtt.md",
 ]

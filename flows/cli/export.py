@@ -40,6 +40,13 @@ def export(
             help="Task description, with --to lerobot (default: the motion's name in the recording)."
         ),
     ] = None,
+    native: Annotated[
+        bool,
+        typer.Option(
+            "--native",
+            help="With --to lerobot: also copy the recordings, at their own rate, into OUT/slipflow.",
+        ),
+    ] = False,
     detector: Annotated[
         str | None,
         typer.Option(
@@ -53,7 +60,8 @@ def export(
 
     lerobot: each session becomes an episode. The observation is the zeroed counts of all fingertips, the
     action is the arm velocity. Each sample goes to the nearest frame and is never repeated; a gap splits the
-    episode. Requires samples, which `slipflow run record` writes.
+    episode. Requires samples, which `slipflow run record` writes. With --native all rows remain available
+    next to the frames: OUT/slipflow is a dataset of slipflow, identical bit by bit.
 
     mcap: every row of every stream at its event time, on the topics /touch/FINGER, /motion, /samples/FINGER,
     /slip/FINGER and /faults. Requires the extra `mcap`.
@@ -73,9 +81,11 @@ def export(
         raise typer.BadParameter(f"--detector requires --to rrd: omit it with --to {to}")
     if extra := _EXTRAS[to]:
         require_extra(extra, f"--to {to}")
+    if native and to != "lerobot":
+        raise typer.BadParameter(f"--native requires --to lerobot: omit it with --to {to}")
     sessions = _sessions(dataset)
     if to == "lerobot":
-        found, text = _lerobot(sessions, out, rate, task)
+        found, text = _lerobot(sessions, out, rate, task, native=native)
     else:
         found, text = _files(sessions, out, to, detector)
     typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
@@ -91,7 +101,9 @@ def _sessions(dataset: Path) -> "list[Session]":
     return [Session.open(session_folder(dataset, name)) for name in names]
 
 
-def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) -> tuple[dict[str, Any], str]:
+def _lerobot(
+    sessions: "list[Session]", out: Path, rate: int, task: str | None, *, native: bool
+) -> tuple[dict[str, Any], str]:
     from storage.exports.lerobot import export as write
 
     with progress_bar("exporting") as update:
@@ -100,6 +112,7 @@ def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) 
             out,
             rate=rate,
             task=task,
+            native=native,
             progress=lambda number, name: update(number, len(sessions), name),
         )
     splits = ", ".join(f"{split} {span}" for split, span in done.splits.items())
@@ -114,6 +127,8 @@ def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) 
             f"{counted(done.samples - done.frames, 'sample')} omitted: incomplete (another fingertip or the"
             " arm velocity is missing), not the nearest to a frame, or isolated between gaps"
         )
+    if native:
+        lines.append(f"the recordings are in {out / 'slipflow'}")
     return asdict(done), "\n".join([*lines, f"wrote {out}"])
 
 

@@ -7,6 +7,7 @@
     meta/tasks.parquet                          tasks by number
     meta/episodes/chunk-000/file-000.parquet    episodes: positions of their frames, statistics
     data/chunk-000/file-000.parquet             frames
+    slipflow/                                   on request: the sessions, unchanged, as a dataset of slipflow
 
 A session becomes one episode, because it goes from rest to rest and slip depends on earlier samples.
 The motion of the arm is the task of each frame. Missing samples split the session, see
@@ -21,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shutil import copytree
 from typing import Any, Final
 
 import numpy as np
@@ -28,6 +30,7 @@ import numpy as np
 from operators.batch import EVERY, Episodes, concat
 from operators.checks import check_at_least
 from operators.errors import InputError, ParameterError
+from storage.description import describe_dataset
 from storage.exports.grid import Contents, find_contents, to_frames
 from storage.exports.lerobot_features import features, frame_tasks, values
 from storage.exports.lerobot_files import (
@@ -40,10 +43,12 @@ from storage.exports.lerobot_files import (
     write_tasks,
 )
 from storage.files import partial_folder, put_json
+from storage.layout import JOURNAL, may_exist, session_folder
 from storage.session import Session
 
 VERSION: Final = "v3.0"
 SPLITS: Final = ("train", "validation", "test")
+NATIVE: Final = "slipflow"  # folder of the copied sessions
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,7 @@ def export(
     *,
     rate: int = 100,
     task: str | None = None,
+    native: bool = False,
     progress: Callable[[int, str], object] = lambda _done, _session: None,
 ) -> Exported:
     """Write sessions with the same fingertips as one LeRobot dataset.
@@ -79,11 +85,13 @@ def export(
         out: Folder to create.
         rate: Frames per second.
         task: Task description; None: the motion of the arm in the recording's episodes.
+        native: Also copy the sessions, with all rows at their own rate, into the folder ``slipflow``.
         progress: Called with the number of finished sessions and the name of the next.
 
     Raises:
         ParameterError: if the rate is below 1 Hz, or there is no session.
-        InputError: if a session has no samples, is damaged, or has other fingertips; if there is no frame.
+        InputError: if a session has no samples, is damaged, or has other fingertips; if there is no frame; if
+            a session to copy is being recorded.
         EndpointError: if the folder exists or cannot be written; then nothing is left of it.
     """
     check_at_least("LeRobot export", "rate", rate, 1, "Hz")
@@ -120,6 +128,8 @@ def export(
                     }
                 )
                 splits[split] += 1
+            if native:
+                _copy(session, folder / NATIVE)
         data.close()
         if not episodes:
             reason = f"would have no frames: no two samples are consecutive at {rate} Hz; give a lower rate"
@@ -148,6 +158,19 @@ def export(
         )
     count = len(sessions), len(episodes), data.rows, samples, gaps
     return Exported(out, rate, tuple(declared), *count, ranges)
+
+
+def _copy(session: Session, root: Path) -> None:
+    """Copy a session into a dataset, file by file.
+
+    Raises:
+        InputError: if it is being recorded.
+    """
+    if may_exist(session.folder / JOURNAL):
+        raise InputError(str(session.folder), "is being recorded: export it when the recording ends")
+    root.mkdir(exist_ok=True)
+    describe_dataset(root)
+    copytree(session.folder, session_folder(root, session.name))
 
 
 def _common_contents(sessions: Sequence[Session]) -> Contents:

@@ -1,5 +1,6 @@
 """Sessions as a LeRobot dataset, read back by its documented layout alone."""
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,9 +10,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from operators.batch import EVERY, Motion, ms
+from operators.batch import EVERY, Labelled, Motion, columns, concat, ms
 from operators.errors import EndpointError, InputError, ParameterError
-from storage import Session
+from storage import Session, verify
 from storage.exports.lerobot import export
 from tests.storage.made import new_episodes, new_samples, record
 
@@ -219,3 +220,30 @@ def test_an_existing_folder_is_not_replaced(tmp_path: Path) -> None:
     session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)])
     with pytest.raises(EndpointError, match="must be a new or empty folder"):
         export([session], tmp_path)
+
+
+def test_native_recordings_next_to_the_frames_are_identical_bit_by_bit(tmp_path: Path) -> None:
+    time = np.arange(60) * 7 * ms + 1_700_000_000_000_000_000  # no multiple of the frame interval
+    session = record(tmp_path, [new_samples(time), new_samples(time + 2 * ms, finger=3), poses(time)])
+    export([session], tmp_path / "out", rate=50, native=True)
+    found = Read.open(tmp_path / "out")
+    found.check()
+    copy = Session.open(tmp_path / "out" / "slipflow")
+    assert copy.name == found.episodes[0]["slipflow/session"]
+    assert {name: part.sha256 for name, part in copy.listed.items()} == {
+        name: hashlib.sha256((session.folder / name).read_bytes()).hexdigest() for name in session.listed
+    }
+    for finger in (0, 3):
+        rows = [concat(Labelled, list(each.read(Labelled, finger))) for each in (session, copy)]
+        assert len(rows[0]) == 60 > len(found.frames[0])
+        for name in columns(Labelled):
+            assert getattr(rows[0], name).tobytes() == getattr(rows[1], name).tobytes()
+    assert verify(tmp_path / "out" / "slipflow").code == 0
+
+
+def test_a_session_that_is_being_recorded_is_not_copied(tmp_path: Path) -> None:
+    session = record(tmp_path, [new_samples(np.arange(60) * 10 * ms)])
+    (session.folder / "journal").mkdir()
+    with pytest.raises(InputError, match="is being recorded"):
+        export([session], tmp_path / "out", native=True)
+    assert not (tmp_path / "out").exists()
