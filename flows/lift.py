@@ -35,7 +35,7 @@ def lift(  # noqa: PLR0917 - flow parameters are passed by name
     Robotiq 3-finger gripper has a minimum force of 15 N. The hand must be open during the first second.
 
     Args:
-        detector: Built-in detector or weights file.
+        detector: tcn_grasp for held objects, another name (tcn is for strokes) or a weights file.
         thing: Simulated object.
         force: Initial force; 0: half the force that holds the simulated object, or the gripper's minimum.
         max_force: Upper limit of the force.

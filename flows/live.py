@@ -19,7 +19,7 @@ def live(
     """Detect slip on the simulated fingertip, and publish events if a broker is given.
 
     Args:
-        detector: Built-in detector or weights file.
+        detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
         broker: Broker URL, such as mqtt://localhost; None: print only.
         site: Site name used in topics.
         rig: Rig name used in topics.

@@ -15,7 +15,7 @@ def relabel(
 
     Args:
         out: Folder of the new dataset.
-        detector: Built-in detector or weights file.
+        detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
         speed: Arm speed above which a sample is slip.
         delay: Lag of the arm's velocity relative to the touch.
     """

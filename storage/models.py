@@ -6,7 +6,8 @@ import zipfile
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final
+from types import MappingProxyType
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,28 @@ _SHIPPED: Final = Path(__file__).parent / "trained"
 _DIGEST: Final = "slipflow.sha256"  # of the rest of a .safetensors file, whose format has no checksum
 _UNNAMED: Final = "paper_tcn"  # detector of weights that do not name one, such as .npz
 LIMIT: Final = 256 * files.MiB  # bytes of a file, and of its unpacked content
+
+
+class Purpose(NamedTuple):
+    """Task that a shipped detector is meant for."""
+
+    task: str  # strokes, grasps or both
+    text: str
+
+
+# not in the cards: a card is written by a training, which does not know what its model is for
+PURPOSES: Final[Mapping[str, Purpose]] = MappingProxyType(
+    {
+        "tcn": Purpose("strokes", "default for a fingertip that slides over a surface; label: arm speed"),
+        "tcn_sliding": Purpose("strokes", "true sliding of the contact, known in simulation only"),
+        "paper_tcn": Purpose("strokes", "the paper's TCN, for comparison"),
+        "frequency_cnn": Purpose("strokes", "a network on spectra, for comparison"),
+        "frequency_cnn_interleaved": Purpose("strokes", "the paper's network on spectra, for comparison"),
+        "tcn_grasp": Purpose("grasps", "default for objects that fingers hold, lift or that are hit"),
+        "paper_grasp": Purpose("grasps", "the paper's TCN trained on grasps, for comparison"),
+        "psd": Purpose("both", "power above a frequency, without training; the paper's baseline"),
+    }
+)
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

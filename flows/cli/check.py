@@ -38,6 +38,8 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
         for name, each in declaration.parameters.items():
             value = each.value(flow.name, chosen[name]) if name in chosen else each.default
             typer.echo(f"  --set {replace(each, default=value)}")
+            if each.about:
+                typer.echo(f"      {each.about}")
     if found:
         raise typer.Exit(2)
 

@@ -39,7 +39,8 @@ Detectors = Annotated[
         "--method",
         metavar="NAME",
         help="Detector: threshold, psd or paper, which are tuned on grasps, another name or a model file;"
-        " repeatable (default: tcn_grasp and these three).",
+        " repeatable (default: tcn_grasp and these three). `slipflow models` says what each is meant for; tcn"
+        " is for strokes and misses slips of held objects.",
     ),
 ]
 Rules = Annotated[
@@ -145,8 +146,12 @@ def _run(  # noqa: PLR0917 - the options of both commands
     from flows.lab.experiments.break_report import break_report, conditions_of
     from flows.lab.experiments.study import run_study
     from flows.lab.experiments.study_report import experiment_report
+    from storage.models import PURPOSES
 
     name = str(context.info_name)
+    for detector in dict.fromkeys(method.detector for method in methods):
+        if detector in PURPOSES and PURPOSES[detector].task == "strokes":
+            note(f"{detector} is meant for strokes and misses slips of held objects; tcn_grasp is for grasps")
     prepare_report(out)
     conditions, report = (conditions_of(name), break_report) if stress else (None, experiment_report)
     with progress_bar(name) as update:
@@ -198,7 +203,8 @@ def learn(
         def progress(done: int, total: int, check: Check | None) -> None:
             update(done, total)
             if check:
-                note(f"{check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
+                text = f"step {done} of {total}: accuracy {check.accuracy:.2f} % on validation"
+                note(f"{text}, {check.seconds:.0f} s")
 
         models = train(out, course, jobs=jobs, log=note, progress=progress)
     if as_json:
@@ -208,7 +214,7 @@ def learn(
         scores = ", ".join(
             f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items()
         )
-        typer.echo(f"{model.path}: balanced accuracy {scores}")
+        typer.echo(f"{model.path}: balanced accuracy on the test split, against true sliding: {scores}")
 
 
 def command_line(context: typer.Context) -> str:

@@ -25,6 +25,7 @@ from flows.cli.export import export
 from flows.cli.fetch import fetch
 from flows.cli.graph import graph
 from flows.cli.import_command import import_
+from flows.cli.model_list import models
 from flows.cli.onnx import onnx
 from flows.cli.recover import recover
 from flows.cli.rig import rig
@@ -41,7 +42,7 @@ _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
     {
         "Record and run": (run, demo, check, doctor, graph),
         "View": (show, watch),
-        "Train and evaluate": (train, adapt, evaluate, benchmark, chart, stress, onnx),
+        "Train and evaluate": (train, adapt, evaluate, benchmark, chart, stress, models, onnx),
         "Robots": (collect, rig),
         "Data": (verify, recover, fetch, import_, export, simulate),
     }

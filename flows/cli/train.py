@@ -134,7 +134,8 @@ def train(
         def progress(part: str, done: int, total: int, check: "Check | None") -> None:
             update(done, total, part)
             if check:
-                note(f"{part}, {check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
+                text = f"{part}, step {done} of {total}: accuracy {check.accuracy:.2f} % on validation"
+                note(f"{text}, {check.seconds:.0f} s")
 
         try:
             found = run_training(

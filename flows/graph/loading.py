@@ -7,6 +7,7 @@ load only files that you trust.
 
 import importlib.util
 import inspect
+import re
 import sys
 import types
 from collections.abc import Callable, Generator, Mapping
@@ -23,6 +24,7 @@ from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 
 SHIPPED = Path(__file__).parents[1]  # folder of the shipped flows
+_DESCRIBED: Final = re.compile(r"^ {4}(\w+): (.+)$", re.MULTILINE)  # argument in a docstring
 _PACKAGES: Final = tuple(
     SHIPPED.parent / name for name in ("connectors", "flows", "operators", "storage")
 )  # of slipflow
@@ -139,7 +141,11 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
                 bare = [a for a, p in arguments.items() if p.default is inspect.Parameter.empty]
                 if bare:
                     raise InputError(str(file), f"flow {name!r}: parameter {bare[0]!r} needs a default")
-                declared = {a: Parameter(a, hints.get(a, str), p.default) for a, p in arguments.items()}
+                about = dict(_DESCRIBED.findall(inspect.getdoc(value) or ""))
+                declared = {
+                    a: Parameter(a, hints.get(a, str), p.default, about.get(a, ""))
+                    for a, p in arguments.items()
+                }
                 found[name] = Declaration(name, file, value, declared)
     return found
 

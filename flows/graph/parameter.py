@@ -29,6 +29,7 @@ class Parameter:
     name: str
     type: Any  # as annotated
     default: object
+    about: str = ""  # description in the docstring of the function
 
     def value(self, owner: str, text: str) -> object:
         """Parse text as the annotated type.
@@ -84,7 +85,7 @@ class Parameter:
         default = self.default
         if default is not None and not isinstance(default, bool | int | float | str):
             default = str(default)
-        return {"default": default, "unit": self.unit, "takes": self.takes}
+        return {"default": default, "unit": self.unit, "takes": self.takes, "about": self.about}
 
     def _choices(self) -> tuple[Any, ...]:
         union = get_origin(self.type) in (Union, types.UnionType)

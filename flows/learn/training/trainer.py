@@ -1,6 +1,6 @@
 """`slipflow train`: train a detector on datasets, and write the model with its card."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
@@ -48,17 +48,28 @@ OURS: Final = "tcn"
 METHODS: Final = (OURS, *PAPER_NETWORKS)
 
 
+MEANING: Final = (
+    "accuracy: correctly classified share of the labelled samples, at probability 0.5; balanced: mean of slip"
+    " and static. The validation split selected the checkpoint; the test split was not used in training."
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Training:
     """Trained models: one for each seed, the best on validation first."""
 
     models: Sequence[Model]
     leaks: Sequence[Leak] = ()  # between the splits
+    kept: Collection[Path] = ()  # models of an earlier call
 
     def summary(self) -> dict[str, Any]:
         """Return the leaks, and the cards without the hashes of recordings, as JSON data."""
         cards = [
-            {"path": str(model.path), **{name: value for name, value in model.card.items() if name != SEEN}}
+            {
+                "path": str(model.path),
+                "kept": model.path in self.kept,
+                **{name: value for name, value in model.card.items() if name != SEEN},
+            }
             for model in self.models
         ]
         return {"leaks": [leak.json() for leak in self.leaks], "models": cards}
@@ -71,12 +82,13 @@ class Training:
             shown = ", ".join(
                 f"{each['accuracy']:.2f} % on {split}{_interval(each)}" for split, each in scores.items()
             )
-            lines.append(f"{model.path}: accuracy {shown} (seed {model.card['seed']})")
+            origin = "kept from an earlier run" if model.path in self.kept else "trained now"
+            lines.append(f"{model.path}: accuracy {shown} (seed {model.card['seed']}, {origin})")
         for split in ("validation", "test"):
             found = [m.card["scores"][split]["accuracy"] for m in self.models if split in m.card["scores"]]
             if len(found) > 1:
                 lines.append(f"{split}: mean {np.mean(found):.2f} %, seed sd {np.std(found, ddof=1):.2f}")
-        return "\n".join(lines)
+        return "\n".join([*lines, MEANING])
 
 
 def train(
@@ -149,12 +161,12 @@ def train(
         "data": [provenance(dataset, found) for dataset, found in recordings.items()],
         "label_lag_s": lag,
     }
-    models: list[Model] = []
+    models, kept = list[Model](), set[Path]()
     for seed in range(recipe.seed, recipe.seed + seeds):
         path = out if seeds == 1 else out.with_stem(f"{out.stem}-seed{seed}")
         own = replace(recipe, seed=seed) if method == OURS else PaperRecipe(epochs=epochs, seed=seed)
         settings = {**about, "seed": seed, "recipe": asdict(own)}
-        model = unchanged(path, settings) if resume else None
+        model = _earlier(path, settings, seen, warn) if resume else None
         if model is None:
             trained = _train(method, shifted, own, progress)
             calibration, about_it = calibration_of(_detector(method, trained.arrays, fingertip), shifted)
@@ -164,15 +176,29 @@ def train(
             found = {"leaks": [leak.json() for leak in leaks], SEEN: seen}
             card = {**settings, **results, **found, "curve": curve}
             model = write_model(path, arrays, card, trained.curve)
-        elif SEEN not in model.card:  # written by an earlier version
-            model = replace(model, card={**model.card, SEEN: seen})
-            save_card(path, model.card)
+        else:
+            kept.add(path)
         models.append(model)
     models.sort(key=lambda model: -model.card["scores"]["validation"]["balanced"])
     if seeds > 1:
         first = models[0]
         write_model(out, load_weights(first.path)[0], first.card, first.curve)
-    return Training(models, leaks)
+    return Training(models, leaks, kept)
+
+
+def _earlier(
+    path: Path, settings: Mapping[str, Any], seen: object, log: Callable[[str], object]
+) -> Model | None:
+    """Return the model of an earlier call with the same data and settings, with its recordings' hashes."""
+    model = unchanged(path, settings)
+    if model is None:
+        log(f"{path}: trained now, as there is no model with the same data and settings")
+        return None
+    log(f"{path}: kept from an earlier run with the same data and settings")
+    if SEEN not in model.card:  # written by an earlier version
+        model = replace(model, card={**model.card, SEEN: seen})
+        save_card(path, model.card)
+    return model
 
 
 def _interval(scores: Mapping[str, float]) -> str:

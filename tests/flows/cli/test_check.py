@@ -11,7 +11,7 @@ def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
     assert done.returncode == 0
     assert "live: OK (sources: touch; sinks: console)" in done.stdout
     assert "--set detector=tcn  (text)" in done.stdout
-    assert "--set broker=None  (text or none)" in done.stdout
+    assert "--set broker=None  (text or none)\n      Broker URL, such as mqtt://localhost" in done.stdout
 
 
 def test_a_time_is_set_with_its_unit_and_listed_so() -> None:

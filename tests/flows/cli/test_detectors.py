@@ -1,6 +1,7 @@
 """The commands `slipflow evaluate`, `train` and `onnx` as processes."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from shutil import copytree
@@ -81,7 +82,9 @@ def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
     (model,) = json.loads(done.stdout.splitlines()[-1])["models"]
     assert model["recipe"]["steps"] == 20
     assert json.loads((tmp_path / "small.json").read_text())["sha256"] == model["sha256"]
-    assert "% on validation" in done.stderr
+    assert re.search(
+        r"^seed 0, step 20 of 20: accuracy \d+\.\d\d % on validation, \d+ s$", done.stderr, re.MULTILINE
+    )
     assert (tmp_path / "curve.svg").read_text().startswith("<?xml")
     done = slipflow("onnx", "small.safetensors", "small.onnx", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -80,6 +80,14 @@ def test_a_tap_is_printed_as_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("no_simulation")
+@pytest.mark.parametrize(("method", "warned"), [("tcn", True), ("psd", False)])
+def test_a_detector_that_is_not_for_grasps_is_noted(tmp_path: Path, method: str, *, warned: bool) -> None:
+    options = "--trials", "1", "--object", "ball", "--method", method, "--out", str(tmp_path)
+    note = "tcn is meant for strokes and misses slips of held objects; tcn_grasp is for grasps"
+    assert (note in CliRunner().invoke(app, ["lift", *options]).stderr) == warned
+
+
+@pytest.mark.usefixtures("no_simulation")
 def test_the_log_states_what_figures_need(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["lift", *ONE, "--out", str(tmp_path)])
     assert "no figures, which need matplotlib: in the clone, pip install -e '.[report]'" in result.stderr

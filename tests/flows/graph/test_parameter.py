@@ -79,8 +79,10 @@ def test_default_and_unit_are_in_the_json() -> None:
         "default": 70_000_000,
         "unit": "ns",
         "takes": "a time with its unit: 500ms, 30s, 5min or 1h",
+        "about": "",
     }
-    assert Parameter("out", Path, Path("a")).as_dict() == {"default": "a", "unit": None, "takes": "a path"}
+    found = Parameter("out", Path, Path("a"), "Dataset.").as_dict()
+    assert found == {"default": "a", "unit": None, "takes": "a path", "about": "Dataset."}
 
 
 @pytest.mark.parametrize("kind", [str, Path])

@@ -40,6 +40,8 @@ def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Pat
     assert [each[1] for each in reported] == list(range(1, 61))
     assert sum(each[3] is not None for each in reported) == 3
     assert "% on validation" in outcome.report()
+    assert "(seed 0, trained now)" in outcome.report()
+    assert "The validation split selected the checkpoint" in outcome.report()
     assert outcome.summary()["models"][0]["path"] == str(out)
     assert isinstance(load_detector(out), Tcn)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
@@ -114,7 +116,7 @@ def test_a_model_with_the_same_data_and_settings_is_kept_on_request(tiny: Path, 
 def test_leaks_between_splits_are_named_and_listed_in_the_card(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def copied(dataset: Path) -> list[LabelledRecording]:
+    def copied(dataset: Path, **_: object) -> list[LabelledRecording]:
         everything = load(dataset)
         return [*everything, replace(everything[0], name="copy", split="validation")]
 
@@ -134,7 +136,12 @@ def test_a_card_lists_its_recordings_and_an_older_one_is_completed(tiny: Path, t
     names = {name for name, _ in model.card[SEEN]["train"]["recordings"]}
     assert names == {each.name for each in load(tiny) if each.split == "train"}
     save_card(out, {name: value for name, value in model.card.items() if name != SEEN})
-    [again] = train([tiny], out, recipe=recipe, resume=True).models
+    said = list[str]()
+    resumed = train([tiny], out, recipe=recipe, resume=True, warn=said.append)
+    [again] = resumed.models
+    assert f"{out}: kept from an earlier run with the same data and settings" in said
+    assert "(seed 0, kept from an earlier run)" in resumed.report()
+    assert resumed.summary()["models"][0]["kept"] is True
     assert again.card[SEEN] == load_card(out)[SEEN] == model.card[SEEN]
     assert again.card["sha256"] == model.card["sha256"]
 
