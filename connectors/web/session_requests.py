@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from time import time_ns
 from typing import Any, Final, cast
@@ -34,28 +34,36 @@ class SessionPage:
         curves: Curves and events.
         bands: Labels by arm speed and true sliding.
         session: Session whose labels by hand the page shows and writes; None: none.
+        name: Title of the page in a comparison.
     """
 
     def __init__(
-        self, curves: SessionCurves, bands: SessionBands | None = None, session: Session | None = None
+        self,
+        curves: SessionCurves,
+        bands: SessionBands | None = None,
+        session: Session | None = None,
+        name: str = "",
     ) -> None:
-        self.curves, self.bands, self.session = curves, bands, session
+        self.curves, self.bands, self.session, self.name = curves, bands, session, name
+        self.panes: Sequence[str] = (name,)  # titles of all pages that are compared
 
-    def handlers(self) -> dict[str, Handler]:
-        """Return the requests that read: ``/about.json``, ``/window`` and ``/events``.
+    def handlers(self, base: str = "") -> dict[str, Handler]:
+        """Return the requests that read, by path: ``/about.json``, ``/window`` and ``/events`` below `base`.
 
         Documents are built in a thread, as that takes some ms.
         """
-        return {"/about.json": self._about, "/window": self._window, "/events": self._events}
+        found = {"/about.json": self._about, "/window": self._window, "/events": self._events}
+        return {f"{base}{path}": handler for path, handler in found.items()}
 
-    def writers(self) -> dict[str, Writer]:
+    def writers(self, base: str = "") -> dict[str, Writer]:
         """Return the requests that write: ``/labels`` stores the next version of the labels by hand."""
-        return {} if self.session is None else {"/labels": self._write_labels}
+        return {} if self.session is None else {f"{base}/labels": self._write_labels}
 
     async def _about(self, query: Mapping[str, str]) -> Answer:  # noqa: ARG002 - no parameters
         def document() -> Answer:
             labels = None if self.session is None else self._labels_json(self.session.hand_labels())
-            return json_answer({"mode": "recorded", **self.curves.contents(), "labels": labels})
+            about: dict[str, Json] = {"mode": "recorded", "panes": [*self.panes], "labels": labels}
+            return json_answer({**about, **self.curves.contents()})
 
         return await asyncio.to_thread(document)
 
@@ -135,6 +143,17 @@ class SessionPage:
             for span in labels.spans
         ]
         return {"version": labels.version, "spans": [*spans]}
+
+
+def session_requests(pages: Sequence[SessionPage]) -> tuple[dict[str, Handler], dict[str, Writer]]:
+    """Return the requests of pages side by side that read, and that write; those of page k are below /k."""
+    handlers, writers = dict[str, Handler](), dict[str, Writer]()
+    for number, page in enumerate(pages):
+        page.panes = [each.name for each in pages]
+        base = f"/{number}" if number else ""
+        handlers |= page.handlers(base)
+        writers |= page.writers(base)
+    return handlers, writers
 
 
 def _number(query: Mapping[str, str], name: str, where: str, usage: str) -> float:

@@ -31,7 +31,7 @@ _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'self'; "
-    "frame-ancestors 'none'",
+    "frame-ancestors 'self'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",

@@ -1,8 +1,9 @@
 """The command `slipflow show`."""
 
 import asyncio
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -15,15 +16,26 @@ if TYPE_CHECKING:
     from connectors.web.web_server import WebServer
     from storage import Session
 
+_PANES: Final = 2
+
 
 def show(
     session: Annotated[
-        Path, typer.Argument(metavar="SESSION", help="Folder of a session, or of a dataset with one session.")
+        list[Path],
+        typer.Argument(
+            metavar="SESSION [OTHER]",
+            help="Folder of a session, or of a dataset with one session; two are shown side by side.",
+        ),
     ],
     *,
     detector: Annotated[
-        str, typer.Option(metavar="NAME", help="Detector to score with: a name or a .safetensors file.")
-    ] = "tcn",
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Detector to score with: a name or a .safetensors file; two are shown side by side (default:"
+            " tcn).",
+        ),
+    ] = None,
     listen: Listen = None,
     no_browser: NoBrowser = False,
 ) -> None:
@@ -33,23 +45,38 @@ def show(
     detector; a slider changes the threshold. Drag over the curves to zoom, and over the bands below them to
     mark slip, static or unknown; `slipflow train` and `evaluate` use these labels. Ends at Ctrl-C.
 
+    With two sessions or two detectors, the two pages share the selected time, the zoom and the pointer.
+
     Examples:
       slipflow show recordings/sessions/stroke-9 --detector psd
+      slipflow show recordings/sessions/stroke-9 --detector tcn --detector mine.safetensors
+      slipflow show recordings/sessions/stroke-8 recordings/sessions/stroke-9
     """
     from connectors.web.web_server import page_server
     from storage import Session
 
     host, port = parse_address("--listen", listen) if listen else ("127.0.0.1", None)
     server = page_server(host, port)  # raises an error before a long session is read
-    asyncio.run(_show(Session.open(session), detector, server, browse=not no_browser))
+    detectors = detector or ["tcn"]
+    count = max(len(session), len(detectors))
+    if count > _PANES or (len(session) > 1 and len(detectors) not in {1, len(session)}):
+        raise typer.BadParameter("give one or two sessions, and one or two detectors")
+    sessions = [Session.open(each) for each in session] * (count if len(session) == 1 else 1)
+    detectors *= count if len(detectors) == 1 else 1
+    asyncio.run(_show(sessions, detectors, server, browse=not no_browser))
 
 
-async def _show(session: "Session", detector: str, server: "WebServer", *, browse: bool) -> None:
+async def _show(
+    sessions: "Sequence[Session]", detectors: Sequence[str], server: "WebServer", *, browse: bool
+) -> None:
+    from connectors.web.session_requests import session_requests
     from flows.run.stop_signals import signals_to
 
-    note(f"{session.name}: reading and scoring by {detector}")
-    page = await load(session, detector)
-    await server.open(page.handlers(), page.writers())
+    pages: list[SessionPage] = []
+    for session, detector in zip(sessions, detectors, strict=True):
+        note(f"{session.name}: reading and scoring by {detector}")
+        pages.append(await load(session, detector))
+    await server.open(*session_requests(pages))
     announce_page("page, until Ctrl-C", server.url, server.login_url, browse=browse)
     stop = asyncio.Event()
     try:
@@ -96,7 +123,7 @@ async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
     if session.fingers(Truth):
         flow.source(Replay(session, Truth)).to(bands)
     await ReplayRunner(flow, session, session.name).execute()
-    return SessionPage(curves, bands, session)
+    return SessionPage(curves, bands, session, f"{session.name} by {detector}")
 
 
 def _flow_name(session: "Session") -> str | None:

@@ -1,6 +1,7 @@
 // Labels by hand: spans marked with mouse or keys, undo, and saving as the next version.
 
 import { CODES } from "./bands.js";
+import { BASE } from "./link.js";
 import { write } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
@@ -9,7 +10,7 @@ const TAKES_KEYS = "input:not([type=range]), select, textarea";
 const AUTHOR = "slipflow-author"; // in the browser's storage
 
 export class Labels {
-  // `page` has `finger`, `instant()`, `elapsed(t)`, and `changed()`, which redraws.
+  // `page` has `finger`, `instant()`, `elapsed(t)`, `changed()`, which redraws, and `saved(labels)`.
   constructor(labels, page) {
     Object.assign(this, { page, version: labels.version, spans: labels.spans, saved: labels.spans, past: [], selected: null });
     $("labels").hidden = false;
@@ -87,23 +88,32 @@ export class Labels {
     const { spans } = this;
     this.saving = true;
     try {
-      const answer = await fetch("labels", {
+      const answer = await fetch(`${BASE}labels`, {
         method: "POST",
         headers: { "Content-Type": "application/json" },
         body: JSON.stringify({ based_on: this.version, spans }),
       });
       if (!answer.ok) throw new Error(await answer.text());
       const labels = await answer.json();
-      this.version = labels.version;
-      this.saved = labels.spans;
-      if (this.spans === spans) this.spans = labels.spans;
-      this.past = [];
+      const rest = this.spans === spans ? labels.spans : this.spans; // it was marked meanwhile
+      this.replace(labels);
+      this.spans = rest;
       this.#show();
+      this.page.saved(labels);
     } catch (error) {
       this.#say(`Not saved: ${error.message}`);
     } finally {
       this.saving = false;
     }
+  }
+
+  // Show a saved version.
+  replace(labels) {
+    this.version = labels.version;
+    this.saved = this.spans = labels.spans;
+    this.past = [];
+    this.#show();
+    this.page.changed();
   }
 
   #key(event) {

@@ -1,6 +1,8 @@
 // The page of a running flow (live.js) or of a recorded session (recorded.js).
 
 import { Charts, nice } from "./charts.js";
+import { compare } from "./compare.js";
+import { ALONE, BASE } from "./link.js";
 import { Events } from "./lists.js";
 import { Pads, title, write } from "./pad.js";
 import { live } from "./live.js";
@@ -214,15 +216,16 @@ class View {
 async function load() {
   for (;;) {
     try {
-      const answer = await fetch("about.json", { cache: "no-store" });
+      const answer = await fetch(`${BASE}about.json`, { cache: "no-store" });
       if (answer.ok) return await answer.json();
     } catch { /* the server is not up yet */ }
     await new Promise((resolve) => setTimeout(resolve, 1000));
   }
 }
 
-const view = new View();
-const about = await load();
-document.body.dataset.mode = about.mode;
-if (about.mode === "live") live(view);
-else recorded(view, about);
+const about = await load(), compared = ALONE && about.panes?.length > 1;
+document.body.classList.toggle("pane", !ALONE);
+document.body.dataset.mode = compared ? "compare" : about.mode;
+if (compared) compare(about.panes);
+else if (about.mode === "live") live(new View());
+else recorded(new View(), about);

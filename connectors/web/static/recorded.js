@@ -4,6 +4,7 @@ import { Bands } from "./bands.js";
 import { LEFT, RIGHT } from "./charts.js";
 import { Labels } from "./labels.js";
 import { Overview } from "./overview.js";
+import { BASE, Link } from "./link.js";
 import { write } from "./pad.js";
 import { Readout } from "./readout.js";
 import { Streams } from "./rows.js";
@@ -17,7 +18,7 @@ const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabi
 
 export function recorded(view, about) {
   const slider = $("instant"), play = $("play"), span = new Span(about.length);
-  let loading = false, again = false, playing = null, dragged = null, events = about.events, loaded = {}, remark = about.about;
+  let loading = false, again = false, playing = null, dragged = null, events = about.events, loaded = {}, remark = about.about, hovered = null;
 
   document.body.dataset.link = "recorded";
   for (const id of ["scrub", "readout", "bands-figure"]) $(id).hidden = false;
@@ -38,8 +39,20 @@ export function recorded(view, about) {
   const instant = () => Number(slider.value);
   const shown = () => span.at(instant(), view.window);
   const bands = new Bands($("bands")), hairline = new Hairline(view.charts.all), overview = new Overview(view, about.length);
-  const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed: (t) => elapsed(t, 2), changed: () => redraw() });
+  const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed: (t) => elapsed(t, 2), changed: () => redraw(), saved: (each) => link.sendLabels({ of: identity, ...each }) });
   const readout = new Readout($("readout"), view, bands, async (t) => (await load(t, t, t, 1)).at, (t) => `${elapsed(t, 2)} · ${clock(t)} UTC`);
+  const identity = JSON.stringify([about.dataset, about.session, about.start]);
+  const link = new Link(() => ({ t: instant(), zooms: span.zooms, window: $("window").value, hovered }), {
+    moved(state, offset) {
+      $("window").value = state.window;
+      view.window = 1000 * Number(state.window);
+      span.zooms = state.zooms.map((zoom) => zoom.map((t) => t + offset));
+      slider.value = Math.min(Math.max(state.t + offset, 0), about.length);
+      hover(state.hovered === null ? null : state.hovered + offset);
+      refresh();
+    },
+    labelled: ({ of: other, ...each }) => { if (labels && other === identity && !labels.unsaved) labels.replace(each); },
+  });
   let figures = new Streams(view.sign); // rows at the selected time; the curves are reduced to pixel columns
   view.scene = () => ({
     streams: view.streams, figures, at: Infinity, end: instant(), span: shown(), selected: dragged ?? labels?.selected,
@@ -85,6 +98,7 @@ export function recorded(view, about) {
     view.slipping = slipping(events, t);
     showTime(t);
     const whole = span.zoomed || view.window === Infinity;
+    link.send();
     write($("axis"), whole ? "seconds since the start of the session" : "seconds from the selected time");
     redraw();
     again = loading;
@@ -99,7 +113,7 @@ export function recorded(view, about) {
       showTime(instant()); // the fingertip is known now
       notice(remark);
       redraw();
-      readout.show(t, figures);
+      if (hovered === null) readout.show(t, figures);
     } catch {
       stop();
       notice("The server does not respond. Restart it: slipflow show SESSION");
@@ -130,6 +144,14 @@ export function recorded(view, about) {
     refresh();
   }
 
+  // Show all values of a time; null: of the selected time.
+  function hover(t) {
+    hovered = t;
+    hairline.show(t);
+    if (t !== null) readout.at(t);
+    else readout.show(instant(), figures);
+  }
+
   const time = (x) => {
     const box = $("bands").getBoundingClientRect(), [begin, end] = shown();
     const share = (x - box.left - LEFT) / (box.width - LEFT - RIGHT);
@@ -137,9 +159,8 @@ export function recorded(view, about) {
   };
   pointer([...view.charts.all.map((chart) => chart.host), $("bands")], new Set(labels ? [$("bands")] : []), time, {
     hover(t) {
-      hairline.show(t);
-      if (t !== null) readout.at(t);
-      else readout.show(instant(), figures);
+      hover(t);
+      link.send();
     },
     dragged(each) { dragged = each; redraw(); },
     click(t, marks) {
@@ -198,7 +219,7 @@ export function recorded(view, about) {
 
 // Load the curves between two times, reduced to pixel columns, and the rows at a time.
 async function load(begin, end, at, columns) {
-  const answer = await fetch(`window?${new URLSearchParams({ begin, end, at, columns })}`);
+  const answer = await fetch(`${BASE}window?${new URLSearchParams({ begin, end, at, columns })}`);
   if (!answer.ok) throw new Error(await answer.text());
   return answer.json();
 }

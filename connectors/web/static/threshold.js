@@ -1,5 +1,6 @@
 // Slider of the threshold: the server finds the events at another one with the debounce of the detector.
 
+import { BASE } from "./link.js";
 import { write } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
@@ -24,7 +25,7 @@ export function thresholdSlider(about, changed) {
       while (wanted !== null) {
         const next = wanted;
         wanted = null;
-        const answer = await fetch(`events?${new URLSearchParams({ threshold: next })}`);
+        const answer = await fetch(`${BASE}events?${new URLSearchParams({ threshold: next })}`);
         if (!answer.ok) throw new Error(await answer.text());
         const events = await answer.json();
         if (wanted === null) show(next, events);

@@ -10,7 +10,7 @@ from playwright.sync_api import ConsoleMessage, Request
 from playwright.sync_api import Page as Tab
 
 from connectors import Page
-from connectors.web.session_requests import SessionPage
+from connectors.web.session_requests import SessionPage, session_requests
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
@@ -137,17 +137,17 @@ class ServedPage(Served):
 
 
 class ServedRecording(Served):
-    """A recorded session's page."""
+    """The page of a recorded session, or of two side by side."""
 
-    def __init__(self, recorded: Coroutine[Any, Any, SessionPage]) -> None:
+    def __init__(self, *recorded: Coroutine[Any, Any, SessionPage]) -> None:
         super().__init__()
         self._recorded = recorded
 
     def __enter__(self) -> Self:
         super().__enter__()
         self._server = page_server("127.0.0.1", 0)
-        page: SessionPage = self.do(self._recorded)
-        self.do(self._server.open(page.handlers(), page.writers()))
+        pages: list[SessionPage] = [self.do(each) for each in self._recorded]
+        self.do(self._server.open(*session_requests(pages)))
         self.url = self._server.url
         return self
 

@@ -3,7 +3,7 @@ import asyncio
 from aiohttp import ClientSession
 
 from connectors.web.session_page import SessionCurves
-from connectors.web.session_requests import SessionPage
+from connectors.web.session_requests import SessionPage, session_requests
 from connectors.web.web_server import page_server
 from operators.batch import ms, s
 from operators.ports import Run
@@ -20,7 +20,7 @@ def test_the_server_returns_the_session_and_any_window(run: Run) -> None:
         await recorded.write(slip(90 * s + 50 * ms, 1))
         await recorded.close()
         server = page_server("127.0.0.1", 0)
-        await server.open(SessionPage(recorded).handlers())
+        await server.open(*session_requests([SessionPage(recorded)]))
         url = server.url
         async with asyncio.timeout(PATIENCE), ClientSession() as session:
             async with session.get(f"{url}/about.json") as response:

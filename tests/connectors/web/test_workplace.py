@@ -210,3 +210,35 @@ def test_a_page_that_is_not_up_to_date_does_not_overwrite_labels(
     expect(tab.locator("#label-state")).to_contain_text("Not saved: ")
     expect(tab.locator("#label-state")).to_contain_text("has version 1 of hand labels, not 0")
     assert len(session.hand_labels().spans) == 1
+
+
+def test_two_detectors_are_compared_at_the_same_time(watched: Watched, session: Session) -> None:
+    tab = watched.tab
+    with ServedRecording(load(session, "psd"), load(session, "tcn")) as served:
+        tab.goto(served.url)
+        expect(tab.locator("#session")).to_have_text("one by psd and one by tcn")
+        left, right = (tab.frame_locator(f"iframe[title='one by {name}']") for name in ("psd", "tcn"))
+        for pane, name in ((left, "psd"), (right, "tcn")):
+            expect(pane.locator("#notice")).to_contain_text(f"by detector {name}.")
+        left.get_by_role("slider", name="Time in the session").press("Home")
+        left.get_by_role("slider", name="Time in the session").press("Shift+ArrowRight")
+        expect(right.locator("#instant-text")).to_contain_text("0:01.0")
+        right.get_by_role("combobox", name="Window").select_option(label="all")
+        expect(left.locator("#axis")).to_have_text("seconds since the start of the session")
+        tab.get_by_label("Link times").uncheck()
+        right.get_by_role("slider", name="Time in the session").press("Shift+ArrowRight")
+        expect(right.locator("#instant-text")).to_contain_text("0:02.0")
+        tab.get_by_label("Link times").check()
+        left.get_by_role("slider", name="Time in the session").press("Shift+ArrowRight")
+        expect(left.locator("#instant-text")).to_contain_text("0:02.0")
+        expect(right.locator("#instant-text")).to_contain_text("0:03.0")  # as far apart as they were set
+        left.locator("#scores").hover(position={"x": 300, "y": 40})
+        expect(right.locator(".hair").first).to_be_visible()
+        left.get_by_role("slider", name="Time in the session").press("[")
+        left.get_by_role("slider", name="Time in the session").press("Shift+ArrowRight")
+        left.get_by_role("slider", name="Time in the session").press("]")
+        left.get_by_role("slider", name="Time in the session").press("s")
+        left.get_by_role("slider", name="Time in the session").press("Control+s")
+        expect(left.locator("#label-state")).to_have_text("1 span, saved as version 1")
+        expect(right.locator("#label-state")).to_have_text("1 span, saved as version 1")
+    assert watched.complaints == []

@@ -100,9 +100,21 @@ def test_an_invalid_token_is_an_error_before_anything_is_read(
     if token:
         monkeypatch.setenv(TOKEN, token)
     with pytest.raises(ParameterError, match="Page: token"):
-        show(tmp_path / "none", listen="0.0.0.0:0")  # not read: that would be another error
+        show([tmp_path / "none"], listen="0.0.0.0:0")  # not read: that would be another error
 
 
 def test_an_unknown_detector_is_an_error(session: Session) -> None:
     with pytest.raises(InputError, match="oracle: is not a detector"):
         asyncio.run(load(session, "oracle"))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("a", "b", "c"), ("a", "--detector", "psd", "--detector", "tcn", "--detector", "psd")],
+)
+def test_more_than_two_are_not_compared(tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    done = slipflow("show", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "give one or two sessions, and one or two detectors" in " ".join(
+        done.stderr.replace("│", " ").split()
+    )
