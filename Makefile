@@ -90,6 +90,7 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	{ echo "$(PAPER) paper_tcn --epochs 25 -o models/paper_tcn.safetensors"; \
 	  for seed in 0 1 2; do \
 	    echo "train $(DATA) --resume --seed $$seed -o models/tcn-seed$$seed.safetensors"; done; \
+	  echo "train $(DATA) --resume --stretch 2 -o models/tcn_wide.safetensors"; \
 	  echo "train $(DATA) --resume --target sliding -o models/tcn_sliding.safetensors"; \
 	  for filters in 24 8 4; do \
 	    echo "train $(DATA) --resume --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
@@ -98,7 +99,7 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	} | xargs -P 2 -L 1 slipflow
 	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
 	env -u OMP_NUM_THREADS slipflow experiment learn -o models
-	for name in tcn tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp paper_grasp; do \
+	for name in tcn tcn_wide tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp paper_grasp; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn-seed?.safetensors)

@@ -52,9 +52,19 @@ def train(
     filters: Annotated[
         int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
     ] = 16,
+    stretch: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=4,
+            metavar="FACTOR",
+            help="Train for other fingertips on slower hands, whose strokes last FACTOR times as long: crops"
+            " get random stretches and gains.",
+        ),
+    ] = 1,
     steps: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of training steps of the tcn (default: 4000; with --from 300)."),
+        typer.Option(min=1, help="Number of training steps of the tcn (default: 6000; with --from 300)."),
     ] = None,
     epochs: Annotated[int, typer.Option(min=1, help="Number of epochs of the paper's networks.")] = 20,
     seed: Seed = 0,
@@ -85,15 +95,21 @@ def train(
     Learns from the train split; the validation split selects the best checkpoint; the test split is
     only reported. Ctrl-C stops the training without a model. Needs the train extra.
 
+    Besides the probability of slip, a tcn estimates the sliding velocity in the fingertip's plane with its
+    uncertainty, if the datasets are simulated, and how far the input is from that of the training. Its
+    probability is calibrated on validation.
+
     With --from, a trained tcn learns further from few labels, two minutes for example. It keeps its size, so
-    that --filters, --method and --epochs do not apply. Its time scale and gain are aligned with the data
-    first. The test split, or else the last 30 % of each recording, is held out to compare the new model with
-    the old one. If the new one is not better, nothing is written and the exit code is 3.
+    that --filters, --stretch, --method and --epochs do not apply, and loses velocity and familiarity. Its
+    time scale and gain are aligned with the data first. The test split, or else the last 30 % of each
+    recording, is held out to compare the new model with the old one. If the new one is not better, nothing
+    is written and the exit code is 3.
 
     Examples:
       slipflow train recordings -o mine.safetensors
       slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
       slipflow train simulated --target sliding -o early.safetensors
+      slipflow train simulated --stretch 2 -o wide.safetensors
       slipflow train --from tcn two-minutes -o mine.safetensors
     """
     from flows.graph.quantity import parse_time
@@ -142,7 +158,9 @@ def train(
                 datasets,
                 out,
                 method=method,
-                recipe=Recipe(filters=filters, steps=steps or Recipe().steps, seed=seed),
+                recipe=Recipe(filters=filters, steps=steps or Recipe().steps, seed=seed).stretched_by(
+                    stretch
+                ),
                 epochs=epochs,
                 seeds=seeds,
                 target=target,

@@ -1,8 +1,7 @@
 """Study: does the distance of the TCN's features from those of its training data tell when it is wrong?
 
-The features are the outputs of the last convolution, averaged over about 1 s (exponential mean). The score is
-their squared Mahalanobis distance from the nominal recordings, and a sample is doubtful above the 99 %
-quantile of other nominal recordings. The fit sees neither the stresses nor the seed that they are judged by.
+The weights contain the fit: training computes it from its train split and the limit, a quantile of 99 %, from
+its validation split. It has seen neither the stresses nor the seed that they are judged by.
 Balanced accuracies are against the label by arm speed and against true sliding.
 """
 
@@ -14,75 +13,18 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.paper_plan import PaperPlan
-from flows.lab.simulation import planned_recordings
-from flows.learn.labelled_recordings import (
-    WARM_UP,
-    LabelledRecording,
-    simulated_recording,
-    simulated_recordings,
-)
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import FIELDS, plan_of, stressed
 from flows.learn.stress.stress_study import PLAN
-from operators.batch import SLIP, UNKNOWN, Codes, Counts, Flags, Reals
+from flows.learn.training.familiarity_fit import distances
+from operators.batch import SLIP, UNKNOWN, Codes, Flags
 from operators.detectors import Tcn
 from storage import load_detector
 from tests.benchmarks.machine import commit, machine
 
-NOMINAL: Final = PaperPlan(repeats=3, rotations=1)  # 40 recordings
-FIT, LIMIT, WIDE = 91_000, 92_000, 7_700  # seeds
 JUDGED: Final = 5_000  # seed of the stresses; the score and its mean were chosen with seed 4000
-SHARE: Final = 0.01  # of the nominal recordings that are doubtful
-DENSE: Final = 3  # layers after the last convolution
-RIDGE: Final = 1e-3  # of the mean variance, added to each
 WEAK: Final = 85.0  # %, balanced accuracy below which most samples should be doubtful
-
-
-def features(tcn: Tcn, counts: Counts) -> Reals:
-    """Return the output of the last convolution (n, filters), zero-padded before the first sample."""
-    now = counts.astype(np.float64)
-    before = np.concatenate((now[:1], now[:-1]))
-    x = np.concatenate((np.arcsinh(now / tcn.position_scale), np.arcsinh((now - before) / tcn.step_scale)), 1)
-    previous = x
-    for layer in tcn.layers[:-DENSE]:
-        taps = len(layer.kernel)
-        padded = np.concatenate((np.zeros((layer.dilation * (taps - 1), x.shape[1])), x))
-        rows = [padded[k * layer.dilation :][: len(x)] @ layer.kernel[k] for k in range(taps)]
-        y = np.maximum(np.sum(rows, axis=0) + layer.bias, 0)
-        previous, x = x, y + previous if layer.skip else y
-    return x
-
-
-def mean_features(tcn: Tcn, recording: LabelledRecording, samples: int) -> Reals:
-    """Return the exponential mean of the features over about `samples`, from the end of the warm-up on."""
-    found = features(tcn, recording.counts)[WARM_UP:]
-    for row in range(1, len(found)):
-        found[row] = found[row - 1] + (found[row] - found[row - 1]) / samples
-    return found
-
-
-@dataclass(frozen=True)
-class Familiarity:
-    """Whitened distance from nominal recordings, and the limit above which a sample is doubtful."""
-
-    mean: Reals
-    whitening: Reals
-    limit: float = np.inf
-
-    def distance(self, values: Reals) -> Reals:
-        """Return the squared distance of features (n, filters); (n,)."""
-        distance: Reals = (((values - self.mean) @ self.whitening) ** 2).sum(axis=1)
-        return distance
-
-
-def fitted(values: Reals, others: Reals) -> Familiarity:
-    """Return the familiarity with `values`; its limit is exceeded by `SHARE` of `others`."""
-    covariance = np.cov(values.T)
-    variance, axes = np.linalg.eigh(covariance + RIDGE * np.diag(covariance).mean() * np.eye(len(covariance)))
-    found = Familiarity(values.mean(axis=0), axes / np.sqrt(variance))
-    limit = float(np.quantile(found.distance(others), 1 - SHARE))
-    return Familiarity(found.mean, found.whitening, limit)
 
 
 @dataclass(frozen=True)
@@ -132,18 +74,16 @@ def _joined(labels: Sequence[Codes]) -> Codes:
     return np.concatenate([each[WARM_UP:] for each in labels])
 
 
-def report(name: str, found: Sequence[Condition], *, every: bool) -> None:
+def report(found: Sequence[Condition]) -> None:
     """Print the shares and accuracies."""
-    print(f"\nfitted to {name}: {100 * found[0].doubtful.mean():.2f} % of nominal samples doubtful")
-    if every:
-        print(
-            "| condition | balanced % | against sliding % | doubtful % | no score % |\n"
-            "|---|---:|---:|---:|---:|"
-        )
-        for each in found:
-            shares = 100 * each.doubtful.mean(), 100 * (~each.scored).mean()
-            row = each.balanced(0), each.balanced(1), *shares
-            print(f"| {each.name} | " + " | ".join(f"{value:.1f}" for value in row) + " |")
+    print(f"{100 * found[0].doubtful.mean():.2f} % of nominal samples doubtful")
+    print(
+        "| condition | balanced % | against sliding % | doubtful % | no score % |\n|---|---:|---:|---:|---:|"
+    )
+    for each in found:
+        shares = 100 * each.doubtful.mean(), 100 * (~each.scored).mean()
+        row = each.balanced(0), each.balanced(1), *shares
+        print(f"| {each.name} | " + " | ".join(f"{value:.1f}" for value in row) + " |")
     for target, text in enumerate(("arm speed", "sliding")):
         weak = [each for each in found if not each.balanced(target) >= WEAK]
         flagged = sum((each.doubtful | ~each.scored).mean() > 0.5 for each in weak)
@@ -158,33 +98,21 @@ def report(name: str, found: Sequence[Condition], *, every: bool) -> None:
 
 
 def main() -> None:
-    """Fit to the paper's plan, and to the paper's and the wide plan, and print the results."""
+    """Judge the familiarity that a network's weights contain, and print the results."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=100, help="time constant of the mean, samples")
+    parser.add_argument("--model", default="tcn", help="shipped tcn or file of weights")
     parser.add_argument("--seed", type=int, default=JUDGED, help="seed of the stresses")
     given = parser.parse_args()
-    samples: int = given.samples
-    tcn = load_detector("tcn")
+    tcn = load_detector(given.model)
     assert isinstance(tcn, Tcn)
-    wide = planned_recordings("wide", WIDE)[::2]
-    sets = {
-        "paper": simulated_recordings(NOMINAL, FIT),
-        "wide": [simulated_recording(each.scene, each.seed) for each in wide],
-        "limit": simulated_recordings(NOMINAL, LIMIT),
-    }
-    means = {
-        name: np.concatenate([mean_features(tcn, each, samples) for each in found])
-        for name, found in sets.items()
-    }
-    both = np.concatenate((means["paper"], means["wide"]))
-    print(f"{machine()}; {commit()}; mean over {samples} samples; seed {given.seed}")
-    for name, values in {"paper": means["paper"], "paper and wide": both}.items():
-        familiar = fitted(values, means["limit"])
+    familiarity = tcn.heads.familiarity
+    assert familiarity is not None, "train the model again"
 
-        def doubtful(recording: LabelledRecording, familiar: Familiarity = familiar) -> Flags:
-            return familiar.distance(mean_features(tcn, recording, samples)) > familiar.limit
+    def doubtful(recording: LabelledRecording) -> Flags:
+        return distances(tcn, familiarity, recording) > familiarity.limit
 
-        report(name, list(conditions(tcn, doubtful, given.seed)), every=name == "paper and wide")
+    print(f"{machine()}; {commit()}; {given.model}; seed {given.seed}")
+    report(list(conditions(tcn, doubtful, given.seed)))
 
 
 if __name__ == "__main__":

@@ -37,7 +37,8 @@ MINUTES: Final = 2.0  # labelled, few-shot
 SECONDS: Final = 30.0  # without labels, adapted
 FEW_DRAWS: Final = 3  # of the labelled minutes
 MAJORITY: Final = "majority"
-DEFAULT: Final = "tcn"  # shipped detector that is adapted and trained further
+DEFAULT: Final = "tcn"  # shipped detector that is trained on the folds
+WIDE: Final = "tcn_wide"  # shipped detector for other fingertips than the TakkTile
 _HOP: Final = 2  # samples between the windows that baselines are fitted to
 
 
@@ -114,8 +115,8 @@ def entrants(methods: Sequence[Method], regimes: Collection[str]) -> list[Entran
 
 
 def _is_parent(method: Method) -> bool:
-    """Return True for the default detector and given models: the other shipped ones are for other tasks."""
-    return method.name == DEFAULT or method.origin != SHIPPED
+    """Return True for detectors of strokes and given models: other shipped ones are for other tasks."""
+    return method.name in {DEFAULT, WIDE} or method.origin != SHIPPED
 
 
 def _as_it_is(method: Method, _fold: Fold, _course: Course, _draw: int) -> Fitted:

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from flows.learn.training.recipe import Augmentation
+from flows.learn.training.stretching import GAIN, SPREAD
 from operators.fingertip import TAKKTILE, Fingertip
 
 MIRROR_X: Final = TAKKTILE.mirrored()
@@ -16,10 +17,24 @@ _SLOWEST: Final = 0.1  # Hz
 _FASTEST: Final = 2.0  # Hz
 
 
+def stretches(crops: int, stretch: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Return the factor by which each crop lasts longer, and its gain; (crops,) each, log-uniform."""
+    if stretch == 1:
+        one = torch.ones(crops, device=generator.device)
+        return one, one
+    time, gain = torch.rand(2, crops, generator=generator, device=generator.device)
+    least, most = GAIN
+    return stretch * SPREAD ** (2 * time - 1), least * (most / least) ** gain
+
+
 def augmented(
     counts: Tensor, how: Augmentation, generator: torch.Generator, fingertip: Fingertip = TAKKTILE
-) -> Tensor:
-    """Augment counts (b, cells, n) of a fingertip at random, each crop independently."""
+) -> tuple[Tensor, Tensor]:
+    """Augment counts (b, cells, n) of a fingertip at random, each crop independently.
+
+    Returns:
+        Counts, and the signs (b, 2) by which flips multiply velocities along x and y.
+    """
     crops, cells, samples = counts.shape
     device = counts.device
 
@@ -32,8 +47,10 @@ def augmented(
     def chosen(probability: float) -> Tensor:
         return (uniform(crops) < probability)[:, None, None]  # (b, 1, 1)
 
-    x = torch.where(chosen(how.flip), counts[:, fingertip.mirrored()], counts)
-    x = torch.where(chosen(how.flip), x[:, fingertip.mirrored(upside_down=True)], x)
+    flips = chosen(how.flip), chosen(how.flip)  # along x, along y
+    x = torch.where(flips[0], counts[:, fingertip.mirrored()], counts)
+    x = torch.where(flips[1], x[:, fingertip.mirrored(upside_down=True)], x)
+    signs = 1.0 - 2.0 * torch.cat(flips, 1)[..., 0].to(counts.dtype)
     if how.gain:
         spread = how.gain_spread * (normal(crops, 1, 1) + 0.8 * normal(crops, cells, 1))
         x = x * torch.exp(chosen(how.gain) * spread)
@@ -52,4 +69,4 @@ def augmented(
         order = uniform(crops, cells).argsort(1)[:, :, None]  # (b, cells, 1)
         dead = (order == 0) | ((order == 1) & chosen(0.5))
         x = x.masked_fill(dead & chosen(how.dead), 0.0)
-    return x
+    return x, signs

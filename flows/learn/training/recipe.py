@@ -1,8 +1,8 @@
 """Settings of the training of our network and of the paper's."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass, field, replace
+from typing import Final, Self
 
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
@@ -15,7 +15,8 @@ LONGEST: Final = 400  # samples, maximum receptive field
 class Augmentation:
     """Random changes of counts that make a detector robust to conditions that the recordings lack.
 
-    Each is applied to a crop with its probability, in this order. Labels do not change.
+    Each is applied to a crop with its probability, in this order. Labels do not change, but flips turn the
+    velocity.
     """
 
     flip: float = 0.5  # probability of mirroring along x, and again along y
@@ -52,7 +53,7 @@ class Recipe:
     dropout: float = 0.1  # probability of a whole channel, after each block
     position_scale: float = 60.0  # counts; see `DenseTcn`
     step_scale: float = 6.0  # counts
-    steps: int = 4000  # of the optimiser
+    steps: int = 6000  # of the optimiser
     batch: int = 32  # crops
     crop: int = 612  # samples
     rate: float = 5e-3  # of AdamW, at its peak
@@ -61,6 +62,8 @@ class Recipe:
     checks: int = 20  # on the validation split
     patience: int = 8  # checks without a better score before training ends
     seed: int = 0
+    velocity: float = 0.1  # weight of the loss of the velocity head; without it or without truth: no head
+    stretch: int = 1  # strokes last this many times as long as those of the recordings; see `stretched_by`
     augmentation: Augmentation = field(default_factory=Augmentation)
 
     def __post_init__(self) -> None:
@@ -70,6 +73,27 @@ class Recipe:
             reason = f"such that the receptive field ({self.receptive_field}) is at most {LONGEST} samples"
             raise ParameterError("Recipe", "taps and dilations", (self.taps, *self.dilations), reason)
         check_above("Recipe", "crop", self.crop, self.receptive_field, "samples")
+        check_at_least("Recipe", "stretch", self.stretch, 1)
+
+    def stretched_by(self, factor: int) -> Self:
+        """Return the recipe for other fingertips on slower hands, whose strokes last `factor` times as long.
+
+        Each crop is stretched by about this factor and gets a gain, both at random. The dilations grow by the
+        same factor, so that the network sees as much of a stroke with as many weights. Noise is added as to
+        real touch. There is no velocity head: the directions of other fingertips are unknown.
+
+        >>> Recipe().stretched_by(2).receptive_field
+        198
+        """
+        if factor == 1:
+            return self
+        return replace(
+            self,
+            stretch=factor,
+            dilations=tuple(factor * each for each in self.dilations),
+            velocity=0.0,
+            augmentation=replace(self.augmentation, noise_range=REAL_TOUCH.noise_range),
+        )
 
     @property
     def receptive_field(self) -> int:

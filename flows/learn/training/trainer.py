@@ -26,9 +26,11 @@ from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.probability_calibration import calibration_of
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
+from flows.learn.training.stretching import stretched
 from flows.learn.training.trained_model import Arrays, Model, label_scores, provenance, unchanged, write_model
+from flows.learn.training.velocity_scores import velocity_scores
 from operators.checks import check_at_least, check_between, check_choice
-from operators.detectors import TRAINED, Detector
+from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
 from operators.extras import require_extra
@@ -84,6 +86,11 @@ class Training:
             )
             origin = "kept from an earlier run" if model.path in self.kept else "trained now"
             lines.append(f"{model.path}: accuracy {shown} (seed {model.card['seed']}, {origin})")
+            for split, each in model.card.get("velocity", {}).items():
+                lines.append(
+                    f"{model.path}: direction within 45 degrees for {each['direction']:.1f} % of "
+                    f"{each['slips']} slips on {split}"
+                )
         for split in ("validation", "test"):
             found = [m.card["scores"][split]["accuracy"] for m in self.models if split in m.card["scores"]]
             if len(found) > 1:
@@ -150,6 +157,7 @@ def train(
         warn(f"leak: {leak.finding}")
     seen = seen_recordings(chain.from_iterable(parts.values()))
     shifted = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
+    learned, judged = (_stretched(found, method, recipe) for found in (shifted, parts))
     fingertip = common_fingertip(chain.from_iterable(parts.values()))
     if method != OURS:
         TAKKTILE.check_fits(method, fingertip)
@@ -168,10 +176,11 @@ def train(
         settings = {**about, "seed": seed, "recipe": asdict(own)}
         model = _earlier(path, settings, seen, warn) if resume else None
         if model is None:
-            trained = _train(method, shifted, own, progress)
-            calibration, about_it = calibration_of(_detector(method, trained.arrays, fingertip), shifted)
+            trained = _train(method, {**learned, "train": shifted["train"]}, own, progress)
+            calibration, about_it = calibration_of(_detector(method, trained.arrays, fingertip), learned)
             arrays = calibration.fold(trained.arrays)
-            results = {**_results(_detector(method, arrays, fingertip), parts), "calibration": about_it}
+            arrays = {**arrays, **_familiarity(_detector(method, arrays, fingertip), judged)}
+            results = {**_results(_detector(method, arrays, fingertip), judged), "calibration": about_it}
             curve = [asdict(check) for check in trained.curve]
             found = {"leaks": [leak.json() for leak in leaks], SEEN: seen}
             card = {**settings, **results, **found, "curve": curve}
@@ -222,6 +231,14 @@ def _check(out: Path, method: str, seeds: int, target: str, lag: float | None) -
         check_between("train", "lag", lag, 0, LATEST, unit="s")
 
 
+def _stretched(
+    parts: Mapping[str, Sequence[LabelledRecording]], method: str, recipe: Recipe
+) -> dict[str, list[LabelledRecording]]:
+    """Return the splits as our network is to be judged on."""
+    factor = recipe.stretch if method == OURS else 1
+    return {split: [stretched(each, factor) for each in found] for split, found in parts.items()}
+
+
 def _train(
     method: str,
     parts: Mapping[str, Sequence[LabelledRecording]],
@@ -247,12 +264,21 @@ def _detector(method: str, arrays: Arrays, fingertip: Fingertip) -> Detector:
     return detector
 
 
+def _familiarity(detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]) -> Arrays:
+    """Return the weights of the familiarity of our network with its input; empty for others."""
+    from flows.learn.training.familiarity_fit import familiarity_of  # noqa: PLC0415 - imports torch
+
+    return familiarity_of(detector, parts["train"], parts["validation"]) if isinstance(detector, Tcn) else {}
+
+
 def _results(detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]) -> dict[str, Any]:
-    """Return scores and debounce of a trained detector for its card."""
+    """Return scores and debounce of a trained detector for its card, and those of its velocity head."""
     debounce = tuned_on(parts["validation"], detector)
+    judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
+    found = {split: velocity_scores(detector, each) for split, each in judged.items()}
+    velocity = {split: asdict(each) for split, each in found.items() if each is not None}
     return {
-        "scores": {
-            split: label_scores(detector, parts[split]) for split in ("validation", "test") if parts[split]
-        },
+        **({"velocity": velocity} if velocity else {}),
+        "scores": {split: label_scores(detector, each) for split, each in judged.items()},
         "debounce": {name: getattr(debounce, name) for name in ("threshold", "consecutive", "release")},
     }

@@ -11,6 +11,8 @@ from torch import Tensor
 from flows.learn.labelled_recordings import LabelledRecording
 from operators.batch import Codes
 
+_PLANE = 2  # x and y
+
 
 class Crops:
     """Recordings joined on a device, and the crops of one length that lie within a recording.
@@ -19,6 +21,9 @@ class Crops:
         recordings: Recordings; those shorter than a crop are left out.
         length: Samples of a crop.
         device: Device of the counts.
+
+    Attributes:
+        velocity: (n, 2) mm/s, NaN where unknown; None if no recording has a velocity.
     """
 
     def __init__(self, recordings: Sequence[LabelledRecording], length: int, device: torch.device) -> None:
@@ -32,8 +37,27 @@ class Crops:
         self.counts = torch.as_tensor(counts).to(device)  # (n, cells) int16
         self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
+        self.velocity: Tensor | None = None
+        if any(each.velocity is not None for each in usable):
+            known = [np.full((len(e), _PLANE), np.nan) if e.velocity is None else e.velocity for e in usable]
+            self.velocity = torch.as_tensor(np.concatenate(known)).to(device, torch.float32)
         self._offsets = torch.arange(length, device=device)
 
     def rows(self, first: Tensor) -> Tensor:
         """Return the rows (k, length) of crops that begin at rows `first` (k,), on the device."""
         return first[:, None] + self._offsets
+
+    def stretched(self, first: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
+        """Return crops that last `factor` (k,) times as long, up to the same newest sample.
+
+        Returns:
+            Counts (k, cells, length), interpolated linearly, and the nearest row of each sample (k, length).
+        """
+        newest = len(self._offsets) - 1
+        place = newest - (newest - self._offsets) / factor[:, None]  # (k, length) samples from the first on
+        before = place.floor().to(torch.int64)
+        weight = (place - before)[..., None]
+        rows = first[:, None] + before
+        after = self.counts[rows + (weight[..., 0] > 0)].to(torch.float32)
+        counts = torch.lerp(self.counts[rows].to(torch.float32), after, weight)
+        return counts.transpose(1, 2), first[:, None] + place.round().to(torch.int64)

@@ -14,7 +14,7 @@ COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)
 def _augmented(how: Augmentation, counts: torch.Tensor = COUNTS) -> torch.Tensor:
     generator = torch.Generator()
     cast("Any", generator).manual_seed(1)
-    return augmented(counts, how, generator)
+    return augmented(counts, how, generator)[0]
 
 
 def _only(**chances: float) -> Augmentation:

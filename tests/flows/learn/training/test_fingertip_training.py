@@ -37,7 +37,7 @@ def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
 
 def loading(fingertip: Fingertip) -> Callable[[Path], list[LabelledRecording]]:
     """Return a function that loads recordings of a fingertip from any path."""
-    return lambda _: recordings(fingertip)
+    return lambda *_, **__: recordings(fingertip)
 
 
 @pytest.fixture
@@ -78,7 +78,7 @@ def test_recordings_of_different_rates_are_not_trained_on_together(
     one, *rest = recordings(TAKKTILE)
     mixed = [one, *(replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in rest)]
 
-    def load(_: Path) -> list[LabelledRecording]:
+    def load(_: Path, **__: object) -> list[LabelledRecording]:
         return mixed
 
     monkeypatch.setattr(trainer, "load", load)

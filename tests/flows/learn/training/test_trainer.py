@@ -47,6 +47,33 @@ def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
 
 
+def test_a_model_of_simulated_strokes_knows_their_velocity_and_familiar_input(
+    tiny: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "model.safetensors"
+    outcome = train([tiny], out, recipe=replace(SMALL, steps=6))
+    tcn = load_detector(out)
+    assert isinstance(tcn, Tcn)
+    assert len(tcn.heads.velocity) == 3
+    assert tcn.heads.familiarity is not None
+    assert outcome.models[0].card["velocity"]["test"]["slips"] > 0
+    assert "direction within 45 degrees for" in outcome.report()
+
+
+def test_a_stretched_model_has_a_longer_window_and_no_velocity(tiny: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model.safetensors"
+    [model] = train([tiny], out, recipe=replace(SMALL, steps=6).stretched_by(2)).models
+    tcn = load_detector(out)
+    assert isinstance(tcn, Tcn)
+    assert tcn.length == 198
+    assert tcn.heads.velocity == ()
+    assert model.card["recipe"]["stretch"] == 2
+    assert "velocity" not in model.card
+    unstretched = [recording for recording in load(tiny) if recording.split == "test"]
+    assert model.card["scores"]["test"] != label_scores(tcn, unstretched)
+    assert SMALL.stretched_by(1) is SMALL
+
+
 def test_of_several_seeds_the_best_on_validation_is_the_model(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.safetensors"
     outcome = train([tiny], out, recipe=replace(SMALL, steps=15), seeds=2)
@@ -60,7 +87,7 @@ def test_of_several_seeds_the_best_on_validation_is_the_model(tiny: Path, tmp_pa
 def test_a_network_of_the_paper_is_trained_by_its_recipe(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def few(dataset: Path) -> list[LabelledRecording]:
+    def few(dataset: Path, **_: object) -> list[LabelledRecording]:
         return [found[0] for found in by_split(load(dataset)).values()]
 
     monkeypatch.setattr(trainer, "load", few)
@@ -80,7 +107,7 @@ def test_a_network_can_learn_true_sliding(
     test = [recording for recording in load(tiny) if recording.split == "test"]
     assert model.card["scores"]["test"] == label_scores(load_detector(out), labelled_by("sliding", test))
 
-    def unknown(dataset: Path) -> list[LabelledRecording]:
+    def unknown(dataset: Path, **_: object) -> list[LabelledRecording]:
         return [replace(each, sliding=None) for each in load(dataset)]
 
     monkeypatch.setattr(trainer, "load", unknown)
