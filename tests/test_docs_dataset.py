@@ -3,10 +3,12 @@
 import asyncio
 import json
 import re
+from contextlib import chdir
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import duckdb
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -14,12 +16,13 @@ import pytest
 from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.run.live_runner import LiveRunner
-from operators import Slips
+from operators import Labelled, Slips
 from operators.health import FaultKind
-from storage import Dataset, LabelSpan
+from storage import Dataset, LabelSpan, Session
 from storage.layout import TABLES
 from storage.schema import schema
 from tests.pages import ROOT, table
+from tests.storage.made import new_batch, record
 
 PAGE = ROOT / "docs" / "reference" / "dataset.md"
 TIME = np.array([1_700_000_000_000_000_000])
@@ -37,6 +40,40 @@ def written(kind: pa.DataType) -> str:
 def unit(metadata: dict[bytes, bytes] | None) -> str:
     """The unit of a column, as the page writes it."""
     return (metadata or {}).get(b"unit", b"").decode()
+
+
+def read_as_on_the_page(number: int, folder: Path) -> list[tuple[str, int]]:
+    """Run an example of the section on other programs; return session and time (ns) of the rows it read."""
+    section = PAGE.read_text().split("\n## Reading with other programs\n")[1].split("\n## ")[0]
+    found: dict[str, Any] = {}
+    with chdir(folder):
+        exec(re.findall(r"^```python\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)[number], found)  # noqa: S102
+        samples = found["samples"]
+        if isinstance(samples, duckdb.DuckDBPyRelation):
+            samples = samples.to_arrow_table()
+    frame: Any = pa.table(samples)
+    times = frame["time"].cast(pa.timestamp("ns")).cast(pa.int64())
+    return sorted(zip(frame["session"].to_pylist(), times.to_pylist(), strict=True))
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a dataset of two sessions, each with several parts of samples."""
+    folder = tmp_path_factory.mktemp("readers")
+    for name, start in (("first", 1_700_000_000_123_456_789), ("second", 1_700_000_100_000_000_001)):
+        record(folder / "lab", [new_batch(Labelled, 50, start=start)], name)
+    return folder
+
+
+@pytest.mark.parametrize("number", range(4), ids=["polars", "pandas", "duckdb", "pyarrow"])
+def test_every_program_reads_all_sessions_with_their_names_and_timestamps(number: int, lab: Path) -> None:
+    rows: list[tuple[str, int]] = []
+    for name in ("first", "second"):
+        session = Session.open(lab / "lab" / "sessions" / name)
+        assert len(list((lab / "lab" / "sessions" / name / "samples").iterdir())) > 1
+        for batch in session.read(Labelled, finger=0):
+            rows += [(name, time) for time in batch.time.tolist()]
+    assert read_as_on_the_page(number, lab) == rows
 
 
 @pytest.mark.parametrize("name", SCHEMAS)
