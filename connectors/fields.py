@@ -66,19 +66,22 @@ class Fields:
             self.fail(name, "printable text")
         return value
 
-    def number(self, name: str) -> float:
-        """Return a field with a finite number."""
+    def number(self, name: str, least: float = -INT64, greatest: float = INT64) -> float:
+        """Return a field with a finite number from `least` to `greatest`."""
         value = self.values.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= INT64:
             self.fail(name, "a number")
+        if not least <= value <= greatest:
+            self.fail(name, f"from {least:g} to {greatest:g}")
         return float(value)
 
     def fraction(self, name: str) -> float:
         """Return a field with a number from 0 to 1."""
-        value = self.number(name)
-        if not 0 <= value <= 1:
-            self.fail(name, "from 0 to 1")
-        return value
+        return self.number(name, 0, 1)
+
+    def positive(self, name: str) -> float:
+        """Return a field with a number of at least 0."""
+        return self.number(name, 0)
 
     def integer(self, name: str, least: int = 1, greatest: int = INT64) -> int:
         """Return a field with an integer from `least` to `greatest`."""

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import Counts, Reals, Scores, Zeroed
+from operators.batch import Assessed, Counts, Reals, Scores, Zeroed
 from operators.checks import check_at_least
-from operators.detectors.detector import Detector, ForFingertip, Stream, Streaming
+from operators.detectors.detector import Assessing, Detector, ForFingertip, Stream, Streaming
 from operators.fingertip import Fingertip
 from operators.forward_fill import forward_fill
 from operators.operator import Operator
@@ -25,7 +25,8 @@ class Score(Operator[Zeroed, Scores]):
     newest sample are invalid, the score is NaN.
 
     Streaming detectors process each sample once. If numba, which compiles them, is not installed, they
-    process windows like the other detectors, which takes several times the CPU time.
+    process windows like the other detectors, which takes several times the CPU time. The scores of a stream
+    that assesses its input are `Assessed`; windows are not assessed.
 
     Args:
         detector: Slip detector.
@@ -80,13 +81,17 @@ class Score(Operator[Zeroed, Scores]):
             rows = slice(self._due - 1, None, self.hop)  # to be scored
             time, valid = time[rows], valid[rows]
         self._due += time.size * self.hop - len(counts)
-        probability = self._scorer.score(batch, counts, rows)
+        results = self._scorer.score(batch, counts, rows)
         if not time.size:
             return Scores.empty()
+        probability = results[0]
         if counts is not batch.counts:
             few = np.count_nonzero(valid, axis=1) * 2 < valid.shape[1]  # (n,) of the cells
             probability = np.where(few, np.nan, probability)
-        return Scores(time, probability, finger=batch.finger)
+        if len(results) == 1:
+            return Scores(time, probability, finger=batch.finger)
+        _, doubt, direction, deviation = results
+        return Assessed(time, probability, doubt, direction, deviation, finger=batch.finger)
 
 
 def _stream(detector: Detector) -> Stream | None:
@@ -99,15 +104,20 @@ def _stream(detector: Detector) -> Stream | None:
         return None
 
 
-@dataclass
 class _Streamed:
     """Scoring sample by sample."""
 
-    stream: Stream
+    def __init__(self, stream: Stream) -> None:
+        self._stream = stream
+        self._assess = stream.assess if isinstance(stream, Assessing) else self._probability
 
     def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002
-        probability = self.stream.push(counts[:, None]).ravel()
-        return probability if rows is None else probability[rows]
+        """Return the results (1 or 4, n) at `rows`."""
+        results = self._assess(counts[:, None])[:, :, 0]
+        return results if rows is None else results[:, rows]
+
+    def _probability(self, counts: Counts | Reals) -> Reals:
+        return self._stream.push(counts)[None]
 
 
 @dataclass
@@ -118,9 +128,10 @@ class _Windowed:
     window: Window
 
     def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002 - `Window` selects them
+        """Return the probability (1, n)."""
         filled = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
         windows, score = self.window.process(filled).counts, self.detector.score
         if len(windows) <= _BLOCK:
-            return score(windows) if len(windows) else np.empty(0)
+            return (score(windows) if len(windows) else np.empty(0))[None]
         blocks = range(0, len(windows), _BLOCK)
-        return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])
+        return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])[None]

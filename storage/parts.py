@@ -14,7 +14,7 @@ from storage.arrow import pa, pq
 from storage.layout import Table
 from storage.manifest import Part
 from storage.parquet_pages import declared_sizes
-from storage.schema import flat, schema, with_cells
+from storage.schema import fitted, flat, schema
 
 UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
 
@@ -104,7 +104,7 @@ def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.
         raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        expected = with_cells(expected, file.schema_arrow)
+        expected = fitted(expected, file.schema_arrow)
         _check_columns(path, file.schema_arrow, expected)
         _check_size(path, data, expected)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting

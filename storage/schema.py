@@ -32,15 +32,16 @@ def schema(table: Table, kind: type[Batch] | None = None, cells: int = BAROMETER
     return _schema(table, (kind or table.kind).__name__, cells)
 
 
-def with_cells(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
-    """Return a schema with as many cells as the first column per cell of a file has."""
+def fitted(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
+    """Return an expected schema with as many cells as a file has, without optional columns that it lacks."""
+    kind = _KINDS.get((expected.metadata or {}).get(b"batch", b"").decode())
+    optional = {name for name, each in columns(kind).items() if each.optional} if kind else set[str]()
+    kept = [each for each in _as_list(expected) if each.name not in optional - {*found.names}]
     for field in _as_list(found):
         if field.name in _PER_CELL and pa.types.is_fixed_size_list(field.type):
-            cells = int(field.type.list_size)
-            return pa.schema(
-                [_resized(each, cells) for each in _as_list(expected)], cast("Any", expected.metadata)
-            )
-    return expected
+            kept = [_resized(each, int(field.type.list_size)) for each in kept]
+            break
+    return pa.schema(kept, cast("Any", expected.metadata))
 
 
 @cache
@@ -96,8 +97,8 @@ def times(table: Table, rows: pa.Table) -> dict[int, NDArray[np.int64]]:
 def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Batch]:
     """Return the rows as batches of `kind`, by fingertip.
 
-    Columns that samples do not store are unknown: temperature -1, pose NaN, `matched` true if there is a
-    velocity.
+    Columns that samples do not store, and optional ones that a file lacks, are unknown: temperature -1,
+    others NaN, `matched` true if there is a velocity.
 
     Raises:
         BatchError: if a name has no code.
@@ -105,7 +106,7 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     values: dict[str, NDArray[Any]] = {}
     cells = next((_width(rows, name) for name in table.columns if name in _PER_CELL), 0)
     for name, each in columns(kind).items():
-        if name in table.columns:
+        if name in table.columns and not (each.optional and name not in rows.column_names):
             if each.names:
                 values[name] = _codes(kind, name, each.names, rows)
             else:

@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from connectors.events import Event, Fault, encode, faults, finger_name, timestamp
+from connectors.events import Event, Fault, encode, faults, finger_name, slips, timestamp
 from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.broker_diagnosis import diagnose_broker
@@ -23,7 +23,7 @@ from connectors.mqtt.rig_names import (
     rig_topic,
 )
 from connectors.mqtt.sender import Sender
-from operators.batch import SLIP, Clocks, Faults, Slips, ms
+from operators.batch import Clocks, Faults, Slips, ms
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Clock, Finding, Json, Run, Sink
@@ -192,18 +192,17 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def _events(self, batch: Slips) -> Iterator[Event]:
         """Yield the events of a batch; the outbox sets their epoch and number."""
         finger = finger_name(batch.finger)
-        rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
-        for time, state, probability in rows:
-            latency = self._run.latency(time)
+        for slip in slips(batch):
+            latency = self._run.latency(slip.time)
             yield Event(
                 self.site,
                 self._name,
                 finger,
                 "",
                 0,
-                onset=state == SLIP,
-                time=time,
-                probability=probability,
+                onset=slip.onset,
+                time=slip.time,
+                probability=slip.probability,
                 latency=None if latency is None else latency / ms,
                 threshold=self.threshold,
                 consecutive=self.consecutive,
@@ -211,6 +210,9 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                 sha256=self._sha256,
                 degraded=self._degraded(finger),
                 session=self._run.session,
+                doubt=slip.doubt,
+                direction_deg=slip.direction_deg,
+                direction_sd_deg=slip.direction_sd_deg,
             )
 
     def _documents(self, sent: Iterable[Entry]) -> Iterator[Message]:
@@ -248,7 +250,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             "model": {"id": self._model, "sha256": self._sha256},
             "threshold": self.threshold,
             "consecutive": self.consecutive,
-            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
+            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms", "direction_deg": "deg"},
         }
         return self._message("info", {**self._identity(), **document})
 

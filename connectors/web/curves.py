@@ -6,7 +6,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import SLIP, Motion, Reals, Scores, Times, Touch, ms
+from connectors.events import Slip
+from operators.batch import Motion, Reals, Scores, Times, Touch, ms
 from operators.ports import Json, Run
 
 Real = TypeVar("Real", bound=np.floating[Any])
@@ -68,17 +69,15 @@ def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> d
     return {"t": ((time - origin) / ms).round(3).tolist(), "v": values.astype(np.float64).round(3).tolist()}
 
 
-def event_json(
-    number: int, finger: str, row: tuple[int, int, float], origin: int, latency: int | None
-) -> dict[str, Json]:
-    """Return a slip event as JSON; `row` is its time (ns), state and probability; `latency` is in ns."""
-    time, state, probability = row
+def event_json(number: int, finger: str, slip: Slip, origin: int, latency: int | None) -> dict[str, Json]:
+    """Return a slip event as JSON, with its time since `origin` (ns); `latency` is in ns."""
     return {
         "id": number,
-        "t": (time - origin) / ms,
+        "t": (slip.time - origin) / ms,
         "finger": finger,
-        "onset": state == SLIP,
-        "p": round(probability, 3),
+        "onset": slip.onset,
+        "p": round(slip.probability, 3),
+        "direction": slip.direction_deg,
         "latency": None if latency is None else round(latency / ms, 3),
     }
 

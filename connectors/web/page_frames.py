@@ -8,6 +8,8 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 - ``events``: numbered onsets and ends of slip; ``latency``: ms from the deciding sample to its arrival here,
   null in a replay at full speed
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
+- ``quality``: quality of the newest score and its reason, by fingertip; ``direction``: direction of sliding
+  and its standard deviation, degrees, of each fingertip that slips
 """
 
 from collections import deque
@@ -16,9 +18,22 @@ from typing import Any, Final, Generic, TypeAlias
 
 import numpy as np
 
-from connectors.events import faults, finger_name
+from connectors.events import Fault, faults, finger_name, quality, slips, whole_degrees
 from connectors.web.curves import curve_json, event_json, plotted_values, stream_name, streams_json
-from operators.batch import SLIP, AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
+from operators.batch import (
+    AnyBatch,
+    Assessed,
+    Faults,
+    Flags,
+    Motion,
+    Scores,
+    Slips,
+    Times,
+    Touch,
+    Zeroed,
+    ms,
+    s,
+)
 from operators.ports import Json, Run
 from operators.tail import Tail
 
@@ -81,6 +96,7 @@ class Frames:
     def __init__(self, run: Run) -> None:
         self._run = run
         self._tracks: dict[tuple[str, str], Track[Any]] = {}  # by stream and fingertip
+        self._scores: dict[str, Scores] = {}  # newest batch by fingertip
         self._slipping: set[str] = set()
         self._faults: dict[str, dict[str, Json]] = {}
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
@@ -98,8 +114,11 @@ class Frames:
             if track is None and sum(each[0] == key[0] for each in self._tracks) >= FINGERS_MAX:
                 return
             if track is None or (zeroed and track.kind is Touch):
-                kind = Zeroed if zeroed else Touch if isinstance(batch, Touch) else type(batch)
+                base = Touch if isinstance(batch, Touch) else Scores if isinstance(batch, Scores) else Motion
+                kind = Zeroed if zeroed else base  # drops further columns
                 track = self._tracks[key] = Track(kind)
+            if isinstance(batch, Scores) and len(batch):
+                self._scores[key[1]] = batch
             if zeroed or track.kind is not Zeroed:
                 track.add(batch)
 
@@ -117,11 +136,18 @@ class Frames:
         return {key: track.rows for key, track in self._tracks.items()}
 
     def state(self) -> dict[str, Json]:
-        """Return the current time, slipping fingertips and faults."""
+        """Return the current time, slipping fingertips, faults, quality and direction."""
+        newest = {finger: batch[-1:] for finger, batch in self._scores.items()}
         return {
             "now": (self._run.clock.now() - self._run.start) / ms,
             "slipping": [*sorted(self._slipping)],
             "faults": {finger: {**found} for finger, found in self._faults.items() if found},
+            "quality": {finger: [*self._quality(finger, row)] for finger, row in newest.items()},
+            "direction": {
+                finger: [*whole_degrees(row.direction), *whole_degrees(row.deviation)]
+                for finger, row in newest.items()
+                if isinstance(row, Assessed) and finger in self._slipping
+            },
         }
 
     def events(self, newest: int = EVENTS_KEPT) -> list[Json]:
@@ -129,14 +155,18 @@ class Frames:
         events: list[Json] = [*self._events]
         return events[-newest:]
 
+    def _quality(self, finger: str, score: Scores) -> tuple[str, str | None]:
+        found = [Fault(int(cell), str(kind)) for cell, kind in self._faults.get(finger, {}).items()]
+        doubt = score.doubt.item() if isinstance(score, Assessed) else None
+        return quality(score.probability.item(), found, doubt)
+
     def _add_slips(self, batch: Slips) -> None:
         finger = finger_name(batch.finger)
-        for row in zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True):
-            time, state, _ = row
-            (self._slipping.add if state == SLIP else self._slipping.discard)(finger)
+        for slip in slips(batch):
+            (self._slipping.add if slip.onset else self._slipping.discard)(finger)
             self._numbered += 1
-            latency = self._run.latency(time)
-            self._events.append(event_json(self._numbered, finger, row, self._run.start, latency))
+            latency = self._run.latency(slip.time)
+            self._events.append(event_json(self._numbered, finger, slip, self._run.start, latency))
 
     def _add_faults(self, batch: Faults) -> None:
         finger = finger_name(batch.finger)

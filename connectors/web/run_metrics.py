@@ -7,8 +7,8 @@ from prometheus_client import CollectorRegistry, Counter, Histogram, generate_la
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.registry import Collector
 
-from connectors.events import faults, finger_name
-from operators.batch import SLIP, Clocks, Faults, Slips, s
+from connectors.events import Fault, faults, finger_name, quality, slips
+from operators.batch import Assessed, Clocks, Faults, Scores, Slips, s
 from operators.ports import Run, SinkStatus, SourceStatus
 
 BUCKETS: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
@@ -52,6 +52,7 @@ class RunMetrics(Collector):
         self._faults: dict[
             tuple[str, str, str], bool
         ] = {}  # True while active, by finger, barometer and kind
+        self._scores = dict[tuple[str, str], int]()  # by finger and quality
         self._clock: tuple[float, float, float] | None = None  # offset s, drift s/s, residual s
         self._registry = CollectorRegistry()
         self._events = Counter(
@@ -70,10 +71,12 @@ class RunMetrics(Collector):
         """Return all metrics in the text format 0.0.4."""
         return generate_latest(self._registry)
 
-    def add(self, batch: Slips | Faults | Clocks) -> None:
+    def add(self, batch: Scores | Slips | Faults | Clocks) -> None:
         """Add the rows of a batch."""
         if isinstance(batch, Slips):
             self._add_slips(batch)
+        elif isinstance(batch, Scores):
+            self._add_scores(batch)
         elif isinstance(batch, Faults):
             finger = finger_name(batch.finger)
             for _, fault, begins in faults(batch):
@@ -84,10 +87,22 @@ class RunMetrics(Collector):
 
     def _add_slips(self, batch: Slips) -> None:
         finger = finger_name(batch.finger)
-        for time, state in zip(batch.time.tolist(), batch.state.tolist(), strict=True):
-            self._events.labels(finger, "onset" if state == SLIP else "end").inc()
-            if (latency := self._run.latency(time)) is not None:
+        for slip in slips(batch):
+            self._events.labels(finger, "onset" if slip.onset else "end").inc()
+            if (latency := self._run.latency(slip.time)) is not None:
                 self._latency.labels(finger).observe(latency / s)
+
+    def _add_scores(self, batch: Scores) -> None:
+        finger = finger_name(batch.finger)
+        doubts = batch.doubt.tolist() if isinstance(batch, Assessed) else [None] * len(batch)
+        found = [
+            Fault(int(barometer), kind)
+            for (where, barometer, kind), active in self._faults.items()
+            if active and where == finger
+        ]
+        for probability, doubt in zip(batch.probability.tolist(), doubts, strict=True):
+            key = finger, quality(probability, found, doubt)[0]
+            self._scores[key] = self._scores.get(key, 0) + 1
 
     def collect(self) -> Iterator[Metric]:
         """Yield the current metrics; called by the registry on each scrape."""
@@ -111,6 +126,10 @@ class RunMetrics(Collector):
         for labels, active in self._faults.items():
             fault.add_metric(labels, active)
         yield fault
+        scores = CounterMetricFamily("slipflow_scores", "Scored samples", labels=["finger", "quality"])
+        for (finger, word), count in self._scores.items():
+            scores.add_metric([finger, word], count)
+        yield scores
 
     def _clocks(self) -> Iterator[Metric]:
         steps = self._run.clock_steps

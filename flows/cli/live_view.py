@@ -90,7 +90,7 @@ def page_streams(flow: "Flow") -> "list[Node]":
 
 
 def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None" = None) -> None:
-    """Add a sink to a flow that serves metrics of its run and of its first slips, faults and clocks.
+    """Add a sink to a flow that serves metrics of its run, and of its first slips, faults, scores and clocks.
 
     Args:
         flow: Flow to change.
@@ -98,12 +98,11 @@ def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None
         opened: Called with the URL when the metrics are served; the default prints it.
     """
     from connectors import Metrics
-    from operators import Clocks, Faults, Slips
+    from operators import Clocks, Faults, Scores, Slips
 
     host, port = parse_address("--metrics", listen)
-    inputs = [
-        next((node for node in flow.nodes if node.gives is kind), None) for kind in (Slips, Faults, Clocks)
-    ]
+    kinds = Slips, Faults, Scores, Clocks
+    inputs = [next((node for node in flow.nodes if node.gives is kind), None) for kind in kinds]
     metrics = Metrics(port, host, opened=opened or (lambda url: note(f"metrics: {url}")))
     flow.add("metrics", metrics, *filter(None, inputs))
 

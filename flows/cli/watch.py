@@ -70,11 +70,13 @@ def _line(event: "Event", now: int) -> str:
 
     where = f"{event.site}/{event.rig} finger {event.finger}"
     probability = "" if event.probability is None else f"  p {event.probability:.2f}"
+    known = event.direction_deg is not None
+    direction = f"  direction {event.direction_deg:.0f} deg" if known else ""
     quality = f"  {event.quality}: {event.reason}" if event.reason else ""
     when = timestamp(event.time)[:23].replace("T", " ")
     created = "" if event.latency is None else f"{event.latency:.1f} ms, "
     delay = f"{created}here after {span(now - event.time)}"
-    return f"{when}  {where}  slip {event.state:5}{probability}  {delay}{quality}"
+    return f"{when}  {where}  slip {event.state:5}{probability}{direction}  {delay}{quality}"
 
 
 def span(time: int) -> str:

@@ -96,7 +96,7 @@ class Tcn(ForOneFingertip):
         """Return a new stream for `fingers` fingertips that are sampled together."""
         from operators.detectors.tcn_stream import TcnStream  # noqa: PLC0415 - imports numba
 
-        return TcnStream(self.layers, self.position_scale, self.step_scale, fingers)
+        return TcnStream(self.layers, self.position_scale, self.step_scale, self.heads, fingers)
 
     def _features(self, counts: Floats, before: Floats) -> Floats:
         parts = np.arcsinh(counts / self.position_scale), np.arcsinh((counts - before) / self.step_scale)

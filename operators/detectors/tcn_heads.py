@@ -29,6 +29,11 @@ class Familiarity:
     limit: np.float32  # squared distance above which a sample is doubtful
     samples: np.float32  # time constant of the exponential mean
 
+    @property
+    def whitening_layer(self) -> CausalLayer:
+        """The whitening as a dense layer."""
+        return CausalLayer(self.whitening[None], np.zeros_like(self.mean))
+
 
 @dataclass(frozen=True, eq=False)
 class Heads:
@@ -36,6 +41,9 @@ class Heads:
 
     velocity: tuple[CausalLayer, ...] = ()  # dense layers
     familiarity: Familiarity | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.velocity) or self.familiarity is not None
 
     @property
     def weights(self) -> dict[str, Floats]:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from importlib import import_module
+from math import degrees, isnan
 from pathlib import Path
 from typing import Any, Final
 
@@ -148,8 +149,12 @@ def _batches(session: Session, kind: type[AnyBatch]) -> Iterator[AnyBatch]:
 
 
 def _slip_texts(batch: Slips) -> list[str]:
-    rows = zip(batch.state.tolist(), batch.probability.tolist(), strict=True)
-    return [f"slip {'onset' if state == SLIP else 'end'}  p {probability:.2f}" for state, probability in rows]
+    rows = zip(batch.state.tolist(), batch.probability.tolist(), batch.direction.tolist(), strict=True)
+    return [
+        f"slip {'onset' if state == SLIP else 'end'}  p {probability:.2f}"
+        + ("" if isnan(direction) else f"  direction {degrees(direction) % 360:.0f} deg")
+        for state, probability, direction in rows
+    ]
 
 
 def _fault_texts(batch: Faults) -> list[str]:

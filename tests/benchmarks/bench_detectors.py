@@ -1,7 +1,8 @@
 """What a sample costs our TCN, by its filters: streaming, and on windows; batch 1, one core, CPU time.
 
 Run by `make bench`. Streaming takes sample after sample, of one fingertip or of 64 or 1000 that are sampled
-together, then per fingertip; live is one fingertip's batches of one through `Score`. Windowed takes a whole
+together, then per fingertip; live is one fingertip's batches of one through `Score`. Heads are the
+familiarity with the input alone, or with the velocity. Windowed takes a whole
 window for each sample, as those must who do not stream. Weights are random: they cost what trained ones do.
 All variants take turns, so that a change of the machine's speed hits all of them; the table shows medians.
 """
@@ -11,6 +12,7 @@ import gc
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -21,6 +23,7 @@ from operators import Score, Zeroed, ms
 from operators.batch import Counts
 from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
+from operators.detectors.tcn_heads import head_shapes
 from tests.benchmarks.machine import commit, machine
 
 FILTERS = (4, 8, 12, 16, 24)
@@ -29,11 +32,17 @@ SAMPLES = 2000  # of one fingertip
 Run = Callable[[], int]  # says how many samples it scored
 
 
-def network(filters: int, seed: int) -> Tcn:
-    """Our TCN with random weights: a receptive field of 100 samples."""
+HEADS = {"": "-", " + familiarity": "familiar", " + both heads": ""}  # prefix of their arrays
+
+
+def network(filters: int, seed: int, heads: str = "-") -> Tcn:
+    """Our TCN with random weights: a receptive field of 100 samples; heads whose arrays have this prefix."""
     rng = np.random.default_rng([seed, filters])
     sizes = shapes(taps=8, filters=filters, units=24, blocks=3)
+    sizes |= {name: shape for name, shape in head_shapes(filters).items() if name.startswith(heads)}
     weights = {name: rng.normal(size=shape) / np.sqrt(np.prod(shape[:-1])) for name, shape in sizes.items()}
+    if heads != "-":
+        weights |= {"familiar/limit": np.array([50.0]), "familiar/samples": np.array([100.0])}
     scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
     return Tcn(weights | scales | {"dilations": np.array([1, 2, 4])})
 
@@ -44,7 +53,7 @@ def streaming(tcn: Tcn, counts: Counts, fingers: int) -> Run:
 
     def run() -> int:
         for row in rows:
-            stream.push(row)
+            stream.assess(row)
         return len(rows) * fingers
 
     return run
@@ -86,12 +95,15 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
     for same in (tcn.score(windows), eager.score(windows), runtime.score(windows)):
         np.testing.assert_allclose(same, streamed, atol=1e-5)
     return {
-        "streaming": streaming(tcn, counts, 1),
         **{
             f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
             for fingers in FINGERS
         },
-        "live, through Score": live(tcn, counts),
+        **{
+            f"{name}{extra}": of(network(filters, seed, heads), counts)
+            for extra, heads in HEADS.items()
+            for name, of in (("streaming", partial(streaming, fingers=1)), ("live, through Score", live))
+        },
         "windowed, numpy": windowed(tcn, counts, 200),
         "windowed, onnxruntime": windowed(runtime, counts, 100),
         "windowed, torch eager": windowed(eager, counts, 20),
@@ -128,6 +140,15 @@ def main() -> None:
     for name in dict.fromkeys(name for name, _ in cost):
         medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
         print(f"{name:36}" + "".join(f"{median:9.2f}" for median in medians))
+    for extra in list(HEADS)[1:]:
+        pairs = [
+            (cost[f"live, through Score{extra}", filters], cost["live, through Score", filters])
+            for filters in FILTERS
+        ]
+        added = [statistics.median(a / b - 1 for a, b in zip(*pair, strict=True)) for pair in pairs]
+        print(
+            f"{'Score' + extra + ' : Score':36}" + "".join(f"{f'+{100 * part:.0f} %':>9}" for part in added)
+        )
     for name in ("windowed, onnxruntime", "windowed, torch eager"):
         pairs = [(cost[name, filters], cost["streaming", filters]) for filters in FILTERS]
         ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]

@@ -39,6 +39,10 @@ events = st.builds(
     degraded=st.lists(st.builds(Fault, st.integers(0, 5), names | st.just("saturated")), max_size=3).map(
         tuple
     ),
+    session=st.none() | names,
+    doubt=st.none() | st.floats(0, 1e9),
+    direction_deg=st.none() | st.floats(0, 360) | st.integers(0, 359),
+    direction_sd_deg=st.none() | st.floats(0, 104),
 )
 
 EVENT = Event(
@@ -56,12 +60,18 @@ EVENT = Event(
 READ: list[tuple[str | int, ...]] = [
     *[(name,) for name in SCHEMA["required"] if name not in ("time", "datacontenttype")],
     *[("data", name) for name in SCHEMA["properties"]["data"]["required"] if name != "quality"],
+    ("data", "doubt"),
+    ("data", "direction_deg"),
+    ("data", "direction_sd_deg"),
     ("data", "model", "id"),
     ("data", "model", "sha256"),
     ("data", "degraded", 0),
     ("data", "degraded", 0, "barometer"),
     ("data", "degraded", 0, "kind"),
 ]
+
+
+OPTIONAL = {("doubt",), ("direction_deg",), ("direction_sd_deg",), ("degraded", 0)}
 
 
 def altered(path: tuple[str | int, ...], *value: Json) -> bytes:
@@ -118,6 +128,28 @@ def test_broken_cells_make_an_event_doubtful_and_a_missing_probability_makes_it_
     assert is_valid(event.encode())
 
 
+@pytest.mark.parametrize(("doubt", "quality"), [(None, "good"), (1.0, "good"), (1.1, "doubtful")])
+def test_an_input_unlike_the_training_data_makes_an_event_doubtful(doubt: float | None, quality: str) -> None:
+    event = replace(EVENT, degraded=(), doubt=doubt)
+    assert (event.quality, event.reason) == (quality, "unfamiliar input" if quality == "doubtful" else None)
+    assert is_valid(event.encode())
+    worn = replace(event, degraded=(Fault(2, "stuck"),))
+    assert worn.reason == "barometer 2 stuck" + (", unfamiliar input" if quality == "doubtful" else "")
+    assert is_valid(worn.encode())
+    document = json.loads(event.encode())
+    document["data"]["quality"] = "good" if quality == "doubtful" else "doubtful"
+    assert not is_valid(json.dumps(document).encode())
+
+
+def test_an_event_from_before_doubt_and_direction_is_valid() -> None:
+    document = json.loads(EVENT.encode())
+    for (name,) in (path for path in OPTIONAL if len(path) == 1):
+        del document["data"][name]
+    payload = json.dumps(document).encode()
+    assert is_valid(payload)
+    assert Event.decode(payload) == EVENT
+
+
 @pytest.mark.parametrize("quality", ["good", "blind"])
 def test_the_schema_rejects_a_quality_that_contradicts_the_faults(quality: str) -> None:
     assert not is_valid(altered(("data", "quality"), quality))
@@ -138,7 +170,7 @@ def test_a_value_that_violates_the_schema_is_rejected_by_name(
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("path", [path for path in READ if path != ("data", "degraded", 0)], ids=str)
+@pytest.mark.parametrize("path", [path for path in READ if path[1:] not in OPTIONAL], ids=str)
 def test_a_missing_field_is_named(path: tuple[str | int, ...]) -> None:
     assert not is_valid(altered(path))
     with pytest.raises(InputError, match=f"{path[-1]} is missing"):

@@ -19,6 +19,7 @@ from operators import (
     STATIC,
     UNKNOWN,
     Align,
+    Assessed,
     Batch,
     Debounce,
     DeviceClock,
@@ -57,6 +58,7 @@ from operators.detectors import (
     paper_tcn,
     tcn,
 )
+from operators.detectors.tcn_heads import head_shapes
 from operators.operator import Step, input_types, output_type
 from tests.operators.plain_loops import use_plain_loops
 
@@ -144,6 +146,11 @@ def _scores(rng: np.random.Generator, rows: int) -> Scores:
     return Scores(_times(rng, rows, 10 * ms), level - rng.random(rows) / 20, finger=_FINGER)
 
 
+def _assessed(rng: np.random.Generator, rows: int) -> Assessed:
+    scores = _scores(rng, rows)
+    return Assessed(scores.time, scores.probability, *rng.normal(size=(3, rows)), finger=_FINGER)
+
+
 def _truth(rng: np.random.Generator, rows: int) -> Truth:
     sliding = _held(rng, (0.0, 0.003, 0.05), (rows, 1), 6)[:, 0] * rng.random(rows)
     return Truth(_times(rng, rows, 10 * ms), sliding, np.ones(rows), np.zeros((rows, 3)), finger=_FINGER)
@@ -171,11 +178,13 @@ def _frequency_cnn(kind: type[FrequencyCnn]) -> FrequencyCnn:
     return kind(weights | {"std": np.abs(weights["std"])})
 
 
-def _tcn() -> Tcn:
+def _tcn(*, heads: bool = False) -> Tcn:
     rng = np.random.default_rng(0)
     sizes = tcn.shapes(taps=3, filters=5, units=4, blocks=2)
     weights = {name: rng.normal(size=shape) / 3 for name, shape in sizes.items()}
     scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
+    for name, shape in head_shapes(5).items() if heads else ():
+        weights[name] = np.full(shape, 9.0) if shape == (1,) else rng.normal(size=shape) / 3
     return Tcn(weights | scales | {"dilations": np.array([1, 3])})
 
 
@@ -226,7 +235,10 @@ CASES: Final = [
     Case(Score(_frequency_cnn(InterleavedFrequencyCnn), hop=5), (_touch(Zeroed),), snapshot=150_000),
     Case(Score(_tcn()), (_touch(Zeroed),), snapshot=10_000),
     Case(Score(_tcn(), hop=4), (_touch(Zeroed),), snapshot=10_000),
+    Case(Score(_tcn(heads=True)), (_touch(Zeroed),), snapshot=30_000),
+    Case(Score(_tcn(heads=True), hop=4), (_touch(Zeroed),), snapshot=30_000),
     Case(Debounce(), (_scores,)),
+    Case(Debounce(), (_assessed,)),
     Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
     Case(Grip(), (_scores,)),
     Case(
@@ -286,7 +298,12 @@ def _push(step: Step, piece: Streams) -> Batch:
 def _run(step: Step, pieces: Iterable[Streams]) -> Batch:
     results = [_push(step, piece) for piece in pieces]
     results.append(cast("Any", step).flush())
-    return concat(output_type(type(step)), results)
+    return _joined(output_type(type(step)), results)
+
+
+def _joined(kind: type[Batch], results: Sequence[Batch]) -> Batch:
+    """All rows, with the columns of a subtype."""
+    return concat(next((type(each) for each in results if len(each)), kind), results)
 
 
 def _pickled(value: Value) -> Value:
@@ -308,13 +325,13 @@ def test_cutting_the_input_anywhere_changes_nothing(
     streams, step, clean = case.streams(seed, rows), case.step.reset_copy(), case.step.reset_copy()
     kept, copies = tuple(_kept(stream) for stream in streams), _pickled(streams)
     kind, results = output_type(type(step)), [_push(step, piece) for piece in _pieces(streams, cuts)]
-    pushed = _pickled(concat(kind, results))
-    found = concat(kind, [*results, cast("Any", step).flush()]).check_order()
+    pushed = _pickled(_joined(kind, results))
+    found = _joined(kind, [*results, cast("Any", step).flush()]).check_order()
     same(found, _run(clean, [kept]))
     assert step.late == sum(map(len, streams)) - sum(map(len, kept))
     assert clean.late == 0
     _push(step, tuple(replace(stream, time=stream.time + 10 * s) for stream in streams))
-    for now, then in zip([*streams, concat(kind, results)], [*copies, pushed], strict=True):
+    for now, then in zip([*streams, _joined(kind, results)], [*copies, pushed], strict=True):
         same(now, then)
 
 
@@ -331,7 +348,7 @@ def test_pickling_midstream_or_a_reset_changes_nothing(
     again = step.reset_copy()
     assert repr(again) == repr(step)
     assert again.late == 0
-    same(concat(type(before), [before, after]), _run(again, [streams]))
+    same(_joined(output_type(type(step)), [before, after]), _run(again, [streams]))
 
 
 @pytest.mark.parametrize("align", [case.step for case in CASES if isinstance(case.step, Align)], ids=repr)

@@ -23,8 +23,8 @@ from operators.batch import (
     columns,
     concat,
 )
-from operators.errors import BatchError
-from storage.layout import EPISODES, SAMPLES, TABLE_OF, TABLES, Table
+from operators.errors import BatchError, InputError
+from storage.layout import EPISODES, SAMPLES, SLIPS, TABLE_OF, TABLES, Table
 from storage.parts import read_part, write_part
 from storage.schema import batch_type, from_arrow, schema, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
@@ -54,7 +54,7 @@ def test_columns_stand_in_the_order_that_the_dataset_promises() -> None:
         "touch": ["time", "finger", "counts", "temperature", "valid"],
         "motion": ["time", "device_time", "velocity", "pose"],
         "samples": ["time", "finger", "counts", "valid", "velocity", "speed", "label"],
-        "slips": ["time", "finger", "state", "start", "probability"],
+        "slips": ["time", "finger", "state", "start", "probability", "doubt", "direction", "deviation"],
         "faults": ["time", "finger", "barometer", "kind", "active"],
         "clocks": ["time", "offset", "drift", "residual"],
         "episodes": [
@@ -85,6 +85,19 @@ def test_polars_reads_arrays_with_their_width(tmp_path: Path, kind: type[Batch])
             assert frame[name].to_list() == [column.names[code] for code in expected]
             continue
         assert frame[name].to_numpy().tobytes() == expected.tobytes()
+
+
+def test_columns_that_a_file_lacks_are_unknown_if_they_are_optional(tmp_path: Path) -> None:
+    batch = new_batch(Slips)
+    rows: Any = to_arrow(SLIPS, [batch])
+    write_part(tmp_path / "x.parquet", rows.drop_columns(["doubt", "direction", "deviation"]))
+    found = from_arrow(SLIPS, Slips, read_part(tmp_path / "x.parquet", schema(SLIPS)))[batch.finger]
+    same(found, Slips(batch.time, batch.state, batch.start, batch.probability, finger=batch.finger))
+    assert isinstance(found, Slips)
+    assert np.isnan([found.doubt, found.direction, found.deviation]).all()
+    write_part(tmp_path / "y.parquet", rows.drop_columns(["probability"]))
+    with pytest.raises(InputError, match="has no column 'probability'"):
+        read_part(tmp_path / "y.parquet", schema(SLIPS))
 
 
 def test_codes_are_stored_by_name_and_come_back_whatever_codes_the_file_uses() -> None:

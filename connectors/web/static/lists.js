@@ -4,6 +4,7 @@ import { element, write } from "./pad.js";
 
 const LIVE_MAX = 100; // events kept of a run
 const LISTED_MAX = 1000; // events listed of a recording
+const ARROWS = "→↗↑↖←↙↓↘"; // of 0, 45, ... degrees
 const number = new Intl.NumberFormat("en");
 
 export class Events {
@@ -83,11 +84,15 @@ function row(event, time, go) {
   tr.append(
     first,
     cell(event.finger),
-    cell(event.onset ? "slip onset" : "slip end", event.onset ? "onset" : ""),
+    cell(event.onset ? `slip onset${towards(event.direction)}` : "slip end", event.onset ? "onset" : ""),
     cell(event.p === null ? "–" : event.p.toFixed(2), "number probability"),
     cell(event.latency === null ? "–" : `${event.latency.toFixed(1)} ms`, "number latency"),
   );
   return tr;
+}
+
+function towards(direction) {
+  return (direction ?? null) === null ? "" : ` ${ARROWS[Math.round(direction / 45) % 8]} ${direction}°`;
 }
 
 export class Health {

@@ -37,6 +37,8 @@ class View {
     this.streams = new Streams(this.sign);
     this.faults = {};
     this.slipping = new Set();
+    this.quality = {}; // of the newest score: word and reason, by fingertip
+    this.direction = {}; // of sliding: angle and standard deviation, degrees, by fingertip that slips
     this.events.clear();
     this.deepest = 100;
     this.hasMotion = false;
@@ -210,6 +212,18 @@ class View {
     };
     write($("probability"), near(figures.scoring(this.finger), 2));
     write($("speed"), near(figures.speed, 1));
+    this.#showAssessment();
+  }
+
+  #showAssessment() {
+    const of = (known) => known[this.finger] ?? known.every ?? [];
+    const [word, reason] = of(this.quality), [angle, deviation] = of(this.direction);
+    $("quality").hidden = !word;
+    $("quality").classList.toggle("bad", word !== "good");
+    write($("quality"), reason ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : `Quality: ${word}`);
+    $("direction").hidden = (angle ?? null) === null;
+    $("arrow").style.rotate = `${-angle}deg`;
+    write($("angle"), `${angle}° ± ${deviation}°`);
   }
 }
 

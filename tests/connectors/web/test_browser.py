@@ -14,7 +14,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
+from operators import Assessed, Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
 from operators.fingertip import Fingertip, grid
 from storage import load_detector
 from tests.connectors.web.browsing import Served, ServedPage, ServedRecording, Watched, shaking
@@ -185,6 +185,32 @@ def test_a_slip_is_announced_and_shown_in_the_title(watched: Watched) -> None:
         for name in ("Pressure of each barometer", "Slip probability", "TCP speed"):
             expect(tab.get_by_role("img", name=name)).to_be_visible()
         expect(tab.get_by_role("table", name="Pressure of fingertip 0")).to_be_visible()
+
+
+def test_quality_and_direction_of_a_slip_are_shown(watched: Watched) -> None:
+    tab = watched.tab
+
+    def assessed(time: int, doubt: float) -> Assessed:
+        columns = (np.array([value]) for value in (0.9, doubt, np.pi / 3, 0.2))
+        return Assessed(np.array([time]), *columns, finger=0)
+
+    with ServedPage() as served:
+        tab.goto(served.url)
+        served.touch(-40)
+        served.write(assessed(served.run.clock.now(), 0.4))
+        expect(tab.locator("#quality")).to_have_text("Quality: good")
+        expect(tab.locator("#direction")).to_be_hidden()
+        served.touch(-90)
+        now, columns = served.run.clock.now(), np.array([[0.9], [1.4], [np.pi / 3], [0.2]])
+        served.write(assessed(now, 1.4))
+        served.write(Slips(np.array([now]), np.ones(1, np.int8), np.array([now]), *columns, finger=0))
+        expect(tab.locator("#quality")).to_have_text("Doubtful: unfamiliar input")
+        expect(tab.locator("#angle")).to_have_text("60° ± 11°")
+        expect(tab.locator("#arrow")).to_have_css("rotate", "-60deg")
+        expect(tab.locator("#events tr").first).to_contain_text("slip onset ↗ 60°")
+        served.slip(0)
+        expect(tab.locator("#direction")).to_be_hidden()
+    assert watched.complaints == []
 
 
 def test_without_motion_the_speed_chart_is_hidden(watched: Watched) -> None:

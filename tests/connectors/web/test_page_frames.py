@@ -6,7 +6,7 @@ import pytest
 
 from connectors.events import encode
 from connectors.web.page_frames import EVENTS_KEPT, FINGERS_MAX, KEPT, STEP, Frames, Track, rows_json
-from operators.batch import EVERY, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
+from operators.batch import EVERY, Assessed, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
 from operators.health import FaultKind
 from operators.ports import Json, Run
 
@@ -47,8 +47,11 @@ def test_a_frame_has_the_new_rows_of_each_stream(frames: Frames) -> None:
         "now": 10_000.0,
         "slipping": [],
         "faults": {},
+        "quality": {"2": ["good", None]},
+        "direction": {},
     }
-    assert document(frames.next()) == {"now": 10_000.0, "slipping": [], "faults": {}}
+    state: dict[str, Any] = {"slipping": [], "faults": {}, "quality": {"2": ["good", None]}, "direction": {}}
+    assert document(frames.next()) == {"now": 10_000.0, **state}
     assert document(rows_json(frames.rows(), START))["touch"]["2"]["t"] == [10.0]
 
 
@@ -65,13 +68,35 @@ def test_an_event_has_its_latency_and_a_fingertip_slips_from_onset_to_end(frames
     frame = document(frames.next())
     assert frame["slipping"] == ["1"]
     assert frame["events"] == [
-        {"id": 1, "t": 9_992.0, "finger": "1", "onset": True, "p": 0.9, "latency": 8.0}
+        {"id": 1, "t": 9_992.0, "finger": "1", "onset": True, "p": 0.9, "direction": None, "latency": 8.0}
     ]
     assert document(frames.next())["slipping"] == ["1"]
     frames.add(slips(NOW, 0, finger=1))
     frame = document(frames.next())
     assert frame["slipping"] == []
     assert [event["id"] for event in frame["events"]] == [2]
+
+
+def test_quality_and_direction_are_those_of_the_newest_score(frames: Frames) -> None:
+    def score(doubt: float, direction: float, finger: int = 1) -> Assessed:
+        columns = (np.array([0.5, value]) for value in (0.9, doubt, direction, 0.2))
+        return Assessed(np.array([START, START + 10 * ms]), *columns, finger=finger)
+
+    def state() -> tuple[Any, Any]:
+        frame = document(frames.next())
+        return frame["quality"], frame["direction"]
+
+    frames.add(score(0.5, np.pi / 2))
+    assert state() == ({"1": ["good", None]}, {})  # no direction without slip
+    frames.add(slips(START, 1, finger=1))
+    frames.add(score(1.5, -np.pi / 2))
+    assert state() == ({"1": ["doubtful", "unfamiliar input"]}, {"1": [270, 11]})
+    kinds = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
+    frames.add(Faults(np.array([START]), *kinds, finger=1))
+    frames.add(score(0.5, np.nan))
+    assert state() == ({"1": ["doubtful", "barometer 3 stuck"]}, {"1": [None, 11]})
+    frames.add(Scores(np.array([START + 20 * ms]), np.array([np.nan]), finger=1))
+    assert state() == ({"1": ["blind", "no probability"]}, {})
 
 
 def test_a_replay_at_full_speed_has_no_latency(frames: Frames, run: Run) -> None:

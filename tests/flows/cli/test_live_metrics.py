@@ -12,7 +12,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
-from operators import Clock, Debounce, Scores, Slips, Source
+from operators import Clock, Debounce, Scores, Slips, Source, Touch
 
 
 def slipping() -> Flow:
@@ -22,12 +22,12 @@ def slipping() -> Flow:
     return flow
 
 
-def test_the_metrics_take_slips_faults_and_clocks() -> None:
+def test_the_metrics_take_slips_faults_scores_and_clocks() -> None:
     flow = slipping()
     add_metrics(flow, "0")
     assert problems(flow) == []
     [node] = [node for node in flow.nodes if isinstance(node.part, Metrics)]
-    assert [parent.gives for parent in node.inputs] == [Slips]
+    assert [parent.gives for parent in node.inputs] == [Slips, Scores]
 
 
 def test_a_flow_without_slips_has_metrics() -> None:
@@ -45,7 +45,7 @@ def test_a_flow_without_slips_has_metrics() -> None:
 
 def test_two_metrics_at_one_address_are_an_error() -> None:
     flow = Flow("scored")
-    flow.source(TestSource(Scores)).to(TestSink())
+    flow.source(TestSource(Touch)).to(TestSink())
     add_metrics(flow, "9464")
     add_metrics(flow, "9464")
     [problem] = problems(flow)

@@ -68,11 +68,16 @@ def _windows(counts: NDArray[Any], length: int) -> Counts:
 
 def _reference(weights: Arrays, counts: Counts) -> Reals:
     """The network over a whole recording (n, 6) in torch, each convolution padded with zeros before; (n,)."""
+    return _network(weights, counts)[0]
+
+
+def _network(weights: Arrays, counts: Counts) -> tuple[Reals, Reals]:
+    """Probability (n,) and features (n, filters)."""
     tensors = {name: torch.tensor(array).double() for name, array in weights.items()}
     readings = torch.tensor(counts.T).double()[None]  # (1, 6, n)
     steps = torch.diff(readings, prepend=readings[..., :1])
-    features = readings / tensors["position_scale"], steps / tensors["step_scale"]
-    values = torch.asinh(torch.cat(features, dim=1))  # (1, 12, n)
+    inputs = readings / tensors["position_scale"], steps / tensors["step_scale"]
+    values = torch.asinh(torch.cat(inputs, dim=1))  # (1, 12, n)
 
     def layer(inputs: torch.Tensor, name: str, dilation: int = 1) -> torch.Tensor:
         kernel = tensors[f"{name}/kernel"]
@@ -84,10 +89,29 @@ def _reference(weights: Arrays, counts: Counts) -> Reals:
         inner = layer(values, f"conv{2 * block}", dilation).relu()
         outer = layer(inner, f"conv{2 * block + 1}", dilation).relu()
         values = outer + values if outer.shape == values.shape else outer
+    features: Reals = values[0].T.numpy()
     for dense in ("dense0", "dense1"):
         values = layer(values, dense).relu()
     probability: Reals = layer(values, "out").sigmoid()[0, 0].numpy()
-    return probability
+    return probability, features
+
+
+def _assessed(weights: Arrays, counts: Counts) -> Reals:
+    """Doubt, direction and its deviation over a whole recording (n, 6) in numpy; (3, n)."""
+    features, length = _network(weights, counts)[1], Tcn(weights).length
+    values = features
+    for name in ("velocity0", "velocity1"):
+        values = np.maximum(values @ weights[f"{name}/kernel"] + weights[f"{name}/bias"], 0)
+    x, y, *logs = (values @ weights["velocity/kernel"] + weights["velocity/bias"]).T.astype(np.float64)
+    direction, speed, (along_x, along_y) = np.arctan2(y, x), np.hypot(x, y), np.exp(logs)
+    deviation = np.hypot(along_x * np.sin(direction), along_y * np.cos(direction)) / speed
+    doubt = np.full(len(counts), np.nan)
+    mean = features[length - 1]
+    for row in range(length - 1, len(counts)):
+        mean = mean + (features[row] - mean) / weights["familiar/samples"]
+        away = (mean - weights["familiar/mean"]) @ weights["familiar/whitening"]
+        doubt[row] = (away**2).sum() / weights["familiar/limit"][0]
+    return np.stack((doubt, direction, np.minimum(deviation, np.pi / np.sqrt(3))))
 
 
 @sized
@@ -99,6 +123,30 @@ def test_streaming_windowed_and_dense_are_the_same_function(size: Size) -> None:
     streamed = tcn.stream().push(counts)[:, 0]
     np.testing.assert_allclose(tcn.score(_windows(counts[:, 0], tcn.length)), expected[judged], atol=1e-5)
     np.testing.assert_allclose(streamed, expected, atol=1e-5)  # before a window is full, too
+
+
+@sized
+def test_the_heads_agree_with_a_plain_reference(size: Size) -> None:
+    weights, counts = _with_heads(size), _counts(400)
+    tcn, expected = Tcn(weights), _assessed(weights, counts[:, 0])
+    found = tcn.stream().assess(counts)[:, :, 0]
+    np.testing.assert_array_equal(found[0], Tcn(_weights(size)).stream().push(counts)[:, 0])
+    np.testing.assert_allclose(found[1], expected[0], rtol=1e-4)
+    turned = np.remainder(found[2] - expected[1] + np.pi, 2 * np.pi) - np.pi
+    np.testing.assert_allclose(turned, 0, atol=1e-3)
+    np.testing.assert_allclose(found[3], expected[2], rtol=1e-3)
+    assert np.ptp(found[1, tcn.length :]) > 0.1 * np.nanmean(found[1])
+    assert np.ptp(found[2]) > 0.1
+
+
+@pytest.mark.parametrize(("head", "unknown"), [("velocity", [2, 3]), ("familiar", [1])])
+def test_a_missing_head_leaves_its_results_unknown(head: str, unknown: list[int]) -> None:
+    weights, counts = _with_heads(), _counts(60)
+    expected = Tcn(weights).stream().assess(counts)
+    expected[unknown] = np.nan
+    without = {name: array for name, array in weights.items() if not name.startswith(head)}
+    np.testing.assert_array_equal(Tcn(without).stream().assess(counts), expected)
+    assert Tcn(_weights()).stream().assess(counts).shape == (1, 60, 1)
 
 
 @sized
@@ -121,27 +169,27 @@ def test_the_default_size_judges_by_a_second() -> None:
 
 
 def test_fingertips_are_scored_independently() -> None:
-    tcn, counts = Tcn(_weights(SIZES[0])), _counts(200, fingers=7)
-    together = tcn.stream(7).push(counts)
-    alone = [tcn.stream().push(counts[:, [finger]])[:, 0] for finger in range(7)]
-    np.testing.assert_array_equal(together, np.transpose(alone))
-    assert np.ptp(together, axis=1).max() > 0.01
+    tcn, counts = Tcn(_with_heads(SIZES[0])), _counts(200, fingers=7)
+    together = tcn.stream(7).assess(counts)
+    alone = [tcn.stream().assess(counts[:, [finger]]) for finger in range(7)]
+    np.testing.assert_array_equal(together, np.concatenate(alone, axis=2))
+    assert np.nanmax(np.ptp(together, axis=2), axis=1).min() > 0.01
 
 
 @given(cuts=st.lists(st.integers(0, 120), max_size=8), fingers=st.sampled_from([1, 3]))
 def test_however_the_samples_are_cut_the_bits_are_the_same(cuts: list[int], fingers: int) -> None:
-    tcn, counts = Tcn(_weights()), _counts(120, fingers)
+    tcn, counts = Tcn(_with_heads()), _counts(120, fingers)
     stream = tcn.stream(fingers)
-    pieces = [stream.push(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
-    np.testing.assert_array_equal(np.concatenate(pieces), tcn.stream(fingers).push(counts))
+    pieces = [stream.assess(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
+    np.testing.assert_array_equal(np.concatenate(pieces, axis=1), tcn.stream(fingers).assess(counts))
 
 
 @given(cut=st.integers(0, 120))
 def test_pickling_midstream_and_going_on_changes_nothing(cut: int) -> None:
-    stream, counts = Tcn(_weights()).stream(2), _counts(120, fingers=2)
+    stream, counts = Tcn(_with_heads()).stream(2), _counts(120, fingers=2)
     stream.push(counts[:cut])
     again = pickle.loads(pickle.dumps(stream))  # noqa: S301 our own bytes
-    np.testing.assert_array_equal(again.push(counts[cut:]), stream.push(counts[cut:]))
+    np.testing.assert_array_equal(again.assess(counts[cut:]), stream.assess(counts[cut:]))
 
 
 def test_a_new_stream_has_seen_nothing() -> None:
@@ -184,10 +232,12 @@ def test_counts_that_are_no_10_bit_integers_are_judged_as_in_windows() -> None:
 
 
 def test_a_count_that_is_nan_is_not_judged_and_is_forgotten_after_a_window() -> None:
-    tcn, counts = Tcn(_weights()), _counts(60).astype(np.float64)
+    tcn, counts = Tcn(_with_heads()), _counts(60).astype(np.float64)
     counts[20, 0, 3] = np.nan
     windows = _windows(counts[:, 0], tcn.length)
-    unknown = np.isnan(tcn.stream().push(counts)[:, 0])
+    unknown, *heads = np.isnan(tcn.stream().assess(counts)[..., 0])
+    for head in heads:
+        np.testing.assert_array_equal(head[20:], unknown[20:])
     assert np.flatnonzero(unknown)[0] == 20
     assert not unknown[20 + tcn.length :].any()
     np.testing.assert_array_equal(unknown[tcn.length - 1 :], np.isnan(tcn.score(windows)))

@@ -81,13 +81,17 @@ def test_the_probability_is_the_detectors_output(tmp_path: Path) -> None:
 @pytest.mark.rerun
 def test_slips_and_faults_are_lines_of_text(tmp_path: Path) -> None:
     time = np.array([s, 2 * s])
-    slips = Slips(time, np.array([1, 0], np.int8), time, np.array([0.93, 0.1]), finger=2)
+    turned = np.array([-np.pi / 2, np.nan])
+    slips = Slips(time, np.array([1, 0], np.int8), time, np.array([0.93, 0.1]), direction=turned, finger=2)
     cells, kinds = np.array([3, 3], np.int8), np.array([1, 1], np.int8)
     faults = Faults(time, cells, kinds, np.array([True, False]), finger=0)
     path = tmp_path / "one.rrd"
     export(record(tmp_path, [slips, faults]), path)
     found = read(path)
-    assert found["/slip/2"]["TextLog:text"] == [["slip onset  p 0.93"], ["slip end  p 0.10"]]
+    assert found["/slip/2"]["TextLog:text"] == [
+        ["slip onset  p 0.93  direction 270 deg"],
+        ["slip end  p 0.10"],
+    ]
     assert found["/slip/2"]["time"] == time.tolist()
     assert [text for [text] in found["/faults"]["TextLog:text"]] == [
         "finger 0 barometer 3 stuck begins",
