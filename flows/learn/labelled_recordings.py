@@ -111,6 +111,12 @@ class LabelledRecording:
         """Return the indices of every `hop`-th sample after the warm-up."""
         return np.arange(WARM_UP, len(self), hop)
 
+    def known(self, hop: int) -> NDArray[np.intp]:
+        """Return those of `evaluated` with a known label."""
+        at = self.evaluated(hop)
+        known: NDArray[np.intp] = at[self.label[at] != UNKNOWN]
+        return known
+
 
 def simulated_recordings(
     plan: PaperPlan, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene

@@ -32,15 +32,15 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
 
 
 def windows(recording: LabelledRecording, length: int, hop: int) -> Counts:
-    """Return the windows (k, length, cells) that end at the evaluated samples of a recording."""
+    """Return the windows (k, length, cells) that end at the evaluated samples with a known label."""
     view = sliding_window_view(recording.counts, length, axis=0)  # (n - length + 1, 6, length)
-    picked: Counts = view[recording.evaluated(hop) + 1 - length].transpose(0, 2, 1)
+    picked: Counts = view[recording.known(hop) + 1 - length].transpose(0, 2, 1)
     return picked
 
 
 def labels(recordings: Sequence[LabelledRecording], hop: int) -> Flags:
-    """Return True for each evaluated sample of the recordings that is labelled slip; (k,)."""
-    return np.concatenate([recording.slip[recording.evaluated(hop)] for recording in recordings])
+    """Return True for each evaluated sample with a known label that is labelled slip; (k,)."""
+    return np.concatenate([recording.slip[recording.known(hop)] for recording in recordings])
 
 
 def _zeroed(recording: LabelledRecording) -> Zeroed:

@@ -117,9 +117,9 @@ export class Labels {
   }
 
   #key(event) {
-    if (event.target.closest(TAKES_KEYS) || event.altKey || event.metaKey) return;
+    if (event.target.closest(TAKES_KEYS) || event.altKey) return;
     const key = event.key.toLowerCase();
-    if (event.ctrlKey) {
+    if (event.ctrlKey || event.metaKey) {
       if (key === "z") this.undo();
       else if (key === "s") this.save();
       else return;

@@ -8,7 +8,13 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.labelled_recordings import PERIOD, LabelledRecording, common_fingertip, load
+from flows.learn.labelled_recordings import (
+    PERIOD,
+    LabelledRecording,
+    common_fingertip,
+    hand_label_summary,
+    load,
+)
 from flows.learn.leaks.leak import Leak, shared_leaks
 from operators import s
 from operators.batch import UNKNOWN
@@ -88,6 +94,8 @@ def load_folds(dataset: Path, name: str = "") -> BenchmarkData:
     if not isclose(rate, RATE, rel_tol=RATE_TOLERANCE):
         recordings = load(dataset, RATE)
         notes.append(f"Resample converted the samples from {rate:.0f} to {RATE:g} Hz")
+    if by_hand := hand_label_summary(recordings):
+        notes.append(by_hand[0].upper() + by_hand[1:])
     slip = np.concatenate([each.slip for each in recordings])
     if slip.all() or not slip.any():
         missing = "static" if slip.any() else "slip"

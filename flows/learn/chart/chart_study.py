@@ -12,7 +12,7 @@ from flows.learn.chart.detector_speed import costs
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
 from flows.learn.evaluation.event_metrics import Performance, performances
 from flows.learn.evaluation.methods import trained_methods, with_baselines
-from flows.learn.labelled_recordings import Target, by_split, load
+from flows.learn.labelled_recordings import Target, by_split, hand_label_summary, load
 from flows.learn.scoring import probabilities
 from flows.run.processes import one_thread
 from operators.detectors.detector import Detector, Streaming
@@ -86,7 +86,10 @@ def chart(
     require_extra("train", "chart")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
-    train, validation, test = by_split(load(dataset)).values()
+    recordings = load(dataset)
+    if by_hand := hand_label_summary(recordings):
+        log(by_hand)
+    train, validation, test = by_split(recordings).values()
     for split, part in (("validation", validation), ("test", test)):
         if not part:
             reason = f"has no {split} split: `slipflow simulate` makes datasets with all splits"

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
 from flows.learn.evaluation.event_metrics import (
@@ -200,7 +199,7 @@ class _Evaluator:
         budget: float,
     ) -> None:
         self.recordings, self.validation, self.budget = recordings, validation, budget
-        self.known = [_known(recording) for recording in recordings]
+        self.known = [recording.known(1) for recording in recordings]
         self.slips = [Slips.labelled(recording) for recording in recordings]
 
     def result(self, method: Method) -> MethodResult:
@@ -233,12 +232,6 @@ class _Evaluator:
         if not self.validation:
             return PAPER_RULE, "the paper, as no validation split is left to tune it on"
         return tuned_on(self.validation, method.detector, self.budget), "validation"
-
-
-def _known(recording: LabelledRecording) -> NDArray[np.intp]:
-    at = recording.evaluated(1)
-    known: NDArray[np.intp] = at[recording.label[at] != UNKNOWN]
-    return known
 
 
 def _certain(recording: LabelledRecording) -> Reals:

@@ -84,3 +84,11 @@ def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[one.evaluated(10), 0].tolist()
     assert windows(one, 100, 10)[0].tolist() == counts[:100].tolist()
     assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))
+
+
+def test_samples_with_an_unknown_label_are_not_fitted_to() -> None:
+    counts = np.arange(1800, dtype=np.int16).reshape(300, 6)
+    label = np.where(np.arange(300) < 200, -1, 1).astype(np.int8)
+    recording = LabelledRecording(counts, label, "plane")
+    assert labels([recording], 10).tolist() == [True] * 10
+    assert windows(recording, 25, 10)[:, -1, 0].tolist() == counts[recording.known(10), 0].tolist()

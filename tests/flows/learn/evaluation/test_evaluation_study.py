@@ -56,7 +56,7 @@ def test_a_simulated_dataset_is_compared_with_the_truth_too(found: Evaluation) -
 def test_true_sliding_is_unknown_if_the_dataset_does_not_have_it(
     tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unknown(dataset: Path) -> list[LabelledRecording]:
+    def unknown(dataset: Path, **_: object) -> list[LabelledRecording]:
         return [replace(each, sliding=None) for each in load(dataset)]
 
     monkeypatch.setattr(module, "load", unknown)
@@ -67,7 +67,7 @@ def test_true_sliding_is_unknown_if_the_dataset_does_not_have_it(
 def test_without_a_validation_split_the_papers_debounce_is_used(
     tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def some(dataset: Path) -> list[LabelledRecording]:
+    def some(dataset: Path, **_: object) -> list[LabelledRecording]:
         return [
             replace(each, split="train") if each.split == "validation" else each for each in load(dataset)
         ]
@@ -84,7 +84,7 @@ def _doubtful(label: Codes) -> Codes:
 
 
 def test_samples_with_unknown_labels_are_not_evaluated(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def doubtful(dataset: Path) -> list[LabelledRecording]:
+    def doubtful(dataset: Path, **_: object) -> list[LabelledRecording]:
         return [replace(each, label=_doubtful(each.label)) for each in load(dataset)]
 
     monkeypatch.setattr(module, "load", doubtful)
@@ -120,7 +120,7 @@ def test_a_copy_of_a_judged_recording_is_named_and_not_fitted_to(
 ) -> None:
     clean = evaluate(tiny, names=["psd"])
 
-    def copied(dataset: Path) -> list[LabelledRecording]:
+    def copied(dataset: Path, **_: object) -> list[LabelledRecording]:
         everything = load(dataset)
         test = [each for each in everything if each.split == "test"]
         return [*everything, *(replace(each, name=f"copy of {each.name}", split="train") for each in test)]
