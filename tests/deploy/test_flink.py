@@ -125,9 +125,36 @@ def test_name_and_ports_of_the_job_manager_match() -> None:
     assert service["metadata"]["name"] == manager["address"]
     assert {each["name"]: each["port"] for each in service["spec"]["ports"]} == ports
     [container] = pods()["jobmanager"]["containers"]
-    assert {each["name"]: each["containerPort"] for each in container["ports"]} == ports
+    metrics = settings["metrics"]["reporter"]["prometheus"]["port"]
+    named = {each["name"]: each["containerPort"] for each in container["ports"]}
+    assert named == ports | {"metrics": metrics}
     [container] = pods()["taskmanager"]["containers"]
-    assert container["ports"] == [{"name": "rpc", "containerPort": settings["taskmanager"]["rpc"]["port"]}]
+    named = {each["name"]: each["containerPort"] for each in container["ports"]}
+    assert named == {"rpc": settings["taskmanager"]["rpc"]["port"], "metrics": metrics}
+
+
+def test_prometheus_may_scrape_the_metrics_of_every_process() -> None:
+    [settings] = read(FLINK / "config.yaml")
+    port = settings["metrics"]["reporter"]["prometheus"]["port"]
+    [scrape] = read(DEPLOY / "prometheus" / "prometheus.yml")
+    [job] = [each for each in scrape["scrape_configs"] if each["job_name"] == "flink"]
+    [names] = job["dns_sd_configs"]
+    assert set(names["names"]) == read(COMPOSE)[0]["services"].keys()
+    assert names["port"] == port
+    [policy] = [each["spec"] for each in read(KUBERNETES) if each["kind"] == "NetworkPolicy"]
+    assert policy["ingress"][1]["ports"] == [{"port": port}]
+
+
+@pytest.mark.parametrize("folder", ["flink/Dockerfile", "cluster"])
+def test_flink_logs_json(folder: str) -> None:
+    assert re.search(r"sed -i -f \S*json_logs.sed \S*/log4j", (DEPLOY / folder).read_text())
+    properties = "appender.main.layout.type = PatternLayout\nappender.main.layout.pattern = %d - %m%n\n"
+    script = FLINK / "json_logs.sed"
+    done = subprocess.run(["sed", "-f", script], input=properties, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        "appender.main.layout.type = JsonTemplateLayout",
+        "appender.main.layout.eventTemplateUri = classpath:EcsLayout.json",
+    ]
 
 
 def test_selectors_match_the_pods() -> None:
@@ -165,7 +192,8 @@ def test_the_job_manager_is_not_reachable_from_outside() -> None:
     assert "type" not in service["spec"]  # it has an address inside only
     [policy] = [each["spec"] for each in documents if each["kind"] == "NetworkPolicy"]
     everyone = policy["podSelector"]
-    assert policy["ingress"] == [{"from": [{"podSelector": everyone}]}]
+    assert policy["ingress"][0] == {"from": [{"podSelector": everyone}]}
+    assert all("ports" in each for each in policy["ingress"][1:])
     assert [each for each in documents if each["kind"] == "Deployment"
             and not everyone["matchLabels"].items() <= each["spec"]["template"]["metadata"]["labels"].items()
             ] == []  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from jsonschema import Draft202012Validator, ValidationError, validate
 from prometheus_client.parser import text_string_to_metric_families
 from ruamel.yaml import YAML
 
@@ -19,6 +20,55 @@ from tests.deploy.shipped import DEPLOY
 
 RULES = DEPLOY / "prometheus" / "alerts.yml"
 DASHBOARD = DEPLOY / "grafana" / "slipflow.json"
+
+
+def closed(required: str, **properties: Any) -> dict[str, Any]:  # noqa: ANN401 - JSON
+    """An object with these properties only, some required."""
+    return {
+        "type": "object",
+        "required": required.split(),
+        "properties": properties,
+        "additionalProperties": False,
+    }
+
+
+TEXT = {"type": "string", "minLength": 1}
+# fields of https://grafana.com/docs/grafana/latest/dashboards/build-dashboards/view-dashboard-json-model/
+DATASOURCE = closed("type uid", type={"const": "prometheus"}, uid={"const": "${datasource}"})
+GRID = {name: {"type": "integer", "minimum": 0, "maximum": 24} for name in "xwh"} | {"y": {"type": "integer"}}
+PANEL = closed(
+    "id title type datasource gridPos fieldConfig targets",
+    id={"type": "integer", "minimum": 1},
+    title=TEXT,
+    type={"enum": ["timeseries", "state-timeline", "stat", "table", "gauge", "bargauge"]},
+    datasource=DATASOURCE,
+    gridPos=closed("x y w h", **GRID),
+    fieldConfig=closed("defaults overrides", defaults={"type": "object"}, overrides={"type": "array"}),
+    options={"type": "object"},
+    targets={
+        "type": "array",
+        "minItems": 1,
+        "items": closed("refId expr", refId=TEXT, expr=TEXT, legendFormat=TEXT, instant={"type": "boolean"}),
+    },
+)
+DASHBOARD_SCHEMA = closed(
+    "title uid schemaVersion time panels templating",
+    title=TEXT,
+    uid={"type": "string", "pattern": "^[\\w-]{1,40}$"},
+    schemaVersion={"type": "integer", "minimum": 39},
+    tags={"type": "array", "items": TEXT},
+    timezone={"enum": ["utc", "browser", ""]},
+    refresh={"type": "string", "pattern": "^[0-9]+[smh]$"},
+    time=closed("from to", **{"from": TEXT, "to": TEXT}),
+    templating=closed(
+        "list",
+        list={
+            "type": "array",
+            "items": closed("name type query", name=TEXT, type={"const": "datasource"}, query=TEXT),
+        },
+    ),
+    panels={"type": "array", "minItems": 1, "items": PANEL},
+)
 
 
 def samples(run: Run) -> dict[str, set[str]]:
@@ -59,6 +109,13 @@ def test_the_labels_of_texts_exist(run: Run) -> None:
     known = {label for labels in samples(run).values() for label in labels} | {"instance"}
     assert set(re.findall(r"\$labels\.(\w+)", RULES.read_text())) <= known
     assert set(re.findall(r"\{\{(\w+)\}\}", DASHBOARD.read_text())) <= known
+
+
+def test_the_dashboard_has_the_structure_that_grafana_reads() -> None:
+    validate(json.loads(DASHBOARD.read_text()), DASHBOARD_SCHEMA, Draft202012Validator)
+    broken = DASHBOARD.read_text().replace('"fieldConfig"', '"fieldconfig"')
+    with pytest.raises(ValidationError, match="fieldconfig"):
+        validate(json.loads(broken), DASHBOARD_SCHEMA, Draft202012Validator)
 
 
 def test_panels_do_not_overlap_and_have_unique_numbers() -> None:
