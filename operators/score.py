@@ -53,10 +53,11 @@ class Score(Operator[Zeroed, Scores]):
     @cached_property
     def _scorer(
         self,
-    ) -> "_Streamed | _Windowed":  # created when used: a stream loads numba, which takes 0.8 s
+    ) -> "_Streamed | _Assessing | _Windowed":  # created when used: a stream loads numba, which takes 0.8 s
         stream = _stream(self.detector)
-        windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
-        return windowed if stream is None else _Streamed(stream)
+        if stream is None:
+            return _Windowed(self.detector, Window(self.detector.length, self.hop))
+        return _Assessing(stream) if isinstance(stream, Assessing) else _Streamed(stream)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Check that the detector was made for this fingertip, if it says so.
@@ -84,14 +85,14 @@ class Score(Operator[Zeroed, Scores]):
         results = self._scorer.score(batch, counts, rows)
         if not time.size:
             return Scores.empty()
-        probability = results[0]
+        assessed = results.ndim > 1
+        probability = results[0] if assessed else results
         if counts is not batch.counts:
             few = np.count_nonzero(valid, axis=1) * 2 < valid.shape[1]  # (n,) of the cells
             probability = np.where(few, np.nan, probability)
-        if len(results) == 1:
-            return Scores(time, probability, finger=batch.finger)
-        _, doubt, direction, deviation = results
-        return Assessed(time, probability, doubt, direction, deviation, finger=batch.finger)
+        if assessed:
+            return Assessed(time, probability, results[1], results[2], results[3], finger=batch.finger)
+        return Scores(time, probability, finger=batch.finger)
 
 
 def _stream(detector: Detector) -> Stream | None:
@@ -104,20 +105,28 @@ def _stream(detector: Detector) -> Stream | None:
         return None
 
 
+@dataclass
 class _Streamed:
     """Scoring sample by sample."""
 
-    def __init__(self, stream: Stream) -> None:
-        self._stream = stream
-        self._assess = stream.assess if isinstance(stream, Assessing) else self._probability
+    stream: Stream
 
     def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002
-        """Return the results (1 or 4, n) at `rows`."""
-        results = self._assess(counts[:, None])[:, :, 0]
-        return results if rows is None else results[:, rows]
+        """Return the probability (n,)."""
+        probability = self.stream.push(counts[:, None]).ravel()
+        return probability if rows is None else probability[rows]
 
-    def _probability(self, counts: Counts | Reals) -> Reals:
-        return self._stream.push(counts)[None]
+
+@dataclass
+class _Assessing:
+    """Scoring and assessment sample by sample."""
+
+    stream: Assessing
+
+    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002
+        """Return probability, doubt, direction and deviation (4, n)."""
+        results = self.stream.assess(counts[:, None])[:, :, 0]
+        return results if rows is None else results[:, rows]
 
 
 @dataclass
@@ -128,10 +137,10 @@ class _Windowed:
     window: Window
 
     def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002 - `Window` selects them
-        """Return the probability (1, n)."""
+        """Return the probability (n,)."""
         filled = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
         windows, score = self.window.process(filled).counts, self.detector.score
         if len(windows) <= _BLOCK:
-            return (score(windows) if len(windows) else np.empty(0))[None]
+            return score(windows) if len(windows) else np.empty(0)
         blocks = range(0, len(windows), _BLOCK)
-        return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])[None]
+        return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])

@@ -71,9 +71,8 @@ class Assessing(Stream, Protocol):
             counts: (n, fingers, cells) zeroed counts
 
         Returns:
-            (1 or 4, n, fingers) probability of slip; doubt, direction and deviation as in
-            `operators.batch.Assessed`, NaN if unknown. Always as many rows. Cutting the samples anywhere
-            changes no bit.
+            (4, n, fingers) probability of slip; doubt, direction and deviation as in
+            `operators.batch.Assessed`, NaN if unknown. Cutting the samples anywhere changes no bit.
         """
         ...
 

@@ -94,9 +94,10 @@ class Tcn(ForOneFingertip):
 
     def stream(self, fingers: int = 1) -> "TcnStream":
         """Return a new stream for `fingers` fingertips that are sampled together."""
-        from operators.detectors.tcn_stream import TcnStream  # noqa: PLC0415 - imports numba
+        from operators.detectors.tcn_stream import AssessingTcnStream, TcnStream  # noqa: PLC0415 - imports numba
 
-        return TcnStream(self.layers, self.position_scale, self.step_scale, self.heads, fingers)
+        kind = AssessingTcnStream if self.heads else TcnStream
+        return kind(self.layers, self.position_scale, self.step_scale, self.heads, fingers)
 
     def _features(self, counts: Floats, before: Floats) -> Floats:
         parts = np.arcsinh(counts / self.position_scale), np.arcsinh((counts - before) / self.step_scale)

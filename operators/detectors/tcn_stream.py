@@ -163,7 +163,8 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
 
     Args:
         counts: (n, fingers, cells)
-        results: (1, n, fingers) probability, output; with heads (4, n, fingers), as `TcnStream.assess`
+        results: (n, fingers) probability, output; with heads (4 n, fingers), followed by doubt, direction and
+            deviation
         memory: (fingers, size) previous counts, then the rings of each layer; changed in place
         seen: Number of samples before.
         weights: (m,) scales of counts and of steps; a table of asinh for each; kernel (outputs, taps,
@@ -176,7 +177,7 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
             mean of the training data, 1 / time constant and the limit
     """
     size, fingers, _ = counts.shape
-    assessed = len(results) > 1
+    assessed = len(results) > size
     last = len(layers) - 1 - (_HEAD_ROWS if assessed else 0)
     for time in range(seen, seen + size):
         old = new = _slot(layers, 0, time)
@@ -206,10 +207,10 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
                             value += memory[finger, older + output + i]
                         memory[finger, new + output + i] = memory[finger, again + output + i] = value
         for finger in range(fingers):
-            results[0, time - seen, finger] = 1 / (1 + math.exp(-np.float64(memory[finger, new])))
+            results[time - seen, finger] = 1 / (1 + math.exp(-np.float64(memory[finger, new])))
         if assessed:
             features = _slot(layers, last - _DENSE, time)
-            _assess(memory, features, time, weights, layers, results[1:, time - seen])
+            _assess(memory, features, time, weights, layers, results[time - seen + size :: size])
 
 
 @cache
@@ -217,7 +218,7 @@ def _compiled(code: str) -> Callable[..., None]:
     """Return `advance`, compiled for counts of one type, given as numpy's type code, such as h for int16."""
     counts = types.Array(from_dtype(np.dtype(code)), 3, "A", readonly=True)  # any strides, writeable or not
     arrays = (
-        types.float64[:, :, ::1],
+        types.float64[:, ::1],
         types.float32[:, ::1],
         types.int64,
         types.float32[::1],
@@ -291,6 +292,8 @@ class TcnStream:
         ParameterError: if `fingers` is below 1.
     """
 
+    _results = 1  # of each sample
+
     def __init__(
         self,
         layers: Sequence[CausalLayer],
@@ -310,7 +313,7 @@ class TcnStream:
 
     def __setstate__(self, state: _State) -> None:
         self._network, self._memory, self._seen = state  # `_seen`: samples
-        layers, self._rows = self._network[0], 4 if self._network[3] else 1  # of the results
+        layers = self._network[0]
         self._layers, self._weights, _ = _packed(*self._network)
         self._shape = len(self._memory), layers[0].kernel.shape[1] // 2  # of a sample's counts
 
@@ -320,24 +323,31 @@ class TcnStream:
         Raises:
             ParameterError: if the counts have a wrong shape.
         """
-        probability: Reals = self.assess(counts)[0]
-        return probability
-
-    def assess(self, counts: Counts | Reals) -> Reals:
-        """Return all results (1 or 4, n, fingers) of the next zeroed counts (n, fingers, cells).
-
-        These are the probability of slip and, if the network has heads, the doubt about the input and the
-        direction of sliding with its standard deviation (rad), as in `operators.batch.Assessed`.
-
-        Raises:
-            ParameterError: if the counts have a wrong shape.
-        """
         shape = counts.shape
         if shape[1:] != self._shape:
             expected = f"(n, {self._shape[0]}, {self._shape[1]})"
             raise ParameterError("TcnStream", "shape of the counts", shape, expected)
-        results = np.empty((self._rows, *shape[:2]))
+        results = np.empty((shape[0] * self._results, shape[1]))
         kernel = _compiled(counts.dtype.char)
         kernel(counts, results, self._memory, self._seen, self._weights, self._layers)
         self._seen += shape[0]
         return results
+
+
+class AssessingTcnStream(TcnStream):
+    """State of a TCN with heads."""
+
+    _results = 4
+
+    def push(self, counts: Counts | Reals) -> Reals:
+        """Return the probability of slip, as without heads."""
+        probability: Reals = self.assess(counts)[0]
+        return probability
+
+    def assess(self, counts: Counts | Reals) -> Reals:
+        """Return probability, doubt, direction and deviation (4, n, fingers), as `Assessed` scores have them.
+
+        Raises:
+            ParameterError: if the counts have a wrong shape.
+        """
+        return super().push(counts).reshape(4, -1, counts.shape[1])

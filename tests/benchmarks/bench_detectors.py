@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from flows.learn.chart.windowed_runtimes import OnnxWindowed, TorchEager
 from operators import Score, Zeroed, ms
 from operators.batch import Counts
-from operators.detectors import Detector, Tcn
+from operators.detectors import Assessing, Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.detectors.tcn_heads import head_shapes
 from tests.benchmarks.machine import commit, machine
@@ -50,10 +50,11 @@ def network(filters: int, seed: int, heads: str = "-") -> Tcn:
 def streaming(tcn: Tcn, counts: Counts, fingers: int) -> Run:
     """Sample after sample, of some fingertips at once."""
     stream, rows = tcn.stream(fingers), [row[None, None].repeat(fingers, axis=1) for row in counts]
+    process = stream.assess if isinstance(stream, Assessing) else stream.push
 
     def run() -> int:
         for row in rows:
-            stream.assess(row)
+            process(row)
         return len(rows) * fingers
 
     return run

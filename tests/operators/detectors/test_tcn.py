@@ -13,7 +13,7 @@ from torch.nn.functional import conv1d, pad
 
 from operators import InputError, ParameterError
 from operators.batch import Counts, Reals
-from operators.detectors import TRAINED, Streaming, Tcn
+from operators.detectors import TRAINED, Assessing, Streaming, Tcn
 from operators.detectors.tcn import shapes
 from operators.detectors.tcn_heads import head_shapes
 
@@ -50,6 +50,12 @@ def _with_heads(size: Size = SMALL, seed: int = 0) -> Arrays:
     }
     familiar = {"familiar/limit": np.full(1, 9, np.float32), "familiar/samples": np.full(1, 20, np.float32)}
     return _weights(size, seed) | heads | familiar
+
+
+def _assessing(tcn: Tcn, fingers: int = 1) -> Assessing:
+    stream = tcn.stream(fingers)
+    assert isinstance(stream, Assessing)
+    return stream
 
 
 def _counts(rows: int, fingers: int = 1) -> Counts:
@@ -129,7 +135,7 @@ def test_streaming_windowed_and_dense_are_the_same_function(size: Size) -> None:
 def test_the_heads_agree_with_a_plain_reference(size: Size) -> None:
     weights, counts = _with_heads(size), _counts(400)
     tcn, expected = Tcn(weights), _assessed(weights, counts[:, 0])
-    found = tcn.stream().assess(counts)[:, :, 0]
+    found = _assessing(tcn).assess(counts)[:, :, 0]
     np.testing.assert_array_equal(found[0], Tcn(_weights(size)).stream().push(counts)[:, 0])
     np.testing.assert_allclose(found[1], expected[0], rtol=1e-4)
     turned = np.remainder(found[2] - expected[1] + np.pi, 2 * np.pi) - np.pi
@@ -142,11 +148,11 @@ def test_the_heads_agree_with_a_plain_reference(size: Size) -> None:
 @pytest.mark.parametrize(("head", "unknown"), [("velocity", [2, 3]), ("familiar", [1])])
 def test_a_missing_head_leaves_its_results_unknown(head: str, unknown: list[int]) -> None:
     weights, counts = _with_heads(), _counts(60)
-    expected = Tcn(weights).stream().assess(counts)
+    expected = _assessing(Tcn(weights)).assess(counts)
     expected[unknown] = np.nan
     without = {name: array for name, array in weights.items() if not name.startswith(head)}
-    np.testing.assert_array_equal(Tcn(without).stream().assess(counts), expected)
-    assert Tcn(_weights()).stream().assess(counts).shape == (1, 60, 1)
+    np.testing.assert_array_equal(_assessing(Tcn(without)).assess(counts), expected)
+    assert not isinstance(Tcn(_weights()).stream(), Assessing)
 
 
 @sized
@@ -170,8 +176,8 @@ def test_the_default_size_judges_by_a_second() -> None:
 
 def test_fingertips_are_scored_independently() -> None:
     tcn, counts = Tcn(_with_heads(SIZES[0])), _counts(200, fingers=7)
-    together = tcn.stream(7).assess(counts)
-    alone = [tcn.stream().assess(counts[:, [finger]]) for finger in range(7)]
+    together = _assessing(tcn, 7).assess(counts)
+    alone = [_assessing(tcn).assess(counts[:, [finger]]) for finger in range(7)]
     np.testing.assert_array_equal(together, np.concatenate(alone, axis=2))
     assert np.nanmax(np.ptp(together, axis=2), axis=1).min() > 0.01
 
@@ -179,14 +185,14 @@ def test_fingertips_are_scored_independently() -> None:
 @given(cuts=st.lists(st.integers(0, 120), max_size=8), fingers=st.sampled_from([1, 3]))
 def test_however_the_samples_are_cut_the_bits_are_the_same(cuts: list[int], fingers: int) -> None:
     tcn, counts = Tcn(_with_heads()), _counts(120, fingers)
-    stream = tcn.stream(fingers)
+    stream = _assessing(tcn, fingers)
     pieces = [stream.assess(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
-    np.testing.assert_array_equal(np.concatenate(pieces, axis=1), tcn.stream(fingers).assess(counts))
+    np.testing.assert_array_equal(np.concatenate(pieces, axis=1), _assessing(tcn, fingers).assess(counts))
 
 
 @given(cut=st.integers(0, 120))
 def test_pickling_midstream_and_going_on_changes_nothing(cut: int) -> None:
-    stream, counts = Tcn(_with_heads()).stream(2), _counts(120, fingers=2)
+    stream, counts = _assessing(Tcn(_with_heads()), 2), _counts(120, fingers=2)
     stream.push(counts[:cut])
     again = pickle.loads(pickle.dumps(stream))  # noqa: S301 our own bytes
     np.testing.assert_array_equal(again.assess(counts[cut:]), stream.assess(counts[cut:]))
@@ -235,7 +241,7 @@ def test_a_count_that_is_nan_is_not_judged_and_is_forgotten_after_a_window() -> 
     tcn, counts = Tcn(_with_heads()), _counts(60).astype(np.float64)
     counts[20, 0, 3] = np.nan
     windows = _windows(counts[:, 0], tcn.length)
-    unknown, *heads = np.isnan(tcn.stream().assess(counts)[..., 0])
+    unknown, *heads = np.isnan(_assessing(tcn).assess(counts)[..., 0])
     for head in heads:
         np.testing.assert_array_equal(head[20:], unknown[20:])
     assert np.flatnonzero(unknown)[0] == 20
