@@ -16,6 +16,7 @@
     sessions/<session>/journal/single.wal           rows of single-file tables, until the session ends
     sessions/<session>/labels/000001.json           labels given by hand, one file per version; see
                                                     storage.hand_labels
+    sessions/<session>/exported.json                mark of the last export; see storage.retention
     sessions/<session>/damaged/                     files that a recovery could not read
 """
 
@@ -54,6 +55,7 @@ MANIFEST: Final = "MANIFEST.json"
 JOURNAL: Final = "journal"
 DAMAGED: Final = "damaged"
 LABELS: Final = "labels"
+EXPORTED: Final = "exported.json"
 
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
 _SEGMENT: Final = re.compile(r"[0-9]{6,12}\.wal")

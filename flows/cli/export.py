@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli.options import AsJson
-from flows.cli.terminal import check_output_file, progress_bar
+from flows.cli.terminal import check_output_file, note, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
@@ -88,7 +88,20 @@ def export(
         found, text = _lerobot(sessions, out, rate, task, native=native)
     else:
         found, text = _files(sessions, out, to, detector)
+    for session in sessions:
+        _mark(session, to, out)
     typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
+
+
+def _mark(session: "Session", to: str, out: Path) -> None:
+    """Mark a session as exported, for `slipflow prune --keep-unexported`; it may be on a read-only disk."""
+    from operators.errors import os_error_reason
+    from storage.retention import mark_exported
+
+    try:
+        mark_exported(session.folder, to, out)
+    except OSError as error:
+        note(f"{session.folder}: cannot be marked as exported: {os_error_reason(error)}")
 
 
 def _sessions(dataset: Path) -> "list[Session]":

@@ -27,6 +27,7 @@ from flows.cli.graph import graph
 from flows.cli.import_command import import_
 from flows.cli.model_list import models
 from flows.cli.onnx import onnx
+from flows.cli.prune import prune
 from flows.cli.recover import recover
 from flows.cli.rig import rig
 from flows.cli.run import run
@@ -44,7 +45,7 @@ _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
         "View": (show, watch),
         "Train and evaluate": (train, adapt, evaluate, benchmark, chart, stress, models, onnx),
         "Robots": (collect, rig),
-        "Data": (verify, recover, fetch, import_, export, simulate),
+        "Data": (verify, recover, prune, fetch, import_, export, simulate),
     }
 )
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}

@@ -19,6 +19,8 @@ from operators.errors import ParameterError
         ("0.1mm", "m", 0.0001),
         ("6cm", "m", 0.06),
         ("3mm/s", "m/s", 0.003),
+        ("30d", "ns", 30 * 86400 * 10**9),
+        ("200GB", "B", 2e11),
         ("2.5N", "N", 2.5),
     ],
 )
