@@ -8,7 +8,7 @@ import numpy as np
 from connectors.events import finger_name
 from connectors.sim.truth import true_slips
 from connectors.web.curves import GAP
-from operators.batch import SLIP, STATIC, Codes, Labelled, Times, Truth, concat, ms
+from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Labelled, Times, Truth, concat, ms
 from operators.ports import Json, Run, Sink
 
 ARM: Final = "arm"  # names of the bands
@@ -99,3 +99,12 @@ class SessionBands(Sink[Labelled | Truth]):
         for (band, finger), runs in self.runs.items():
             found.setdefault(band, {})[finger] = [*runs.between(first, last, columns, self._start)]
         return {**found}
+
+    def codes(self, band: str, finger: str, time: Times) -> Codes:
+        """Return the code of a band at each time (n,) ns; unknown where there is none."""
+        runs = self.runs.get((band, finger))
+        if runs is None or not len(runs.begin):
+            return np.full(len(time), UNKNOWN, np.int8)
+        row = runs.begin.searchsorted(time, "right") - 1
+        found: Codes = np.where((row >= 0) & (time <= runs.end[row]), runs.code[row], np.int8(UNKNOWN))
+        return found

@@ -27,7 +27,7 @@ from operators.ports import Json, Run, Sink
 VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
 ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
 EVENTS_MAX: Final = 20_000
-_Values: TypeAlias = NDArray[
+Values: TypeAlias = NDArray[
     np.float32 | np.float64
 ]  # (n, ...) of a curve; scores have all digits, for `detected`
 _Event: TypeAlias = tuple[str, Slip]  # with its fingertip
@@ -41,6 +41,9 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         about: Additional text for the page.
         flow: Name of the flow that recorded the session.
         dataset: Name of the dataset that contains the session.
+
+    Attributes:
+        curves: Times and values of each stream (touch, scores, speed) and fingertip, once closed.
     """
 
     def __init__(
@@ -55,8 +58,8 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         self._origin: dict[str, Json] = {"flow": flow, "dataset": dataset}
         self.start = self.end = 0  # ns, start of the run and newest row
         # by stream and fingertip: batches, and the curves joined in `close`
-        self._arriving: dict[tuple[str, str], list[tuple[Times, _Values]]] = {}
-        self._curves: dict[tuple[str, str], tuple[Times, _Values]] = {}
+        self._arriving: dict[tuple[str, str], list[tuple[Times, Values]]] = {}
+        self.curves: dict[tuple[str, str], tuple[Times, Values]] = {}
         self._events: list[_Event] = []
         self._zeroed, self._falls, self._rows = False, True, 0
 
@@ -103,12 +106,12 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             values = np.concatenate([each for _, each in parts])  # (n, ...)
             before = np.maximum.accumulate(time)[:-1]  # (n - 1,)
             kept = np.concatenate(([True], time[1:] > before))
-            self._curves[key] = time[kept], values[kept]
+            self.curves[key] = time[kept], values[kept]
         self._arriving.clear()
 
     def contents(self) -> dict[str, Json]:
         """Return the first document of the page; times are in ms since `start`."""
-        fingers = sorted({finger for stream, finger in self._curves if stream == "touch"})
+        fingers = sorted({finger for stream, finger in self.curves if stream == "touch"})
         return {
             "session": self._session,
             **self._origin,
@@ -130,7 +133,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             InputError: if there are too many events.
         """
         rule, events = replace(self.rule, threshold=threshold), list[_Event]()
-        for (stream, finger), (time, probability) in self._curves.items():
+        for (stream, finger), (time, probability) in self.curves.items():
             if stream == "scores":
                 found = rule.reset_copy().push(Scores(time, probability.astype(np.float64)))
                 events.extend((finger, slip) for slip in slips(found))
@@ -145,7 +148,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """
         first, last = (self.start + round(each * ms) for each in (begin, end))
 
-        def cut(time: Times, values: _Values) -> dict[str, Json]:
+        def cut(time: Times, values: Values) -> dict[str, Json]:
             rows = slice(*np.searchsorted(time, [first, last + 1]))
             return curve_json(*thin_curve(time[rows], values[rows], first, last, columns), self.start)
 
@@ -155,16 +158,16 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`)."""
         at = self.start + round(instant * ms)
 
-        def newest(time: Times, values: _Values) -> dict[str, Json]:
+        def newest(time: Times, values: Values) -> dict[str, Json]:
             first, end = np.searchsorted(time, [at - VALID_FOR, at + 1])
             rows = slice(max(first, end - 1), end)
             return curve_json(time[rows], values[rows], self.start)
 
         return self._streams(newest)
 
-    def _streams(self, cut: Callable[[Times, _Values], dict[str, Json]]) -> dict[str, Json]:
+    def _streams(self, cut: Callable[[Times, Values], dict[str, Json]]) -> dict[str, Json]:
         """Return the streams of a frame, each curve cut by `cut`."""
-        found = {key: cut(*curve) for key, curve in self._curves.items()}
+        found = {key: cut(*curve) for key, curve in self.curves.items()}
         empty: dict[str, Json] = {"touch": {}, "scores": {}, "speed": None}
         return {**empty, **streams_json(found, found if self._zeroed else ())}
 
@@ -181,7 +184,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
 
         If counts rise with pressure, it is minus their maximum.
         """
-        touches = [values for (stream, _), (_, values) in self._curves.items() if stream == "touch"]
+        touches = [values for (stream, _), (_, values) in self.curves.items() if stream == "touch"]
         sign = 1 if self._falls else -1
         least = min(
             (float(np.fmin.reduce(sign * values, axis=None)) for values in touches if len(values)),

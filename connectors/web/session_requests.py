@@ -9,6 +9,7 @@ from typing import Any, Final, cast
 
 from connectors.events import finger_name
 from connectors.web.session_bands import SessionBands
+from connectors.web.session_export import TYPES, export_mcap, export_table
 from connectors.web.session_page import SessionCurves
 from connectors.web.web_server import Answer, Handler, Writer, json_answer
 from operators.batch import EVERY, ms
@@ -20,6 +21,9 @@ _TIME_MAX: Final = 1e12  # ms
 _COLUMNS_MAX: Final = 8192
 _WINDOW_USAGE: Final = (
     "must be ?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session; 1 to 8192 columns"
+)
+_EXPORT_USAGE: Final = (
+    "must be ?begin=MS&end=MS&format=csv, parquet or mcap: ms since the start of the session"
 )
 _LABELS_USAGE: Final = (
     'must be {"based_on": VERSION, "spans": [{"begin": MS, "end": MS, "finger": NAME, "value": '
@@ -48,12 +52,17 @@ class SessionPage:
         self.panes: Sequence[str] = (name,)  # titles of all pages that are compared
 
     def handlers(self, base: str = "") -> dict[str, Handler]:
-        """Return the requests that read, by path: ``/about.json``, ``/window`` and ``/events`` below `base`.
+        """Return the requests that read, by path below `base`: about.json, window, events and export.
 
         Documents are built in a thread, as that takes some ms.
         """
-        found = {"/about.json": self._about, "/window": self._window, "/events": self._events}
-        return {f"{base}{path}": handler for path, handler in found.items()}
+        found = {
+            "about.json": self._about,
+            "window": self._window,
+            "events": self._events,
+            "export": self._export,
+        }
+        return {f"{base}/{name}": handler for name, handler in found.items()}
 
     def writers(self, base: str = "") -> dict[str, Writer]:
         """Return the requests that write: ``/labels`` stores the next version of the labels by hand."""
@@ -88,6 +97,21 @@ class SessionPage:
         if not 0 < threshold <= 1:
             raise InputError("/events", usage)
         return await asyncio.to_thread(lambda: json_answer([*self.curves.detected(threshold)]))
+
+    async def _export(self, query: Mapping[str, str]) -> Answer:
+        begin, end = (_number(query, name, "/export", _EXPORT_USAGE) for name in ("begin", "end"))
+        kind, session, start = query.get("format", ""), self.session, self.curves.start
+        if kind not in TYPES or begin > end or (kind == "mcap" and session is None):
+            raise InputError("/export", _EXPORT_USAGE)
+        span = start + round(begin * ms), start + round(end * ms)
+
+        def body() -> bytes:
+            if kind == "mcap" and session is not None:
+                return export_mcap(session, span)
+            labels = HandLabels() if session is None else session.hand_labels()
+            return export_table(self.curves, self.bands, labels, span, kind)
+
+        return await asyncio.to_thread(body), TYPES[kind]
 
     async def _write_labels(self, body: bytes) -> Answer:
         session = self.session

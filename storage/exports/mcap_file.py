@@ -24,7 +24,11 @@ _Message: TypeAlias = tuple[int, int, bytes]  # ns, channel, JSON
 
 
 def export(
-    session: Session, path: Path, progress: Callable[[int], object] = lambda _rows: None
+    session: Session,
+    path: Path,
+    progress: Callable[[int], object] = lambda _rows: None,
+    *,
+    span: tuple[int, int] | None = None,
 ) -> Mapping[str, int]:
     """Write a session; return the number of messages of each topic.
 
@@ -36,6 +40,7 @@ def export(
         session: Session to write.
         path: File to create.
         progress: Called with the number of rows written so far.
+        span: First and last event time of the rows, ns; None: all rows.
 
     Raises:
         InputError: if the library is not installed, or the session is damaged.
@@ -54,7 +59,7 @@ def export(
         writer.add_metadata("session", described)
         channels = _Channels(writer)
         streams = [
-            _rows(session, channels, table, finger)
+            _rows(session, channels, table, finger, span)
             for table in TABLES
             for finger in session.fingers(table.kind)
         ]
@@ -90,8 +95,13 @@ class _Channels:
         return self._numbers[topic]
 
 
-def _rows(session: Session, channels: _Channels, table: Table, finger: int) -> Iterator[_Message]:
-    for batch in session.read(table.kind, finger):
+def _rows(
+    session: Session, channels: _Channels, table: Table, finger: int, span: tuple[int, int] | None
+) -> Iterator[_Message]:
+    for read in session.read(table.kind, finger):
+        batch = read if span is None else read[(read.time >= span[0]) & (read.time <= span[1])]
+        if not len(batch):
+            continue
         channel = _channel(channels, table, batch)
         for time, data in mcap_messages.messages(table, batch):
             yield time, channel, data

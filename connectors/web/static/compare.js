@@ -16,6 +16,6 @@ export function compare(names) {
   label.append(box, " Link times");
   document.querySelector(".controls").replaceChildren(label);
   const main = element("main", "panes");
-  main.append(...names.map((title, pane) => Object.assign(element("iframe"), { title, src: `./?${new URLSearchParams({ pane, link: name })}` })));
+  main.append(...names.map((title, pane) => Object.assign(element("iframe"), { title, src: `./?${new URLSearchParams({ pane, link: name })}${location.hash}` })));
   document.querySelector("main").replaceWith(main);
 }

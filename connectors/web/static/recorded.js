@@ -2,10 +2,11 @@
 
 import { Bands } from "./bands.js";
 import { LEFT, RIGHT } from "./charts.js";
+import { exportButtons } from "./exports.js";
 import { Labels } from "./labels.js";
 import { Overview } from "./overview.js";
 import { BASE, Link } from "./link.js";
-import { write } from "./pad.js";
+import { title, write } from "./pad.js";
 import { Readout } from "./readout.js";
 import { Streams } from "./rows.js";
 import { Hairline, pointer, Span } from "./span.js";
@@ -38,6 +39,7 @@ export function recorded(view, about) {
   const clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
   const shown = () => span.at(instant(), view.window);
+  const followed = () => !span.zoomed && view.window !== Infinity; // by the window
   const bands = new Bands($("bands")), hairline = new Hairline(view.charts.all), overview = new Overview(view, about.length);
   const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed: (t) => elapsed(t, 2), changed: () => redraw(), saved: (each) => link.sendLabels({ of: identity, ...each }) });
   const readout = new Readout($("readout"), view, bands, async (t) => (await load(t, t, t, 1)).at, (t) => `${elapsed(t, 2)} · ${clock(t)} UTC`);
@@ -56,7 +58,7 @@ export function recorded(view, about) {
   let figures = new Streams(view.sign); // rows at the selected time; the curves are reduced to pixel columns
   view.scene = () => ({
     streams: view.streams, figures, at: Infinity, end: instant(), span: shown(), selected: dragged ?? labels?.selected,
-    last: about.length, origin: span.zoomed || view.window === Infinity ? 0 : instant(),
+    last: about.length, origin: followed() ? instant() : 0,
   });
   view.onchange = () => refresh();
   $("window").addEventListener("change", () => { span.zooms = []; refresh(); });
@@ -97,9 +99,8 @@ export function recorded(view, about) {
     write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
     view.slipping = slipping(events, t);
     showTime(t);
-    const whole = span.zoomed || view.window === Infinity;
     link.send();
-    write($("axis"), whole ? "seconds since the start of the session" : "seconds from the selected time");
+    write($("axis"), followed() ? "seconds from the selected time" : "seconds since the start of the session");
     redraw();
     again = loading;
     if (loading) return;
@@ -213,8 +214,34 @@ export function recorded(view, about) {
     go(instant() + stride);
   });
 
+  // The part of a link after #: what this page shows.
+  function hash() {
+    const state = { t: instant(), window: $("window").value, finger: view.finger, threshold: view.threshold };
+    if (span.zoomed) state.zoom = span.zooms.at(-1).join(" ");
+    return new URLSearchParams(state);
+  }
+
+  // Show what a link names.
+  function open() {
+    const state = new URLSearchParams(location.hash.slice(1)), zoom = (state.get("zoom") ?? "").split(" ").map(Number);
+    if (!state.has("t")) return;
+    if ([...$("window").options].some((each) => each.value === state.get("window"))) $("window").value = state.get("window");
+    view.window = 1000 * Number($("window").value);
+    view.finger = state.get("finger");
+    span.zooms = zoom.length === 2 && zoom[0] < zoom[1] ? [zoom] : [];
+    slider.value = Number(state.get("t"));
+    const threshold = Number(state.get("threshold"));
+    if (threshold > 0 && threshold <= 1 && threshold !== view.threshold) setThreshold(threshold);
+  }
+
+  exportButtons({
+    name: about.session, span: shown, charts: view.charts, layout: () => view.layout(), hash,
+    describe: () => [about.session, title(view.finger).toLowerCase(), shown().map((t) => elapsed(t, 2)).join(" to "),
+      ...(followed() ? [`0 s is ${elapsed(instant(), 2)}`] : [])].join(" · "),
+  });
+  addEventListener("hashchange", () => { open(); refresh(); });
+  open();
   refresh().then(() => overview.load(load));
-  return { setThreshold };
 }
 
 // Load the curves between two times, reduced to pixel columns, and the rows at a time.

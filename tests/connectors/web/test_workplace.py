@@ -242,3 +242,39 @@ def test_two_detectors_are_compared_at_the_same_time(watched: Watched, session: 
         expect(left.locator("#label-state")).to_have_text("1 span, saved as version 1")
         expect(right.locator("#label-state")).to_have_text("1 span, saved as version 1")
     assert watched.complaints == []
+
+
+def test_the_visible_span_is_exported_as_files_picture_and_link(
+    watched: Watched, served: ServedRecording
+) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    tab.get_by_role("combobox", name="Window").select_option(label="all")
+    expect(tab.locator("#axis")).to_have_text("seconds since the start of the session")
+    drag(tab, tab.locator("#counts"), 0.25, 0.5)
+    expect(tab.get_by_role("button", name="Zoom out")).to_be_visible()
+    begins = {"CSV": b"time,finger,p0,", "Parquet": b"PAR1", "MCAP": b"\x89MCAP0", "PNG": b"\x89PNG"}
+    for name, begin in begins.items():
+        with tab.expect_download() as download:
+            tab.get_by_role("button", name=name, exact=True).click()
+        assert re.fullmatch(
+            rf"one-(2\.9|3\.0)\d-(5\.9|6\.0)\d\.{name.lower()}", download.value.suggested_filename
+        )
+        content = Path(download.value.path()).read_bytes()
+        assert content.startswith(begin)
+        assert len(content) > 5000, name
+        if name == "CSV":
+            assert 290 < len(content.splitlines()) < 310
+    tab.get_by_role("slider", name="Time in the session").press("Home")
+    tab.keyboard.press("Escape")
+    drag(tab, tab.locator("#counts"), 0.25, 0.5)
+    tab.get_by_role("button", name="Link").click()
+    expect(tab.locator("#export-state")).to_contain_text(re.compile("Link copied|address bar"))
+    instant, link = tab.locator("#instant-text").inner_text(), tab.url
+    assert "zoom=" in link
+    tab.goto("about:blank")
+    with tab.expect_request(re.compile(r"window\?begin=(29|30)\d\d&end=(59|60)\d\d&")):
+        tab.goto(link)
+    expect(tab.locator("#instant-text")).to_have_text(instant)
+    expect(tab.get_by_role("button", name="Zoom out")).to_be_visible()
+    assert watched.complaints == []
