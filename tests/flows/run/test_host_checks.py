@@ -1,4 +1,5 @@
 import ctypes
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
@@ -27,6 +28,12 @@ def test_each_wrong_package_is_named_with_its_remedy(monkeypatch: pytest.MonkeyP
     assert missing.text == "not installed, must be nothing-like-it>=2: pip install 'nothing-like-it>=2'"
     assert (train.subject, train.state) == ("extra train", "note")
     assert train.text.startswith("not installed; for training")
+
+
+def test_a_small_installation_may_lack_what_it_does_not_need(hide_packages: Callable[..., None]) -> None:
+    hide_packages("numba", "smbus2")
+    states = {found.subject: found.state for found in package_findings()}
+    assert (states["numba"], states["smbus2"], "slipflow" in states) == ("note", "bad", False)
 
 
 @pytest.mark.parametrize(("result", "state"), [(0, "good"), (5, "bad"), (-1, "note")])
