@@ -91,8 +91,8 @@ class Chart {
 
   get #step() {
     const span = this.view.end - this.view.begin;
-    const most = this.host.clientWidth < 480 || span < 10000 ? 5 : 10; // labels
-    return STEPS.find((each) => span / each <= most) ?? STEPS.at(-1);
+    const most = this.host.clientWidth < 480 ? 5 : 10; // labels
+    return STEPS.find((each) => span / each <= most && (each >= 1000 || span < 5000)) ?? STEPS.at(-1);
   }
 
   // Return the labelled times: multiples of a step from the origin.
