@@ -7,6 +7,7 @@ from pathlib import Path
 
 from connectors import Console, Mqtt, SimulatedRig, TakkTile
 from flows.graph import Flow
+from flows.graph.quantity import Rate
 from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
 from storage import Dataset, identify_detector, load_debounce, load_detector
 
@@ -20,6 +21,7 @@ def fingertip(
     site: str = "lab",
     rig: str = "fingertip",
     out: Path | None = None,
+    false_alarms: Rate | None = None,
     home_assistant: str | None = None,
     announce: bool = True,
 ) -> Flow:
@@ -33,12 +35,13 @@ def fingertip(
         site: Site name used in topics.
         rig: Rig name used in topics.
         out: Folder of a dataset to record into; None: do not record.
+        false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
         home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
         announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("fingertip")
     touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
-    debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector, false_alarms) or Debounce(consecutive=2, release=10)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
     faults = touch | Health(clear_after=2 * s)
 

@@ -2,6 +2,7 @@
 
 from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
+from flows.graph.quantity import Rate
 from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
 from storage import identify_detector, load_debounce, load_detector
 
@@ -13,6 +14,7 @@ def live(
     rig: str = "rig",
     seed: int = 0,
     *,
+    false_alarms: Rate | None = None,
     home_assistant: str | None = None,
     announce: bool = True,
 ) -> Flow:
@@ -24,12 +26,13 @@ def live(
         site: Site name used in topics.
         rig: Rig name used in topics.
         seed: Random seed of the simulation.
+        false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
         home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
         announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("live")
     touch = flow.source(SimulatedRig(seed=seed).touch)
-    debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector, false_alarms) or Debounce(consecutive=2, release=10)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
 
     faults = touch | Health(clear_after=2 * s)

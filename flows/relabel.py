@@ -2,14 +2,18 @@
 
 from connectors import SimulatedRig
 from flows.graph import Flow
-from flows.graph.quantity import Duration, Speed
+from flows.graph.quantity import Duration, Rate, Speed
 from flows.record import ARM_LATENCY
 from operators import Align, Debounce, Label, Score, Zero, ms
 from storage import Dataset, load_debounce, load_detector
 
 
 def relabel(
-    out: str = "relabelled", detector: str = "tcn", speed: Speed = 0.003, delay: Duration = ARM_LATENCY
+    out: str = "relabelled",
+    detector: str = "tcn",
+    speed: Speed = 0.003,
+    delay: Duration = ARM_LATENCY,
+    false_alarms: Rate | None = None,
 ) -> Flow:
     """Label and score recordings again; run it with --replay.
 
@@ -18,6 +22,7 @@ def relabel(
         detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
         speed: Arm speed above which a sample is slip.
         delay: Lag of the arm's velocity relative to the touch.
+        false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
     """
     flow = Flow("relabel")
     rig, dataset = SimulatedRig(), Dataset(out)  # --replay replaces the rig by the recording
@@ -26,7 +31,7 @@ def relabel(
 
     zeroed = touch | Zero()
     samples = zeroed & motion | Align(within=20 * ms) | Label(speed=speed, delay=delay)
-    debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector, false_alarms) or Debounce(consecutive=2, release=10)
     slips = zeroed | Score(load_detector(detector)) | debounce
 
     samples.to(dataset)

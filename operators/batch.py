@@ -33,6 +33,7 @@ SURFACES: Final = ("plane", "sphere", "cylinder_x", "cylinder_y")
 us: Final = 1_000  # ns
 ms: Final = 1_000_000  # ns
 s: Final = 1_000_000_000  # ns
+minute: Final = 60 * s  # ns
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ import json
 import zipfile
 from collections.abc import Mapping
 from io import BytesIO
+from math import isclose
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import numpy as safetensors
 
+from operators.batch import minute
 from operators.debounce import Debounce
 from operators.detectors import DETECTORS, TRAINED, Detector
 from operators.detectors.weights import ForOneFingertip
@@ -23,6 +25,7 @@ from storage import files
 _SHIPPED: Final = Path(__file__).parent / "trained"
 _DIGEST: Final = "slipflow.sha256"  # of the rest of a .safetensors file, whose format has no checksum
 _UNNAMED: Final = "paper_tcn"  # detector of weights that do not name one, such as .npz
+ALARMS: Final = "alarms"  # entry of a model card: debounce settings by rate of false alarms
 LIMIT: Final = 256 * files.MiB  # bytes of a file, and of its unpacked content
 
 
@@ -184,20 +187,44 @@ def load_card(path: Path) -> dict[str, Any]:
     return files.read_checked(card) if card.exists() else {}
 
 
-def load_debounce(name: str | Path) -> Debounce | None:
-    """Return the debounce settings of a detector's card, None if it has none.
+def load_debounce(name: str | Path, false_alarms: float | None = None) -> Debounce | None:
+    """Return debounce settings of a detector's card, None if it has none.
+
+    Args:
+        name: Built-in detector or weights file.
+        false_alarms: Rate of false alarms that the settings must keep, such as `1 / minute`; the card has
+            them if `slipflow calibrate` has measured them. None: the settings of the training.
 
     Raises:
-        InputError: if the card is damaged.
+        InputError: if the card is damaged, or the detector was not calibrated for this rate.
     """
     path = shipped(str(name)) or Path(name)
-    settings = load_card(path).get("debounce") if path.suffix in _READERS else None
+    card = load_card(path) if path.suffix in _READERS else {}
+    settings = card.get("debounce")
+    if false_alarms is not None:
+        settings = _alarm_settings(str(name), card, false_alarms * minute)
     if settings is None:
         return None
     try:
         return Debounce(**settings)
     except (TypeError, ParameterError) as error:
         raise InputError(str(path.with_suffix(".json")), f"debounce: {error}") from error
+
+
+def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> Any:  # noqa: ANN401 - of the card
+    """Return the settings of a card for a rate of false alarms."""
+    try:
+        found = {float(each["false_alarms_per_min"]): each["debounce"] for each in card.get(ALARMS, ())}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(name, f"its card has damaged settings in {ALARMS!r}: calibrate it again") from error
+    for rate, settings in found.items():
+        if isclose(rate, per_minute, rel_tol=1e-6):
+            return settings
+    known = (
+        f"calibrated for {', '.join(f'{rate:g}/min' for rate in found)} only" if found else "not calibrated"
+    )
+    command = f"slipflow calibrate {name} --on SESSIONS --false-alarms {per_minute:g}/min"
+    raise InputError(name, f"is {known}; run `{command}`")
 
 
 def _read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

@@ -14,6 +14,7 @@ import typer
 from flows.cli import experiments
 from flows.cli.adapt import adapt
 from flows.cli.benchmark import benchmark
+from flows.cli.calibrate import calibrate
 from flows.cli.chart import chart
 from flows.cli.check import check
 from flows.cli.collect import collect
@@ -43,7 +44,7 @@ _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
     {
         "Record and run": (run, demo, check, doctor, graph),
         "View": (show, watch),
-        "Train and evaluate": (train, adapt, evaluate, benchmark, chart, stress, models, onnx),
+        "Train and evaluate": (train, adapt, calibrate, evaluate, benchmark, chart, stress, models, onnx),
         "Robots": (collect, rig),
         "Data": (verify, recover, prune, fetch, import_, export, simulate),
     }

@@ -34,8 +34,8 @@ class Parameter:
     def value(self, owner: str, text: str) -> object:
         """Parse text as the annotated type.
 
-        Numbers without a unit are in SI units; times always need a unit. Empty text is valid only if it is
-        the default.
+        Numbers without a unit are in SI units; times and rates always need a unit. Empty text is valid
+        only if it is the default.
 
         Args:
             owner: Flow, for the error.
@@ -110,7 +110,7 @@ def _description(choice: Any) -> str:  # noqa: ANN401 - the same
 
 
 def _parse_measured(owner: str, name: str, text: str, unit: str) -> float:
-    if unit != "ns" and isfinite(bare := _number(text)):  # times need a unit: 70 ns is never intended
+    if not unit.endswith("ns") and isfinite(bare := _number(text)):  # 70 ns is never intended
         return bare
     return parse_quantity(owner, name, text, unit, signed=True)
 

@@ -14,6 +14,7 @@ Duration: TypeAlias = Annotated[int, "ns"]
 Length: TypeAlias = Annotated[float, "m"]
 Speed: TypeAlias = Annotated[float, "m/s"]
 Force: TypeAlias = Annotated[float, "N"]
+Rate: TypeAlias = Annotated[float, "1/ns"]
 
 
 class Kind(NamedTuple):
@@ -37,6 +38,12 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
         "B": Kind("a size", {"MB": "1000000", "GB": "1000000000", "TB": "1000000000000"}, "500MB or 200GB"),
         "N": Kind("a force", {"N": "1"}, "2N or 0.5N"),
+        "1/ns": Kind(
+            "a rate",
+            {"/h": "1/3600000000000", "/min": "1/60000000000", "/s": "1/1000000000"},
+            "1/min or 6/h",
+        ),
+        "1": Kind("a share", {"%": "1/100"}, "95%"),
     }
 )
 

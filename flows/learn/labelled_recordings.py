@@ -151,14 +151,14 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
 
 
 def load(dataset: Path, rate: float | None = None, labels: str = LABELS[0]) -> list[LabelledRecording]:
-    """Read every fingertip of every session of a dataset that has samples or labels by hand.
+    """Read every fingertip of a session, or of all of a dataset, that has samples or labels by hand.
 
     A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
     from its touch, with the labels by hand only. If no session has a split, as in recordings made by hand,
     sessions are assigned in the order of their names: seven of ten to train, one to validation, two to test.
 
     Args:
-        dataset: Folder of the dataset.
+        dataset: Folder of the dataset, or of one of its sessions.
         rate: Rate to which samples of another rate are converted by `Resample`, Hz; None: as recorded.
         labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
 
@@ -170,9 +170,9 @@ def load(dataset: Path, rate: float | None = None, labels: str = LABELS[0]) -> l
     make = "make one with `slipflow simulate` or `slipflow run record`"
     if not dataset.is_dir():
         raise InputError(str(dataset), f"there is no such folder; {make}")
-    names = session_names(dataset)
+    folders = session_folders(dataset)
     recordings = list[LabelledRecording]()
-    for session in (Session.open(session_folder(dataset, name)) for name in names):
+    for session in map(Session.open, folders):
         hand = session.hand_labels() if labels == LABELS[0] else HandLabels()
         marked = {span.finger for span in hand.spans}
         if marked:
@@ -184,7 +184,7 @@ def load(dataset: Path, rate: float | None = None, labels: str = LABELS[0]) -> l
             str(dataset), f"holds no labelled samples; {make}, or label by hand with `slipflow show`"
         )
     if not any(recording.split for recording in recordings):
-        order = {name: number for number, name in enumerate(names)}
+        order = {folder.name: number for number, folder in enumerate(folders)}
         return [replace(each, split=TURNS[order[each.name] % len(TURNS)]) for each in recordings]
     return recordings
 
@@ -208,12 +208,16 @@ def load_unlabelled(path: Path) -> list[LabelledRecording]:
     Raises:
         InputError: if there is no such folder, it is damaged, or it has neither touch nor samples.
     """
-    alone = may_exist(path / SESSION) or not path.is_dir()
-    folders = [path] if alone else [session_folder(path, name) for name in session_names(path)]
-    recordings = [each for folder in folders for each in _touch_of(Session.open(folder))]
+    recordings = [each for folder in session_folders(path) for each in _touch_of(Session.open(folder))]
     if not recordings:
         raise InputError(str(path), "has no touch of a fingertip: record some with `slipflow run record`")
     return recordings
+
+
+def session_folders(path: Path) -> list[Path]:
+    """Return the folders of a dataset's sessions, in the order of their names; or a session's own folder."""
+    alone = may_exist(path / SESSION) or not path.is_dir()
+    return [path] if alone else [session_folder(path, name) for name in session_names(path)]
 
 
 def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:

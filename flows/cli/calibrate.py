@@ -1,0 +1,70 @@
+"""The command `slipflow calibrate`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.cli.options import AsJson
+from flows.cli.terminal import check_output_file, note
+
+
+def calibrate(
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="File of weights, or the name of a shipped model.")
+    ],
+    *,
+    on: Annotated[
+        list[Path],
+        typer.Option(
+            "--on",
+            metavar="DATASET|SESSION",
+            help="Labelled recordings that the model has not learned from, also without slips; repeatable.",
+        ),
+    ],
+    false_alarms: Annotated[
+        str, typer.Option(metavar="RATE", help="Most false alarms per static time, such as 1/min or 6/h.")
+    ] = "1/min",
+    confidence: Annotated[
+        str, typer.Option(metavar="SHARE", help="Probability that the rate is kept, from 80% to 99.9%.")
+    ] = "95%",
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Write a copy of the model here (default: change the card of MODEL; copy a shipped model"
+            " into this folder).",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Choose how often a false alarm may occur.
+
+    Chooses threshold, run length and release of the debounce such that false alarms are at most as frequent
+    as RATE on data like the given recordings, with the given confidence. The model card records the settings,
+    the recordings and their static minutes. Flows use them with `false_alarms`.
+
+    Without any false alarm, 1/min at 95% needs 3 static minutes, and 6/h needs 30. The error for too little
+    data says how much more is needed. Record as many sessions as you can: each counts as one example of your
+    conditions. The rate need not hold on other surfaces, fingertips or motions.
+
+    Examples:
+      slipflow calibrate mine.safetensors --on recordings --false-alarms 1/min --confidence 95%
+      slipflow calibrate tcn --on lab --on simulated --false-alarms 6/h -o quiet.safetensors
+    """
+    from flows.graph.quantity import parse_quantity
+    from flows.learn.alarms.calibrated_model import calibrate_model
+    from operators import minute
+    from operators.checks import check_above, check_between
+
+    rate = parse_quantity("calibrate", "--false-alarms", false_alarms, "1/ns") * minute
+    share = parse_quantity("calibrate", "--confidence", confidence, "1")
+    check_above("calibrate", "--false-alarms", rate, 0, "per minute")
+    check_between("calibrate", "--confidence", share, 0.8, 0.999)
+    if out is not None:
+        check_output_file(out)
+    found = calibrate_model(model, on, round(rate, 9), share, out=out, log=note)
+    typer.echo(json.dumps({"path": str(found.path), **found.entry}) if as_json else found.report())

@@ -1,0 +1,158 @@
+"""Models whose card has debounce settings for a rate of false alarms."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from flows.learn.alarms.alarm_calibration import Calibrated, Trials, calibrated
+from flows.learn.labelled_recordings import LabelledRecording, load, session_folders
+from flows.learn.leaks.leak import SEEN, card_leaks
+from flows.learn.provenance import dataset_digest
+from flows.learn.scoring import probabilities
+from flows.report.table import counted
+from operators.errors import InputError, ParameterError
+from operators.software import software_version
+from storage import files, load_detector
+from storage.layout import MANIFEST
+from storage.models import ALARMS, LIMIT, load_card, save_card, shipped
+
+_LEARNED: Final = {"trained on", "chosen on"}  # leaks that exclude a recording
+_RULE: Final = "threshold", "consecutive", "release"  # of a debounce
+
+
+@dataclass(frozen=True, slots=True)
+class CalibratedModel:
+    """Model on disk with settings for a rate of false alarms."""
+
+    path: Path
+    entry: Mapping[str, Any]  # of the card
+    found: Calibrated
+
+    def report(self) -> str:
+        """Return the result as text."""
+        found, events, rate = self.found, self.found.measured, f"{self.found.rate:g}/min"
+        rule, sessions = found.debounce, sum(len(each["sessions"]) for each in self.entry["data"])
+        slips = f"{events.missed:.1f} % of slips missed, median delay {events.onset_ms:.0f} ms"
+        measured = f"{counted(events.false_alarms, 'false alarm')} in {events.minutes:.1f} static minutes"
+        return (
+            f"threshold {rule.threshold:g}; {counted(rule.consecutive, 'decision')} to start,"
+            f" {rule.release} to end: at most {found.bound:.2g} false alarms per static minute with"
+            f" {100 * found.confidence:g} % confidence ({rate} wanted)\n"
+            f"measured: {measured} of {counted(sessions, 'session')};"
+            f" {slips if events.slips else 'no slips'}\n"
+            f"wrote {self.path} and its card; use it with"
+            f" `slipflow run live --set detector={self.path} --set false_alarms={rate}`"
+        )
+
+
+def calibrate_model(
+    model: str,
+    paths: Sequence[Path],
+    rate: float,
+    confidence: float,
+    *,
+    out: Path | None = None,
+    log: Callable[[str], object] = lambda _: None,
+) -> CalibratedModel:
+    """Choose the debounce of a model for a rate of false alarms, and write it into the model's card.
+
+    Recordings that the model was trained or chosen on are left out. Settings for other rates are kept.
+
+    Args:
+        model: Name of a shipped model, or its file.
+        paths: Labelled datasets or sessions.
+        rate: False alarms per static minute.
+        confidence: Probability that the rate is kept.
+        out: File for a copy of the model, with its card; None: change the card of the model's file, or
+            copy a shipped model into the current folder.
+        log: Receives progress messages.
+
+    Raises:
+        InputError: if the model has no file, or the recordings cannot be read or are all left out.
+        FingertipError: if the recordings have another fingertip than the model.
+        ParameterError: if `out` has another suffix than the model.
+        TooLittleDataError: if there are too few static minutes.
+        OSError: if the model cannot be written.
+    """
+    source = shipped(model) or Path(model)
+    detector = load_detector(model)
+    if source.suffix not in {".safetensors", ".npz"}:
+        raise InputError(model, "has no weights, so it has no card to write settings into")
+    path = out or (Path(source.name) if shipped(model) else source)
+    if path.suffix != source.suffix:
+        raise ParameterError("calibrate", "out", str(path), f"a path that ends in {source.suffix}")
+    card = load_card(source)
+    recordings, sessions, data = list[LabelledRecording](), list[Path](), list[dict[str, Any]]()
+    for each in paths:
+        log(f"reading {each}")
+        used = _unseen(model, card, each, log)
+        folders = {folder.name: folder for folder in session_folders(each)}
+        recordings += used
+        sessions += [folders[recording.name] for recording in used]
+        data.append(_identity(each, [folders[name] for name in dict.fromkeys(one.name for one in used)]))
+    if not recordings:
+        raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
+    log(f"scoring {counted(len(recordings), 'recording')}")
+    trials = Trials.of(recordings, [probabilities(detector, one) for one in recordings], sessions)
+    found = calibrated(trials, rate, confidence)
+    entry = _entry(found, data)
+    others = [other for other in card.get(ALARMS, ()) if other["false_alarms_per_min"] != rate]
+    weights = files.read(source, LIMIT)
+    card |= {
+        "file": path.name,
+        "sha256": hashlib.sha256(weights).hexdigest(),
+        ALARMS: sorted([*others, entry], key=lambda each: float(each["false_alarms_per_min"])),
+    }
+    if path.absolute() != source.absolute():
+        files.put(path, weights)
+    save_card(path, card)
+    return CalibratedModel(path, entry, found)
+
+
+def _unseen(
+    model: str, card: Mapping[str, Any], path: Path, log: Callable[[str], object]
+) -> list[LabelledRecording]:
+    """Read recordings; leave out those that the model was trained or chosen on."""
+    recordings = load(path)
+    digest = "" if SEEN in card else dataset_digest(path)
+
+    def leaks(judged: Sequence[LabelledRecording]) -> bool:
+        return any(leak.kind in _LEARNED for leak in card_leaks(model, card, judged, digest))
+
+    if not leaks(recordings):
+        return recordings
+    kept = [recording for recording in recordings if not leaks([recording])]
+    left_out = counted(len(recordings) - len(kept), "recording")
+    log(f"left out {left_out} of {path}: {model} has learned from them")
+    return kept
+
+
+def _identity(path: Path, sessions: Sequence[Path]) -> dict[str, Any]:
+    """Return the names of sessions and the sha256 of their manifests, which state that of every part."""
+    digests = {
+        session.name: hashlib.sha256(files.read(session / MANIFEST, LIMIT)).hexdigest()
+        for session in sessions
+    }
+    return {"name": path.resolve().name, "sessions": digests}
+
+
+def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    events = found.measured
+    measured: dict[str, Any] = {
+        "false_alarms": events.false_alarms,
+        "static_minutes": round(events.minutes, 3),
+        "slips": events.slips,
+        "missed_slips": events.missed_slips,
+        "onset_ms": events.onset_ms if len(events.delays) else None,
+    }
+    return {
+        "false_alarms_per_min": found.rate,
+        "confidence": found.confidence,
+        "bound_per_min": round(found.bound, 4),
+        "debounce": {name: getattr(found.debounce, name) for name in _RULE},
+        "measured": measured,
+        "data": list(data),
+        "software": f"slipflow {software_version()}",
+    }

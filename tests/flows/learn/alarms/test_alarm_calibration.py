@@ -1,0 +1,117 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from flows.learn.alarms.alarm_calibration import PATH, PIECES, Trials, calibrated
+from flows.learn.alarms.alarm_limit import TooLittleDataError
+from flows.learn.evaluation.event_metrics import EventMetrics
+from flows.learn.labelled_recordings import LabelledRecording
+from operators.batch import Reals
+
+RATES = np.geomspace(0.02, 20, len(PATH))  # true false alarms per minute of each setting
+
+
+def trials(alarms: NDArray[np.int64], minutes: Reals) -> Trials:
+    """Return trials with these false alarms (settings, sessions) and no slips."""
+    nothing = EventMetrics(np.empty(0), 0, 0, 0, 0.0)
+    return Trials(alarms, minutes, ((nothing,) * len(minutes),) * len(PATH))
+
+
+def nested(random: np.random.Generator, sessions: int, minutes: float) -> Trials:
+    """Draw alarms of settings that each raise all alarms of the stricter ones."""
+    added = np.diff(RATES, prepend=0)[:, None] * minutes
+    alarms = random.poisson(added, (len(PATH), sessions)).cumsum(axis=0)
+    return trials(alarms, np.full(sessions, minutes))
+
+
+def noisy(seed: int, seconds: int = 200) -> tuple[LabelledRecording, Reals]:
+    """Return a recording with a slip every ten seconds, and probabilities that are sometimes wrong."""
+    random = np.random.default_rng(seed)
+    label = (np.arange(100 * seconds) % 1000 > 900).astype(np.int8)
+    logit = 6.0 * label - 3 + np.repeat(random.normal(0, 1.4, 10 * seconds), 10)
+    recording = LabelledRecording(np.zeros((len(label), 6), np.int16), label, "plane", name=str(seed))
+    return recording, 1 / (1 + np.exp(-logit))
+
+
+def test_the_settings_are_nested_from_strict_to_sensitive() -> None:
+    for strict, sensitive in pairwise(PATH):
+        assert strict.threshold >= sensitive.threshold
+        assert strict.consecutive >= sensitive.consecutive
+        assert strict.release >= sensitive.release
+        assert strict != sensitive
+
+
+@settings(max_examples=5, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    rate=st.sampled_from([0.5, 1.0, 3.0]),
+    confidence=st.sampled_from([0.8, 0.9, 0.95]),
+)
+def test_the_rate_of_the_chosen_setting_holds_with_the_confidence(
+    seed: int, rate: float, confidence: float
+) -> None:
+    random, draws = np.random.default_rng(seed), 200
+    chosen = [calibrated(nested(random, 40, 0.5), rate, confidence).setting for _ in range(draws)]
+    wrong = np.mean(RATES[chosen] > rate)
+    error = 1 - confidence
+    assert wrong <= error + 3 * math.sqrt(error * confidence / draws)
+    assert np.median(RATES[chosen]) > rate / 4
+
+
+def test_too_little_static_time_is_an_error_with_the_time_that_is_needed() -> None:
+    silent = trials(np.zeros((len(PATH), 4), np.int64), np.full(4, 0.5))
+    assert calibrated(silent, 1.5, 0.95).bound == pytest.approx(-math.log(0.05) / 2)
+    with pytest.raises(TooLittleDataError) as raised:
+        calibrated(silent, 1.0, 0.95)
+    assert raised.value.minutes == 2
+    assert raised.value.needed == pytest.approx(-math.log(0.05))
+
+
+def test_alarms_of_the_strictest_setting_raise_the_time_that_is_needed() -> None:
+    alarms = np.zeros((len(PATH), 4), np.int64)
+    alarms[:, 0] = 1
+    with pytest.raises(TooLittleDataError, match=r"had 1 false alarm in 4\.0 static minutes, but 4\.7"):
+        calibrated(trials(alarms, np.ones(4)), 1.0, 0.95)
+
+
+def test_without_slips_the_most_sensitive_accepted_setting_is_chosen() -> None:
+    alarms = np.zeros((len(PATH), 10), np.int64)
+    alarms[20:] = 5
+    assert calibrated(trials(alarms, np.ones(10)), 1.0, 0.95).setting == 19
+
+
+def test_a_higher_rate_never_costs_more() -> None:
+    recordings, probabilities = zip(*map(noisy, range(12)), strict=True)
+    every = Trials.of(recordings, probabilities)
+    found = [calibrated(every, rate, 0.95).measured for rate in (0.5, 2.0, 8.0, 30.0)]
+    costs = [each.delays.sum() + 1000 * each.missed_slips for each in found]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[0] > costs[-1]
+    rates = [each.false_alarms_per_min for each in found]
+    assert rates == sorted(rates)
+
+
+def test_a_single_session_is_cut_into_pieces() -> None:
+    recording, probability = noisy(0, seconds=600)
+    one = Trials.of([recording], [probability])
+    assert len(one.minutes) == PIECES
+    assert one.minutes.sum() == pytest.approx(9 - PIECES / 60, abs=0.1)
+    two = Trials.of([recording, recording], [probability, probability])
+    assert len(two.minutes) == 2
+
+
+def test_fingertips_of_one_session_are_one_unit() -> None:
+    found = [noisy(seed) for seed in range(4)]
+    recordings, probabilities = zip(*found, strict=True)
+    alone, paired = (Trials.of(recordings, probabilities, names) for names in (None, "aabb"))
+    assert (len(alone.minutes), len(paired.minutes)) == (4, 2)
+    assert paired.minutes.sum() == pytest.approx(alone.minutes.sum())
+    for setting in range(len(PATH)):
+        assert paired.alarms[setting].sum() == alone.alarms[setting].sum()
+        assert paired.metrics(setting).missed_slips == alone.metrics(setting).missed_slips
+    assert alone.drawn([1, 1]).alarms[30].tolist() == [alone.alarms[30, 1]] * 2

@@ -1,0 +1,101 @@
+import hashlib
+import shutil
+from pathlib import Path
+
+import pytest
+
+from flows.graph.loading import load as load_flow
+from flows.learn.alarms.alarm_limit import TooLittleDataError
+from flows.learn.alarms.calibrated_model import calibrate_model
+from flows.learn.labelled_recordings import load
+from flows.learn.leaks.leak import SEEN, seen_recordings
+from operators import Debounce, minute
+from operators.errors import InputError, ParameterError
+from storage import load_debounce, load_detector
+from storage.layout import MANIFEST
+from storage.models import load_card, save_card, shipped_path
+
+
+def model(folder: Path) -> Path:
+    """Copy the shipped tcn and its card."""
+    for suffix in (".safetensors", ".json"):
+        shutil.copy(shipped_path("tcn").with_suffix(suffix), folder)
+    return folder / "tcn.safetensors"
+
+
+def test_the_card_records_setting_rate_confidence_and_data(tiny: Path, tmp_path: Path) -> None:
+    path = model(tmp_path)
+    before = load_card(path)
+    done = calibrate_model(str(path), [tiny], 12.0, 0.9)
+    card = load_card(path)
+    assert {name: value for name, value in card.items() if name not in {"alarms", "check"}} == {
+        name: value for name, value in before.items() if name != "check"
+    }
+    [entry] = card["alarms"]
+    assert (entry["false_alarms_per_min"], entry["confidence"]) == (12.0, 0.9)
+    assert 0 < entry["bound_per_min"] <= 12
+    assert entry["measured"]["static_minutes"] > 0.5
+    [data] = entry["data"]
+    assert set(data["sessions"]) == {recording.name for recording in load(tiny)}
+    manifest = tiny / "sessions" / next(iter(data["sessions"])) / MANIFEST
+    assert hashlib.sha256(manifest.read_bytes()).hexdigest() in data["sessions"].values()
+    assert f"{done.found.debounce.threshold:g}" in done.report()
+    assert load_detector(path).name == "tcn"
+
+
+def test_a_flow_uses_the_setting_of_its_rate_and_refuses_others(tiny: Path, tmp_path: Path) -> None:
+    path = model(tmp_path)
+    for rate in (12.0, 30.0):
+        done = calibrate_model(str(path), [tiny], rate, 0.95)
+        assert load_debounce(path, rate / minute) == done.found.debounce
+    again = calibrate_model(str(path), [tiny], 12.0, 0.8)
+    assert [each["false_alarms_per_min"] for each in load_card(path)["alarms"]] == [12.0, 30.0]
+    assert load_debounce(path, 12 / minute) == again.found.debounce
+    flow = load_flow("live").flow({"detector": str(path), "false_alarms": "12/min"})
+    [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
+    assert debounce == again.found.debounce
+    with pytest.raises(
+        InputError, match=r"calibrated for 12/min, 30/min only; run `slipflow calibrate .* 1/min`"
+    ):
+        load_debounce(path, 1 / minute)
+    with pytest.raises(InputError, match="tcn: is not calibrated; run `slipflow calibrate tcn --on SESSIONS"):
+        load_flow("relabel").flow({"false_alarms": "6/h"})
+
+
+def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
+    path = model(tmp_path)
+    for damage in ([{"false_alarms_per_min": 1}], [3], 3):
+        save_card(path, {**load_card(path), "alarms": damage})
+        with pytest.raises(InputError, match="calibrate it again"):
+            load_debounce(path, 1 / minute)
+
+
+def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp_path: Path) -> None:
+    path, recordings, notes = model(tmp_path), load(tiny), list[str]()
+    learned = [each for each in recordings if each.split != "test"]
+    save_card(path, {**load_card(path), SEEN: seen_recordings(learned)})
+    done = calibrate_model(str(path), [tiny], 40.0, 0.8, log=notes.append)
+    names = {each.name for each in recordings} - {each.name for each in learned}
+    assert set(done.entry["data"][0]["sessions"]) == names
+    assert f"left out {len(learned)} recordings of {tiny}: {path} has learned from them" in notes
+    save_card(path, {**load_card(path), SEEN: seen_recordings([*learned])})
+    with pytest.raises(InputError, match="no recordings are left"):
+        calibrate_model(str(path), [tiny / "sessions" / learned[0].name], 40.0, 0.8)
+
+
+def test_a_shipped_model_is_copied_and_a_failure_writes_nothing(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TooLittleDataError, match=r"record .* more static minutes"):
+        calibrate_model("tcn", [tiny], 0.1, 0.95)
+    with pytest.raises(ParameterError, match=r"\.safetensors"):
+        calibrate_model("tcn", [tiny], 12.0, 0.95, out=Path("tcn.npz"))
+    with pytest.raises(InputError, match="has no weights"):
+        calibrate_model("psd", [tiny], 12.0, 0.95)
+    assert list(tmp_path.iterdir()) == []
+    assert calibrate_model("tcn", [tiny], 12.0, 0.95).path == Path("tcn.safetensors")
+    copied = calibrate_model("tcn.safetensors", [tiny], 20.0, 0.95, out=Path("mine.safetensors"))
+    assert load_card(copied.path)["file"] == "mine.safetensors"
+    assert [each["false_alarms_per_min"] for each in load_card(copied.path)["alarms"]] == [12.0, 20.0]
+    assert load_detector(copied.path).name == "tcn"
