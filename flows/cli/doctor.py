@@ -39,9 +39,10 @@ def doctor(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Check the machine, and the devices, servers and files that a flow uses.
+    """Check this machine, and the devices that a flow uses.
 
-    Each line is good, a note, or bad and says how to fix it. Nothing moves; the bus is scanned, the broker
+    Checks Python, packages, clock, disk and ports, and with a flow its devices, servers and folders. Each
+    line is good, a note, or bad and says how to fix it. Nothing moves; the bus is scanned, the broker
     gets one message on the topic doctor of the rig, and a temporary file is written to each disk. End runs
     that use the same devices first. Exits 1 if anything is bad.
 
