@@ -53,12 +53,19 @@ class SourceStatus:
 
     rows: int = 0
     late: int = 0  # rows older than a row before them
+    missing: int = 0  # rows that should have come in pauses, at the declared rate
+    declared_rate: float | None = None  # rows per second, of all fingertips; None: unknown
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
     stale: bool = False  # delivers nothing although it has not failed; `error` says for how long
     failures: int = 0  # the source is restarted after each
     error: str = ""  # latest failure or silence; empty while the source works
     gaps: list[Gap] = field(default_factory=list[Gap])
+
+    @property
+    def lost(self) -> int:
+        """Rows that are missing or late."""
+        return self.missing + self.late
 
 
 @dataclass
@@ -67,6 +74,7 @@ class SinkStatus:
 
     rows: int = 0
     queued: int = 0  # batches
+    waiting: int | None = None  # copy of `Sink.waiting`
     dropped: int = 0  # rows lost by policy, or while the sink failed
     failures: int = 0
     error: str = ""  # latest failure; empty while the sink works
@@ -199,6 +207,11 @@ class Sink(Endpoint, ABC, Generic[Taken]):
     def pending(self) -> int:
         """Accepted rows that are not stored yet and would be lost if `close` did not complete."""
         return 0
+
+    @property
+    def waiting(self) -> int | None:
+        """Stored events that the receiver has not acknowledged; None: nothing is acknowledged."""
+        return None
 
     @abstractmethod
     async def open(self, run: Run) -> None:

@@ -71,12 +71,17 @@
     }
     return ground;
   };
+  const opacity = (node) => {
+    let product = 1;
+    for (let each = node; each; each = each.parentElement) product *= Number(getComputedStyle(each).opacity);
+    return product;
+  };
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) {
     const node = walker.currentNode.parentElement, text = walker.currentNode.data;
     if (!text.trim() || node.closest("script, style, noscript, option, metadata, defs") || !shown(node)) continue;
     const style = getComputedStyle(node), inSvg = node.closest("svg"), ground = under(node);
-    const ratio = contrast(paint(ground, inSvg ? style.fill : style.color), ground);
+    const ratio = contrast(paint(ground, inSvg ? style.fill : style.color, opacity(node)), ground);
     if (ratio < 4.5) faults.push(`contrast ${ratio.toFixed(2)}: ${short(text)}`);
     const size = parseFloat(style.fontSize) * (inSvg ? (node.getScreenCTM()?.a || node.getScreenCTM()?.b || 1) : 1);
     if (Math.abs(size) < 10) faults.push(`${Math.abs(size).toFixed(1)} px: ${short(text)}`);

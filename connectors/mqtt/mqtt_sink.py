@@ -109,6 +109,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Events that are neither in the outbox nor acknowledged by the broker."""
         return self._outbox.unstored
 
+    @property
+    def waiting(self) -> int:
+        """Events that the broker has not acknowledged."""
+        return self._outbox.waiting
+
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check password, TLS, access rights and response time of the broker, and the disk of the outbox.
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors.events import Slip
-from operators.batch import Motion, Reals, Scores, Times, Touch, ms
+from connectors.sim.truth import SLIDING
+from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
 from operators.ports import Json, Run
 
 Real = TypeVar("Real", bound=np.floating[Any])
@@ -20,23 +21,27 @@ def page_fingertip(run: Run, destination: str) -> Json:
     return next((fingertip.describe() for fingertip in known.values()), None)
 
 
-def plotted_values(batch: Touch | Motion | Scores) -> Reals:
+def plotted_values(batch: Touch | Motion | Scores | Truth) -> Reals:
     """Return the plotted values of a batch.
 
     Returns:
         (n, cells) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,)
-        probability of scores.
+        probability of scores; (n,) 1 for true sliding, else 0.
     """
     if isinstance(batch, Touch):
         return np.where(batch.valid, batch.counts, np.nan)
+    if isinstance(batch, Truth):
+        return (batch.sliding > SLIDING).astype(np.float64)
     if isinstance(batch, Motion):
         speed: Reals = 1000 * np.sqrt(np.square(batch.velocity[:, :3]).sum(axis=1))
         return speed
     return batch.probability
 
 
-def stream_name(batch: Touch | Motion | Scores) -> str:
-    """Return the name of a batch's stream in frames: touch, speed or scores."""
+def stream_name(batch: Touch | Motion | Scores | Truth) -> str:
+    """Return the name of a batch's stream in frames: touch, speed, scores or truth."""
+    if isinstance(batch, Truth):
+        return "truth"
     return "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
 
 

@@ -12,7 +12,8 @@ from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
 from connectors.web.curves import page_fingertip
 from connectors.web.page_frames import Frames, Rows, rows_json
-from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from connectors.web.verdicts import Verdicts
+from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
 from operators.checks import check_between
 from operators.ports import Clock, Finding, Json, Run, Sink
 from operators.software import software_version
@@ -29,14 +30,14 @@ _NAME_MAX: Final = 64  # characters of a browser's name
 _NUMBER: Final = re.compile(r"[0-9]{1,18}")  # of a message
 
 
-class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
+class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
     """Live page in the browser: pressure maps, slip probability, TCP speed, slip events with latency, health.
 
-    Connect each stream to show: touch (preferably zeroed), motion, scores, slips, faults. The health covers
-    all sources and sinks of the run. Browsers poll for messages: hello, frames (at most 40 per second, see
-    `connectors.web.page_frames`), reports, and the end. A request waits until there are new ones. A browser
-    that is too slow for the kept messages gets all kept rows again. The page may drop rows and never slows
-    the run.
+    Connect each stream to show: touch (preferably zeroed), motion, scores, slips, faults, and the truth
+    of a simulation. The health covers all sources and sinks of the run, see `connectors.web.verdicts`.
+    Browsers poll for messages: hello, frames (at most 40 per second, see `connectors.web.page_frames`),
+    reports, and the end. A request waits until there are new ones. A browser that is too slow for the
+    kept messages gets all kept rows again. The page may drop rows and never slows the run.
 
     Only this machine can reach the page unless `host` is set, which requires a token. The connection is not
     encrypted: outside a trusted network, use a TLS proxy.
@@ -115,7 +116,8 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         from connectors.web.web_server import json_answer, page_server  # noqa: PLC0415 - aiohttp is slow to import
 
         self._run, self._frames, self._reports = run, Frames(run), HealthReports(run)
-        self._health = self._reports.next()
+        self._verdicts = Verdicts(run)
+        self._health = self._judged()
         self._loop = asyncio.get_running_loop()
         self._messages, self._ended = MessageBuffer(), False
         self._seen: dict[str, float] = {}  # loop time (s) of the last request of each browser
@@ -129,7 +131,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         if self._opened:
             self._opened(self._server.url)
 
-    def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
+    def take(self, batch: Touch | Motion | Scores | Slips | Faults | Truth) -> bool:
         """Add the rows of a batch to the next frame."""
         self._frames.add(batch)
         if self._sending is None and self._watched():
@@ -145,9 +147,9 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             self._sending.cancel()
             self._send()
         await self._wait_for_recorders()
-        self._health = self._reports.next()
+        self._health = self._judged()
         report = self._report()
-        final = {name: report[name] for name in ("sinks", "recorders")}
+        final = {name: report[name] for name in ("sinks", "recorders", "waiting", "verdicts")}
         self._messages.put("end", {"error": self._run.error or None, **final})
         self._ended = True
         for _ in range(_END_POLLS):
@@ -199,6 +201,15 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         rows, report = self._frames.rows(), self._report()
         return await asyncio.to_thread(_hello_messages, about, rows, run.start, report)
 
+    def _judged(self) -> dict[str, Json]:
+        """Return the health of the run with its verdicts."""
+        health, sources, sinks = self._reports.next(), self._run.sources, self._run.sinks
+        declared: dict[str, Json] = {name: source.declared_rate for name, source in sources.items()}
+        lost: dict[str, Json] = {name: source.lost for name, source in sources.items()}
+        waiting: dict[str, Json] = {name: sink.waiting for name, sink in sinks.items()}
+        verdicts = self._verdicts.next(self._reports.rates)
+        return {**health, "declared_hz": declared, "lost": lost, "waiting": waiting, "verdicts": verdicts}
+
     def _report(self) -> dict[str, Json]:
         errors: dict[str, Json] = {name: source.error or None for name, source in self._run.sources.items()}
         recorders: list[Json] = [name for name, sink in self._run.sinks.items() if sink.records]
@@ -216,7 +227,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     async def _keep_reporting(self) -> None:
         while True:
             await asyncio.sleep(REPORT_EVERY)
-            self._health = self._reports.next()
+            self._health = self._judged()
             if self._watched():
                 self._messages.put("report", self._report())
 

@@ -5,6 +5,7 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 - ``now``: time of the run's clock when the frame was made
 - ``touch``: by fingertip, ``t`` (n,), ``v`` (n, cells) counts, null for invalid cells, and ``zeroed``
 - ``scores``: by fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
+- ``truth``: by fingertip, ``t`` and ``v`` (n,), 1 while the simulated contact slides, else 0
 - ``events``: numbered onsets and ends of slip; ``latency``: ms from the deciding sample to its arrival here,
   null in a replay at full speed
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
@@ -30,6 +31,7 @@ from operators.batch import (
     Slips,
     Times,
     Touch,
+    Truth,
     Zeroed,
     ms,
     s,
@@ -43,7 +45,7 @@ KEPT: Final = 30 * s  # ns of each stream
 STEP: Final = 5 * ms  # ns; one row is kept per step
 
 # by stream and fingertip: views that another thread can encode
-Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores]
+Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores | Truth]
 
 
 class Track(Generic[AnyBatch]):
@@ -102,7 +104,7 @@ class Frames:
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
         self._numbered = self._sent = 0  # number of events added and sent
 
-    def add(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
+    def add(self, batch: Touch | Motion | Scores | Slips | Faults | Truth) -> None:
         """Add a batch; zeroed touch of a fingertip replaces its raw touch."""
         if isinstance(batch, Slips):
             self._add_slips(batch)
@@ -114,7 +116,7 @@ class Frames:
             if track is None and sum(each[0] == key[0] for each in self._tracks) >= FINGERS_MAX:
                 return
             if track is None or (zeroed and track.kind is Touch):
-                base = Touch if isinstance(batch, Touch) else Scores if isinstance(batch, Scores) else Motion
+                base = next((each for each in (Touch, Scores, Truth) if isinstance(batch, each)), Motion)
                 kind = Zeroed if zeroed else base  # drops further columns
                 track = self._tracks[key] = Track(kind)
             if isinstance(batch, Scores) and len(batch):

@@ -55,6 +55,8 @@ def add_page(
 ) -> None:
     """Add a sink to a flow that shows it on the live page, with the threshold of its first `Debounce`.
 
+    A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells.
+
     Args:
         flow: Flow to change.
         listen: Address as ``[HOST:]PORT``.
@@ -73,6 +75,7 @@ def add_page(
     def announce(url: str) -> None:
         announce_page("live page", url, page.login_url, browse=browse)
 
+    _watch_cells(flow)
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or announce)
     for node in page_streams(flow):
         flow.add_sink(page, node)
@@ -80,13 +83,29 @@ def add_page(
 
 def page_streams(flow: "Flow") -> "list[Node]":
     """Return the streams that the page shows: the first of each type, zeroed touch if there is any."""
-    from operators import Faults, Motion, Scores, Slips, Touch, Zeroed
+    from operators import Faults, Motion, Scores, Slips, Touch, Truth, Zeroed
 
     first: dict[type[Batch] | None, Node] = {}
     for node in flow.nodes:
         first.setdefault(node.gives, node)
-    kinds = (Zeroed if Zeroed in first else Touch, Motion, Scores, Slips, Faults)
+    kinds = (Zeroed if Zeroed in first else Touch, Motion, Scores, Slips, Faults, Truth)
     return [first[kind] for kind in kinds if kind in first]
+
+
+def _watch_cells(flow: "Flow") -> None:
+    """Add `Health` to the first raw touch of a known range, unless the flow reports faults."""
+    from operators import Faults, Health, Source, Touch
+    from operators.batch import s
+
+    if any(node.gives is Faults for node in flow.nodes):
+        return
+    for node in flow.nodes:
+        fingertip = node.part.fingertip if isinstance(node.part, Source) else None
+        if node.gives is Touch and fingertip is not None and fingertip.range is not None:
+            low, high = sorted(fingertip.range)
+            end = max(1, (high - low) // 100)  # counts at each end of the range
+            flow.add("faults", Health(clear_after=2 * s, floor=low + end, ceiling=high - end), node)
+            return
 
 
 def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None" = None) -> None:

@@ -250,7 +250,7 @@ class LiveRunner:
             await queue.put(batch)
 
     async def _check_regularly(self) -> None:
-        """Record steps of the host's clock and silent sources, and feed the watchdog, until cancelled.
+        """Record clock steps, silent sources and unacknowledged events, and feed the watchdog.
 
         The watchdog starves while a source is silent: it may hang, and a restart may help. A source that
         reports a failure does not hang.
@@ -258,6 +258,8 @@ class LiveRunner:
         while True:
             await asyncio.sleep(CHECK_INTERVAL)
             self._check_host_clock()
+            for queue in self._queues.values():
+                queue.status.waiting = queue.sink.waiting
             if not self._pending:  # else the sources wait for a sink
                 for reader in self._readers.values():
                     reader.check_silence(CHECK_INTERVAL)

@@ -4,13 +4,16 @@ import asyncio
 from collections import defaultdict
 from collections.abc import AsyncGenerator
 from dataclasses import asdict
+from math import inf
 from typing import Any, Final, cast
+
+import numpy as np
 
 from flows.graph.error_location import location
 from flows.run.cancellation import own_cancellation
 from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
-from operators.batch import Batch, s
+from operators.batch import Batch, Times, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
 from operators.operator import LateRowFilter
 from operators.ports import Gap, Run, Source, SourceStatus
@@ -42,7 +45,10 @@ class SourceReader:
     def __init__(self, name: str, source: Source[Any], run: Run) -> None:
         self.name, self._source, self._run = name, source, run
         self._kind = cast("type[Batch]", source.kind)
-        self.status = run.sources[name] = SourceStatus()
+        rate = _declared_rate(source)  # rows per second of each fingertip
+        self._period = s / rate if rate else inf  # ns
+        declared = rate * len(source.fingers) if rate else None
+        self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._counted, self._silent = 0, 0.0  # rows at the last check, and s without rows since then
@@ -122,8 +128,9 @@ class SourceReader:
 
     def _count(self, batch: Batch) -> None:
         status, in_time = self.status, self._filters[batch.finger]
-        late = in_time.late
+        late, before = in_time.late, in_time.newest
         in_time.filter(batch)
+        status.missing += missing_rows(batch.time, before, self._period)
         status.late += in_time.late - late
         status.newest = max(status.newest, in_time.newest)
         status.rows += batch.time.size
@@ -151,3 +158,28 @@ class SourceReader:
         self.status.gaps.append(gap)
         self._gap_start = 0
         return gap
+
+
+def missing_rows(time: Times, before: int, period: float) -> int:
+    """Return how many rows are missing in the pauses of a stream: those of 1.5 periods and more.
+
+    Args:
+        time: (n,) ns, of the next rows of one fingertip.
+        before: Time of the row before them, ns; a negative one: there is none.
+        period: Time from one row to the next, ns.
+
+    >>> missing_rows(np.array([20, 30, 60]), 10, 10.0)
+    2
+    """
+    if time.size == 1:
+        return max(round((time.item(0) - before) / period) - 1, 0) if before >= 0 else 0
+    pauses = np.diff(time, prepend=before if before >= 0 else time[0])
+    return int(np.maximum(np.rint(pauses / period) - 1, 0).sum())
+
+
+def _declared_rate(source: Source[Any]) -> float | None:
+    """Return the declared rate of a source, Hz, of each of its fingertips; None: unknown."""
+    if source.fingertip is not None:
+        return source.fingertip.rate
+    rate = source.describe().get("rate_hz")
+    return float(rate) if isinstance(rate, int | float) and rate > 0 else None

@@ -1,6 +1,8 @@
 // Three charts with one time axis: counts of each barometer, slip probability, TCP speed.
 // A view of a time axis has `begin`, `end` and `origin` (ms), the time of label 0.
 
+import { drawTruth } from "./truth.js";
+
 /* global uPlot */
 
 export const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
@@ -173,7 +175,11 @@ export class Charts {
     const pressure = steppedRange(60);
     this.range = [0, 1023]; // raw counts
     this.counts = new Chart("counts", [], (low, high) => (this.raw ? this.range : pressure(low, high)));
-    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => this.#drawThreshold(plot));
+    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => {
+      drawTruth(plot, this.truth, this.scores.view);
+      this.#drawThreshold(plot);
+    });
+    this.truth = null;
     this.motion = new Chart("motion", [{ hue: "--probability" }], steppedRange(10));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
   }
@@ -204,7 +210,8 @@ export class Charts {
     return Math.max(100, Math.round((this.counts.host.clientWidth - LEFT - RIGHT) * devicePixelRatio));
   }
 
-  draw({ touch, scores, speed }, view) {
+  draw({ touch, scores, truth, speed }, view) {
+    this.truth = truth;
     this.counts.draw(touch ? touch.between(view.begin, view.end) : [[], ...this.counts.series.map(() => [])], view);
     this.scores.draw(scores ? scores.between(view.begin, view.end) : [[], []], view);
     this.motion.draw(speed.between(view.begin, view.end), view);

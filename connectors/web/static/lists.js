@@ -1,11 +1,11 @@
-// Tables of slip events, sources and sinks.
+// Table of slip events, and cells of tables.
 
 import { element, write } from "./pad.js";
 
 const LIVE_MAX = 100; // events kept of a run
 const LISTED_MAX = 1000; // events listed of a recording
 const ARROWS = "→↗↑↖←↙↓↘"; // of 0, 45, ... degrees
-const number = new Intl.NumberFormat("en");
+export const number = new Intl.NumberFormat("en");
 
 export class Events {
   constructor() {
@@ -86,7 +86,7 @@ function row(event, time, go) {
     cell(event.finger),
     cell(event.onset ? `slip onset${towards(event.direction)}` : "slip end", event.onset ? "onset" : ""),
     cell(event.p === null ? "–" : event.p.toFixed(2), "number probability"),
-    cell(event.latency === null ? "–" : `${event.latency.toFixed(1)} ms`, "number latency"),
+    latency(event.latency),
   );
   return tr;
 }
@@ -95,72 +95,20 @@ function towards(direction) {
   return (direction ?? null) === null ? "" : ` ${ARROWS[Math.round(direction / 45) % 8]} ${direction}°`;
 }
 
-export class Health {
-  constructor() {
-    this.sources = document.getElementById("sources");
-    this.sinks = document.getElementById("sinks");
-    this.recording = document.getElementById("recording");
-  }
-
-  show({ sources, sinks, errors, recorders }) {
-    this.sources.replaceChildren(
-      ...Object.entries(sources).map(([name, source]) => line(
-        cell(name),
-        source.state === "up" ? cell("up") : cell(state(source, errors[name]), "bad text"),
-        cell(source.rate_hz === null ? "–" : `${source.rate_hz.toFixed(1)} Hz`, "number"),
-        cell(source.lag_ms === null ? "–" : `${source.lag_ms.toFixed(0)} ms`, "number"),
-        cell(number.format(source.late), "number"),
-        cell(number.format(source.gaps), source.gaps ? "number bad" : "number"),
-      )),
-    );
-    this.#showSinks(sinks);
-    this.#record(recorders, sinks);
-  }
-
-  #showSinks(sinks) {
-    this.sinks.replaceChildren(
-      ...Object.entries(sinks).map(([name, sink]) => line(
-        cell(name),
-        sink.error ? cell(sink.error, "bad text") : cell("ok"),
-        cell(number.format(sink.rows), "number"),
-        cell(number.format(sink.queued), "number"),
-        cell(number.format(sink.dropped), sink.dropped ? "number bad" : "number"),
-      )),
-    );
-  }
-
-  // Show the final counts at the end of the run.
-  end({ sinks, recorders }) {
-    this.#showSinks(sinks);
-    this.#record(recorders, sinks, true);
-  }
-
-  #record(names, sinks, ended = false) {
-    const recorders = names.map((name) => sinks[name]).filter(Boolean);
-    const rows = recorders.reduce((sum, sink) => sum + sink.rows, 0);
-    const dropped = recorders.reduce((sum, sink) => sum + sink.dropped, 0);
-    const failed = recorders.find((sink) => sink.error);
-    this.recording.hidden = false;
-    this.recording.className = failed || dropped ? "bad" : recorders.length && !ended ? "on" : "";
-    const verb = ended ? "Recorded" : "Recording";
-    const text = failed ? `${ended ? "Recording failed" : "Recording is failing"}: ${failed.error}` : dropped
-      ? `${verb}, ${number.format(dropped)} rows lost`
-      : recorders.length ? `${verb}, ${number.format(rows)} rows` : ended ? "Not recorded" : "Not recording";
-    write(this.recording, text);
-  }
+// Return the cell of a latency (ms; null: unknown); its limits are those of the sources.
+function latency(value) {
+  if (value === null) return cell("–", "number latency");
+  const word = value > 250 ? "very late" : value > 50 ? "late" : "";
+  return cell(`${word ? `▲ ${word} ` : ""}${value.toFixed(1)} ms`, `number latency ${word ? "bad" : ""}`);
 }
 
-function state(source, error) {
-  return source.state === "stale" ? "no data" : error ? `down: ${error}` : "down";
-}
-
-function line(...cells) {
+export function line(...cells) {
   const tr = element("tr");
   tr.append(...cells);
   return tr;
 }
 
-function cell(text, kind = "") {
+export function cell(text, kind = "") {
   const td = element("td", kind);
   td.textContent = text;
   return td;

@@ -1,6 +1,6 @@
 // Live page: polls for messages, each request waits for new ones; the page reconnects by itself.
 
-import { Health } from "./lists.js";
+import { Health } from "./health.js";
 import { title, write } from "./pad.js";
 
 const SILENCE = 4000; // ms without an answer until the connection counts as lost; the server answers within 1 s
@@ -14,6 +14,7 @@ export function live(view) {
 
   const clock = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3, hour12: false });
   const when = (t) => clock.format(new Date(hello.start + t));
+  write($("zone"), zone(new Date()));
   const pause = $("pause");
 
   view.scene = () => paused ?? { streams: view.streams, figures: view.streams, end: view.newest };
@@ -32,7 +33,7 @@ export function live(view) {
     $("link").className = ended || paused ? "" : lost ? "bad" : "on";
     const notice = lost && !ended ? "No flow is connected. The page reconnects every second."
       : ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. The page waits for the next run.`
-      : paused && at !== null ? `Paused at ${when(at)}. New slips are still listed.` : "";
+      : paused && at !== null ? `Paused at ${when(at)} ${zone(new Date(hello.start + at))}. New slips are still listed.` : "";
     $("notice").hidden = !notice;
     write($("notice"), notice);
   }
@@ -92,6 +93,7 @@ export function live(view) {
     },
     report(each) {
       health.show(each);
+      health.showCells([...view.streams.touch.keys()].sort(), view.faults, view.silent());
       view.events.show(when);
     },
     end(each) {
@@ -126,6 +128,13 @@ export function live(view) {
       }
     }
   })();
+}
+
+// Return the time zone of the times on the page.
+function zone(date) {
+  const minutes = -date.getTimezoneOffset(), pad = (each) => String(each).padStart(2, "0");
+  if (!minutes) return "UTC";
+  return `local, UTC${minutes < 0 ? "−" : "+"}${pad(Math.floor(Math.abs(minutes) / 60))}:${pad(Math.abs(minutes) % 60)}`;
 }
 
 const sleep = (time) => new Promise((resolve) => setTimeout(resolve, time));

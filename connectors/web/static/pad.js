@@ -3,6 +3,7 @@
 import { styles } from "./charts.js";
 
 const DENSE = 12; // cells; more have smaller tiles
+const SHORT = { saturated: "max", drifting: "drift", "no reading": "none" }; // in small tiles
 const READABLE = 100; // ms between updates of the numbers, to keep them readable
 
 export class Pads {
@@ -35,8 +36,11 @@ export class Pads {
       const part = value === null ? 0 : Math.min(Math.max(share(value), 0), 1);
       cell.td.style.setProperty("--share", part.toFixed(3));
       cell.td.classList.toggle("deep", part > this.deep);
-      cell.td.classList.toggle("fault", k in faults || silent);
-      write(cell.fault, faults[k] ?? (silent ? "no reading" : ""));
+      const saturated = faults[k] === "saturated";
+      cell.td.classList.toggle("saturated", saturated);
+      cell.td.classList.toggle("fault", (k in faults && !saturated) || silent);
+      const fault = faults[k] ?? (silent ? "no reading" : "");
+      write(cell.fault, pad.dense ? SHORT[fault] ?? fault : fault);
       write(cell.count, value === null ? "–" : String(Math.round(value)).replace("-", "−"));
     });
   }
@@ -61,7 +65,8 @@ export class Pads {
     const table = element("table", "pad"), cells = [];
     table.setAttribute("aria-label", `Pressure of ${title(finger).toLowerCase()}`);
     const looks = styles(this.layout);
-    table.classList.toggle("dense", looks.length > DENSE);
+    const dense = looks.length > DENSE;
+    table.classList.toggle("dense", dense);
     for (const row of this.layout) {
       const tr = table.insertRow();
       for (const k of row) {
@@ -81,7 +86,7 @@ export class Pads {
     }
     box.append(who, table);
     table.addEventListener("click", () => input.click());
-    this.pads.set(finger, { box, now, cells, due: true });
+    this.pads.set(finger, { box, now, cells, dense, due: true });
     return box;
   }
 }

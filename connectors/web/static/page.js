@@ -95,6 +95,15 @@ class View {
     return this.streams.touch.get(this.finger)?.newest ?? this.streams.speed.newest;
   }
 
+  // Return the cells without a reading, by fingertip.
+  silent() {
+    const cells = [...this.streams.touch].map(([finger, rows]) => {
+      const values = rows.at(Infinity) ?? [];
+      return [finger, values.flatMap((value, k) => (value === null ? [k] : []))];
+    });
+    return new Map(cells);
+  }
+
   slips(finger) {
     return this.slipping.has(finger) || this.slipping.has("every");
   }
@@ -163,8 +172,9 @@ class View {
     write($("ramp-to"), raw ? String(this.range[1]) : String(this.deepest));
     const [from, to] = scene.span ?? [end - this.window, end], { origin = to, last = to, selected } = scene;
     const slips = this.events.spans(this.finger, Math.min(to, last));
-    const { touch, speed } = streams;
-    const shown = { touch: touch.get(this.finger), scores: streams.scoring(this.finger), speed };
+    const { touch, speed } = streams, truth = streams.truth.get(this.finger);
+    $("truth-key").hidden = !truth;
+    const shown = { touch: touch.get(this.finger), scores: streams.scoring(this.finger), truth, speed };
     this.charts.draw(shown, { begin: from, end: to, at: end, slips, origin, selected });
     if (readable) this.#showFigures(figures, at);
   }

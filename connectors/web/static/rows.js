@@ -75,11 +75,12 @@ export class Streams {
     this.touch = new Map();
     this.zeroed = new Map(); // by fingertip
     this.scores = new Map();
+    this.truth = new Map(); // 1 while the simulated contact slides
     this.speed = new Rows(1);
   }
 
   // Add the streams of a frame; `put` is "push" or "replace".
-  take({ touch, scores, speed }, put = "push") {
+  take({ touch, scores, truth, speed }, put = "push") {
     for (const [finger, rows] of Object.entries(touch ?? {})) {
       const before = this.touch.get(finger), cells = rows.v[0]?.length ?? before?.columns.length;
       if (!cells) continue; // no rows yet
@@ -92,6 +93,10 @@ export class Streams {
       if (!this.scores.has(finger)) this.scores.set(finger, new Rows(1));
       this.scores.get(finger)[put](rows);
     }
+    for (const [finger, rows] of Object.entries(truth ?? {})) {
+      if (!this.truth.has(finger)) this.truth.set(finger, new Rows(1));
+      this.truth.get(finger)[put](rows);
+    }
     if (speed) this.speed[put](speed);
   }
 
@@ -102,7 +107,7 @@ export class Streams {
 
   copy() {
     const copy = new Streams(this.sign), copied = (rows) => new Map([...rows].map(([finger, each]) => [finger, each.copy()]));
-    return Object.assign(copy, { touch: copied(this.touch), zeroed: new Map(this.zeroed), scores: copied(this.scores), speed: this.speed.copy() });
+    return Object.assign(copy, { touch: copied(this.touch), zeroed: new Map(this.zeroed), scores: copied(this.scores), truth: copied(this.truth), speed: this.speed.copy() });
   }
 }
 

@@ -13,7 +13,7 @@ from connectors import Page
 from connectors.web.session_requests import SessionPage, session_requests
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
-from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
 from operators.fingertip import Fingertip
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import slip, touched
@@ -122,7 +122,7 @@ class ServedPage(Served):
         """Address of the page."""
         return self.page.url
 
-    def write(self, *batches: Touch | Motion | Scores | Slips | Faults) -> None:
+    def write(self, *batches: Touch | Motion | Scores | Slips | Faults | Truth) -> None:
         """Write rows."""
         for batch in batches:
             self.do(self.page.write(batch))

@@ -31,8 +31,9 @@ def page_of(flow: Flow) -> Page:
 
 def test_the_page_shows_the_streams_of_the_demo(tmp_path: Path) -> None:
     flow = ready_made.demo(str(tmp_path))
-    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips"]
+    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips", "Truth"]
     add_page(flow)
+    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips", "Faults", "Truth"]
     assert problems(flow) == []
     [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
     assert page_of(flow).threshold == debounce.threshold
