@@ -84,6 +84,23 @@ def test_the_command_serves_the_session_until_ctrl_c(session: Session) -> None:
     assert process.returncode == 0
 
 
+def test_two_sessions_or_detectors_are_served_side_by_side(session: Session) -> None:
+    folder, options = str(session.folder), ["--detector", "psd", "--listen", "127.0.0.1:0", "--no-browser"]
+    process = subprocess.Popen(
+        [*SLIPFLOW, "show", folder, folder, *options], stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr
+    address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
+    connection = HTTPConnection(address[1], int(address[2]), timeout=PATIENCE)
+    for base in ("", "/1"):
+        connection.request("GET", f"{base}/about.json")
+        assert json.loads(connection.getresponse().read())["panes"] == ["test by psd", "test by psd"]
+    connection.close()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+
+
 def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:
     done = slipflow("show", tmp_path)
     assert done.returncode == 2
