@@ -33,7 +33,7 @@ def recorded(strokes: Stroked, monkeypatch: pytest.MonkeyPatch) -> list[Labelled
     """Recordings that every path has."""
     found = [replace(strokes(seed, **LONG), split="train") for seed in (10, 11)]
 
-    def reading(_: Path) -> list[LabelledRecording]:
+    def reading(*_: object, **__: object) -> list[LabelledRecording]:
         return found
 
     for name in ("load", "load_unlabelled"):
