@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from operators import Score
-from operators.batch import Counts, Flags, Reals, Zeroed
+from operators.batch import Assessed, Counts, Flags, Reals, Zeroed, columns
 from operators.detectors.detector import Detector
 
 
@@ -20,14 +20,22 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
     Raises:
         FingertipError: if the detector was made for another fingertip.
     """
+    return assessed(detector, recording).probability
+
+
+def assessed(detector: Detector, recording: LabelledRecording) -> Assessed:
+    """Return the scores of all samples, as `probabilities`; doubt and direction are NaN if unknown."""
     score = Score(detector)
     score.output_fingertip(recording.fingertip)
-    found = np.full(len(recording), np.nan)
-    if not len(recording):
+    rows = len(recording)
+    found = Assessed(np.arange(rows) * PERIOD, *(np.full(rows, np.nan) for _ in range(4)))
+    if not rows:
         return found
     scores = score.push(_zeroed(recording))
-    found[len(found) - len(scores) :] = scores.probability
-    found[:WARM_UP] = np.nan
+    for name in columns(type(scores)):
+        getattr(found, name)[rows - len(scores) :] = getattr(scores, name)
+    for each in (found.probability, found.doubt, found.direction, found.deviation):
+        each[:WARM_UP] = np.nan
     return found
 
 

@@ -59,11 +59,12 @@ def panels(of: Stress, measure: Measure, target: Target = "arm-speed") -> Figure
 
 @styled
 def abstention(of: Stress) -> Figure:
-    """Draw the share of samples during which a fault is reported, and of those without a score."""
+    """Draw the shares of samples during which a fault is reported, without a score, and in doubt."""
     first = of.names[0]
     lines: Sequence[_Line] = (
         ("a fault is reported", lambda field, value: of.outcome(field, value).degraded),
         ("no score", lambda field, value: of.outcome(field, value).unscored[first]),
+        ("unfamiliar input", lambda field, value: of.outcome(field, value).doubtful[first]),
     )
     figure, axes = _panels(lines, "samples, %")
     for axis in axes:
