@@ -97,13 +97,13 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
         np.testing.assert_allclose(same, streamed, atol=1e-5)
     return {
         **{
-            f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
-            for fingers in FINGERS
-        },
-        **{
             f"{name}{extra}": of(network(filters, seed, heads), counts)
             for extra, heads in HEADS.items()
             for name, of in (("streaming", partial(streaming, fingers=1)), ("live, through Score", live))
+        },
+        **{
+            f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
+            for fingers in FINGERS
         },
         "windowed, numpy": windowed(tcn, counts, 200),
         "windowed, onnxruntime": windowed(runtime, counts, 100),

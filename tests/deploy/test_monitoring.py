@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from ruamel.yaml import YAML
 
 from connectors.web.run_metrics import RunMetrics
-from operators.batch import Clocks, Faults, Slips, s
+from operators.batch import Clocks, Faults, Scores, Slips, s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Run, SinkStatus, SourceStatus
 from tests.deploy.shipped import DEPLOY
@@ -78,6 +78,7 @@ def samples(run: Run) -> dict[str, set[str]]:
     metrics, time = RunMetrics(run), np.array([run.clock.now()])
     one = np.ones(1)
     metrics.add(Slips(time, np.array([1], np.int8), time, one, finger=0))
+    metrics.add(Scores(time, one, finger=0))
     cell, kind = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8)
     metrics.add(Faults(time, cell, kind, np.array([True]), finger=0))
     metrics.add(Clocks(time, np.array([s]), one, np.array([s]), finger=0))
