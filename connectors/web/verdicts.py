@@ -19,6 +19,7 @@ LOST_FOR: Final = 60 * s  # ns, period of that share
 FILLING: Final = 10  # batches in a queue, or events that wait for a broker
 BACKLOG: Final = 100
 LIMITS: Final = (
+    "Sources without a declared rate have no limits. "
     f"Rate: good within {100 * RATE_TOLERANCE:.0f} % of the declared rate. "
     f"Latency: age of the newest row; good up to {LATE // ms} ms or {PERIODS} periods, late up to "
     f"{VERY_LATE // ms} ms. Lost: samples missing at the declared rate or dropped because they came after "

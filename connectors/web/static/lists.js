@@ -99,7 +99,7 @@ function towards(direction) {
 function latency(value) {
   if (value === null) return cell("–", "number latency");
   const word = value > 250 ? "very late" : value > 50 ? "late" : "";
-  return cell(`${word ? `▲ ${word} ` : ""}${value.toFixed(1)} ms`, `number latency ${word ? "bad" : ""}`);
+  return cell(`${value.toFixed(1)} ms${word ? ` ▲\u00a0${word}` : ""}`, `number latency ${word ? "bad" : ""}`);
 }
 
 export function line(...cells) {

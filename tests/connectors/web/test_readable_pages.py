@@ -1,4 +1,4 @@
-"""The live page is readable in every state: contrast, size of text, edges, verdicts in words."""
+"""The pages are readable in every state: contrast, size of text, edges, verdicts in words."""
 
 import re
 
@@ -8,9 +8,10 @@ from playwright.sync_api import Browser, Page, expect
 
 from operators import FaultKind, Faults, Touch, Truth, ms
 from operators.fingertip import Fingertip, grid
-from operators.ports import SinkStatus, SourceStatus
-from tests.connectors.web.browsing import ServedPage, Watched
-from tests.connectors.web.reading import scored
+from operators.ports import Run, SinkStatus, SourceStatus
+from tests.connectors.web.browsing import ServedPage, ServedRecording, Watched
+from tests.connectors.web.reading import scored, slip
+from tests.connectors.web.test_browser import a_minute
 from tests.readability import faults
 
 CELLS = 64
@@ -21,7 +22,8 @@ def unhealthy(served: ServedPage) -> None:
     now = served.run.clock.now
     touch = SourceStatus(missing=60, declared_rate=100.0, up=True)
     motion = SourceStatus(declared_rate=100.0, up=True)
-    served.run.sources |= {"touch": touch, "motion": motion}
+    rare = SourceStatus(rows=1, newest=now() - 1000 * ms, up=True)
+    served.run.sources |= {"touch": touch, "motion": motion, "episodes": rare}
 
     def deliver() -> None:
         touch.rows, touch.newest = touch.rows + 3, now() - 1042 * ms
@@ -42,12 +44,13 @@ def test_every_tile_and_verdict_is_legible_on_a_desk_and_a_phone(browser: Browse
             now = served.run.clock.now()
             ramp = (np.arange(CELLS, dtype=np.int16) * 16)[None]  # from no to full pressure
             served.write(Touch(np.array([now]), ramp, ramp, ramp >= 0, finger=0), scored(now, 0.93))
-            served.slip(int(slips))
+            served.write(slip(now - 700 * ms, int(slips)))
             for cell, kind in ((5, FaultKind.DEAD), (63, FaultKind.SATURATED), (7, FaultKind.DRIFTING)):
                 codes = np.array([cell], np.int8), np.array([kind], np.int8)
                 served.write(Faults(np.array([now]), *codes, np.array([True]), finger=0))
             expect(tab.locator("#cells")).to_contain_text("barometer 63 saturated")
             expect(tab.locator("#sources")).to_contain_text("very late")
+            expect(tab.locator("#events tr").first).to_contain_text("very late")
             expect(tab.locator(".pad td").nth(63)).to_contain_text("1008")
             tab.locator("details").evaluate("details => { details.open = true; }")
 
@@ -67,6 +70,7 @@ def test_health_is_judged_in_words(watched: Watched) -> None:
         expect(touch).to_contain_text("60 ■ losing")
         expect(motion).to_contain_text("● up")
         expect(motion).to_contain_text("0 ● good")
+        expect(rows.filter(has_text="episodes")).to_contain_text("up, waiting")
         queue = tab.locator("#sinks tr").filter(has_text="mqtt")
         expect(queue).to_contain_text("3 + 12,345 events ■ backlog")
         expect(tab.locator("#cells")).to_have_text("Fingertip 0● good")
@@ -110,3 +114,17 @@ def test_true_sliding_is_a_band_in_simulation(watched: Watched) -> None:
         expect(tab.locator("#truth-key")).to_be_visible()
         tab.wait_for_timeout(300)
         assert canvas.evaluate(colours)
+
+
+def test_the_page_that_asks_for_the_token_is_legible(browser: Browser) -> None:
+    with ServedPage(token="0123456789abcdef") as served:  # noqa: S106 - of this test
+        assert faults(browser, f"{served.url}/?token=wrong") == []
+
+
+def test_the_page_of_a_recorded_session_is_legible(browser: Browser, run: Run) -> None:
+    def ready(tab: Page) -> None:
+        expect(tab.locator("#instant-text")).to_contain_text("UTC")
+        expect(tab.locator(".count")).to_have_text(["41"] * 6)
+
+    with ServedRecording(a_minute(run)) as served:
+        assert faults(browser, served.url, ready) == []
