@@ -136,6 +136,11 @@ class SimulatedTouch(_RigStream[Touch]):
         """Return the rig."""
         return {"sensor": "TakkTile 2x3, simulated", **self._rig.describe()}
 
+    @property
+    def truth(self) -> "SimulatedTruth":
+        """Source of the ground truth of these fingertips."""
+        return self._rig.truth
+
 
 class SimulatedMotion(_RigStream[Motion]):
     """Source of the simulated arm's motion, created by `SimulatedRig`."""

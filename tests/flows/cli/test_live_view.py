@@ -15,6 +15,7 @@ from flows.cli.show import show
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
+from flows.live import live
 from operators import Debounce, Touch, Zero
 from tests.command import slipflow
 from tests.waiting import PATIENCE
@@ -38,6 +39,14 @@ def test_the_page_shows_the_streams_of_the_demo(tmp_path: Path) -> None:
     [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
     assert page_of(flow).threshold == debounce.threshold
     assert page_of(flow).destination == "http://127.0.0.1:8765"
+
+
+def test_the_page_shows_the_truth_of_a_simulation() -> None:
+    flow = live()
+    assert names(flow) == ["Zeroed", "Scores", "Slips", "Faults"]
+    add_page(flow)
+    assert names(flow) == ["Zeroed", "Scores", "Slips", "Faults", "Truth"]
+    assert problems(flow) == []
 
 
 def test_raw_touch_is_shown_if_none_is_zeroed_and_each_type_once() -> None:
