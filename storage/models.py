@@ -40,6 +40,9 @@ class Purpose(NamedTuple):
 PURPOSES: Final[Mapping[str, Purpose]] = MappingProxyType(
     {
         "tcn": Purpose("strokes", "default for a fingertip that slides over a surface; label: arm speed"),
+        "tcn_wide": Purpose(
+            "strokes", "other fingertips and slower hands than the TakkTile's; start of adapt"
+        ),
         "tcn_sliding": Purpose("strokes", "true sliding of the contact, known in simulation only"),
         "paper_tcn": Purpose("strokes", "the paper's TCN, for comparison"),
         "frequency_cnn": Purpose("strokes", "a network on spectra, for comparison"),

@@ -35,9 +35,13 @@ def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
     return found
 
 
-def loading(fingertip: Fingertip) -> Callable[[Path], list[LabelledRecording]]:
+def loading(fingertip: Fingertip) -> Callable[..., list[LabelledRecording]]:
     """Return a function that loads recordings of a fingertip from any path."""
-    return lambda *_, **__: recordings(fingertip)
+
+    def load(_: Path, **__: object) -> list[LabelledRecording]:
+        return recordings(fingertip)
+
+    return load
 
 
 @pytest.fixture
