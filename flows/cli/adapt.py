@@ -11,7 +11,7 @@ from flows.cli.options import AsJson, KeepNew
 
 def adapt(
     model: Annotated[
-        str, typer.Argument(metavar="MODEL", help="File of tcn weights, or tcn for the shipped model.")
+        str, typer.Argument(metavar="MODEL", help="File of tcn weights, or tcn or tcn_wide, which ship.")
     ],
     *,
     to: Annotated[
@@ -54,7 +54,7 @@ def adapt(
     With labels, use `slipflow train --from MODEL`. Needs the train extra.
 
     Examples:
-      slipflow adapt tcn --to recordings/sessions/hand-1 -o adapted.safetensors
+      slipflow adapt tcn_wide --to recordings/sessions/hand-1 -o adapted.safetensors
       slipflow adapt mine.safetensors --to lab --first 30s --json
     """
     from flows.graph.quantity import parse_time

@@ -44,7 +44,7 @@ def train(
         typer.Option(
             "--from",
             metavar="MODEL",
-            help="Train this tcn (a file, or tcn for the shipped one) further with few labels: two minutes"
+            help="Train this tcn (a file, or tcn_wide, which ships) further with few labels: two minutes"
             " suffice.",
         ),
     ] = None,
@@ -110,7 +110,7 @@ def train(
       slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
       slipflow train simulated --target sliding -o early.safetensors
       slipflow train simulated --stretch 2 -o wide.safetensors
-      slipflow train --from tcn two-minutes -o mine.safetensors
+      slipflow train --from tcn_wide two-minutes -o mine.safetensors
     """
     from flows.graph.quantity import parse_time
     from flows.learn.training.learning_curve import draw

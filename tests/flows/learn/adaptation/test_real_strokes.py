@@ -25,7 +25,7 @@ def read(name: str) -> LabelledRecording:
 )
 @pytest.mark.parametrize("surface", ["dvp_flat", "still", "fabric"])
 def test_30_s_of_a_surface_improve_the_shipped_network_on_its_other_recordings(surface: str) -> None:
-    tcn = load_detector("tcn")
+    tcn = load_detector("tcn_wide")
     assert isinstance(tcn, Tcn)
     adapted = adapt(tcn, [read(f"{surface}_vel3").piece(slice(3000))])
     others = [read(f"{surface}_vel{number}") for number in (2, 4, 5)]
