@@ -71,7 +71,7 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_journal.py
 	.venv/bin/python tests/benchmarks/bench_alert.py
 	.venv/bin/python tests/benchmarks/bench_label_delay.py
-	.venv/bin/python tests/benchmarks/bench_familiarity.py
+	.venv/bin/python tests/benchmarks/bench_assessment.py
 	.venv/bin/python tests/benchmarks/bench_follow.py
 	.venv/bin/python tests/benchmarks/bench_training.py
 	.venv/bin/python tests/benchmarks/bench_peers.py
