@@ -15,12 +15,15 @@ from typing import Final
 
 import numpy as np
 
+from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
+from connectors.sim.simulated_rig import SimulatedRig
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording, simulated_recordings
 from flows.learn.scoring import assessed
 from flows.learn.stress.stress_fields import FIELDS, plan_of, stressed
 from flows.learn.stress.stress_study import PLAN
-from operators.batch import DOUBTFUL, SLIP, UNKNOWN, Codes, Flags
+from operators import Score, Zero
+from operators.batch import DOUBTFUL, SLIP, UNKNOWN, Assessed, Codes, Flags
 from operators.debounce import Debounce
 from operators.detectors import Detector
 from storage import load_debounce, load_detector
@@ -31,6 +34,8 @@ ONSETS: Final = PaperPlan(repeats=3, rotations=1)  # 40 recordings
 WEAK: Final = 85.0  # %, balanced accuracy below which most samples should be doubtful
 RIGHT: Final = 45.0  # degrees
 FOLLOWING: Final = 20  # samples
+MINUTES: Final = 10
+MINUTE: Final = 6000  # samples
 
 
 @dataclass(frozen=True)
@@ -134,6 +139,20 @@ def report_direction(detector: Detector, debounce: Debounce, recordings: Sequenc
     )
 
 
+def report_rig(detector: Detector, seed: int) -> None:
+    """Print the share of doubtful samples in the scene of the simulated rig, which is no training plan."""
+    doubtful, scene = list[float](), SimulatedRig().scene
+    for number in range(MINUTES):
+        taken = Finger(scene, seed + number).take(MINUTE)
+        assert taken is not None, "it has no end"
+        scores = Score(detector).push(Zero().push(taken[0]))
+        if isinstance(scores, Assessed):
+            doubtful.append(100 * float((scores.doubt > DOUBTFUL).mean()))
+    print(
+        f"simulated rig, {MINUTES} minutes: {np.mean(doubtful):.1f} % doubtful, {max(doubtful):.1f} % at most"
+    )
+
+
 def main() -> None:
     """Print the results of both."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -144,6 +163,7 @@ def main() -> None:
     detector = load_detector(model)
     print(f"{machine()}; {commit()}; seed {given.seed}")
     report_doubt(list(conditions(detector, given.seed)))
+    report_rig(detector, given.seed)
     report_direction(detector, load_debounce(model) or Debounce(), simulated_recordings(ONSETS, given.seed))
 
 
