@@ -13,6 +13,7 @@ Value: TypeAlias = str | float | int | None  # None, NaN and infinity: unknown
 UNKNOWN: Final = "-"  # unknown values in tables
 _PHONE: Final = 48  # characters; a wider table is shown as a list on a phone
 _BREAK: Final = re.compile(r"\s|(?<=[_/])")  # places where a line may end
+_LARGE: Final = 999.5  # numbers from here on have no exponent
 _GAP: Final = 1  # character between columns
 
 
@@ -100,8 +101,8 @@ def _breakable(text: str) -> str:
 def show(value: Value, decimals: int | None = 1) -> str:
     """Format a value as tables show it.
 
-    >>> show(93.14), show(1.656, 2), show(0.01234, None), show(12345), show("late"), show(float("nan"))
-    ('93.1', '1.66', '0.0123', '12,345', 'late', '-')
+    >>> show(93.14), show(1.656, 2), show(0.01234, None), show(2484.2, None), show(12345), show(float("nan"))
+    ('93.1', '1.66', '0.0123', '2,484', '12,345', '-')
     """
     if value is None or (isinstance(value, float) and not isfinite(value)):
         return UNKNOWN
@@ -109,7 +110,9 @@ def show(value: Value, decimals: int | None = 1) -> str:
         return value
     if isinstance(value, int):
         return f"{value:,}"
-    return f"{value:.3g}" if decimals is None else f"{value:.{decimals}f}"
+    if decimals is None:
+        return f"{value:.3g}" if abs(value) < _LARGE else f"{value:,.0f}"
+    return f"{value:.{decimals}f}"
 
 
 def _is_text(cells: Sequence[Value]) -> bool:
