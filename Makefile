@@ -104,11 +104,16 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn-seed?.safetensors)
 
-detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour; strokes=DATASET: benchmark too
+detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour; strokes=DATASET: benchmark and alarms too
 	slipflow evaluate models/paper-0 --out models/pages
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages
 	$(if $(strokes),slipflow benchmark $(strokes) --out models/pages)
+	$(if $(strokes),for seed in 50 51 52 53 54 55 56 57 58 59; do rm -rf models/wide-$$seed; \
+	    slipflow simulate models/wide-$$seed --plan wide --seed $$seed || exit 1; done)
+	$(if $(strokes),slipflow adapt tcn_wide --to $(strokes)/sessions/dvp_flat_vel3 --first 30s -o models/adapted.safetensors)
+	$(if $(strokes),.venv/bin/python -m tests.benchmarks.bench_alarms --case wide tcn models/wide-5? \
+	    --case strokes tcn_wide $(strokes) --case adapted models/adapted.safetensors $(strokes) --out models/pages)
 	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## forget everything that was set up or built

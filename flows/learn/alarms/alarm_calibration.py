@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise, takewhile
+from itertools import pairwise, starmap, takewhile
 from typing import Final, Self
 
 import numpy as np
@@ -21,7 +21,6 @@ _LONG_RUNS: Final = (50, 30, 20, 12, 8)  # decisions, at the highest threshold
 _RUNS: Final = ((5.0, 5), (4.0, 3), (3.0, 2), (_LOWEST, 1))  # decisions from this logit on
 _RELEASES: Final = ((1.0, 12), (0.0, 8), (_LOWEST, 5))  # the same
 _MISSED: Final = 1000 * ms  # ns, delay that a missed slip counts as in the choice among settings that hold
-PIECES: Final = 10  # into which a single session is cut
 
 
 def _path() -> tuple[Debounce, ...]:
@@ -41,60 +40,54 @@ PATH: Final = _path()  # from strict to sensitive; fixed before any data is seen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trials:
-    """Outcome of every setting of `PATH` on every session."""
+    """Outcome of every setting of `PATH` on every unit: a recording, or all of a session or of a surface."""
 
-    alarms: NDArray[np.int64]  # (settings, n) false alarms in each session
-    minutes: Reals  # (n,) static minutes of each session, of all its fingertips
-    outcomes: tuple[tuple[EventMetrics, ...], ...]  # [setting][session]
+    alarms: NDArray[np.int64]  # (settings, n) false alarms in each unit
+    minutes: Reals  # (n,) static minutes of each unit, of all its fingertips
+    outcomes: tuple[tuple[EventMetrics, ...], ...]  # [setting][unit]
 
     @classmethod
     def of(
-        cls,
-        recordings: Sequence[LabelledRecording],
-        probabilities: Sequence[Reals],
-        sessions: Sequence[object] | None = None,
+        cls, recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals], pieces: int = 1
     ) -> Self:
         """Debounce the probabilities (n,) of recordings with every setting.
 
-        A single session is cut into `PIECES` equal pieces. The rate then holds in the conditions of that
-        session only.
-
         Args:
-            recordings: Labelled recordings, one per session and fingertip.
+            recordings: Labelled recordings.
             probabilities: Probabilities of each.
-            sessions: Session of each; None: each is a session.
+            pieces: Number of consecutive pieces of equal length into which each recording is cut.
         """
-        parts = list(zip(recordings, probabilities, sessions or range(len(recordings)), strict=True))
-        if len({session for _, _, session in parts}) == 1:
-            parts = [piece for part in parts for piece in _cut(*part)]
-        slips = [Slips.labelled(recording) for recording, _, _ in parts]
-        places = dict[object, list[int]]()
-        for place, (_, _, session) in enumerate(parts):
-            places.setdefault(session, []).append(place)
-        found = [
-            ([parts[place][1] for place in own], [slips[place] for place in own]) for own in places.values()
-        ]
+        parts = list[tuple[Slips, Reals]]()
+        for recording, probability in zip(recordings, probabilities, strict=True):
+            edges = np.linspace(0, len(recording), pieces + 1).astype(int).tolist()
+            for rows in starmap(slice, pairwise(edges)):
+                parts.append((Slips.labelled(recording.piece(rows)), probability[rows]))
         outcomes = tuple(
-            tuple(EventMetrics.of(values, true, rule) for values, true in found) for rule in PATH
+            tuple(EventMetrics.of([values], [slips], rule) for slips, values in parts) for rule in PATH
         )
         alarms = np.array([[each.false_alarms for each in own] for own in outcomes], np.int64)
         return cls(alarms, np.array([each.minutes for each in outcomes[0]]), outcomes)
 
-    def metrics(self, setting: int) -> EventMetrics:
-        """Return the outcome of a setting on all sessions together."""
-        every = self.outcomes[setting]
-        return EventMetrics(
-            np.concatenate([np.empty(0), *(each.delays for each in every)]),
-            sum(each.missed_slips for each in every),
-            sum(each.false_alarms for each in every),
-            sum(each.repeats for each in every),
-            sum(each.minutes for each in every),
+    def pooled(self, units: Sequence[object]) -> Self:
+        """Return the outcomes with all recordings of a unit, such as a session or a surface, as one."""
+        places = dict[object, list[int]]()
+        for place, unit in enumerate(units):
+            places.setdefault(unit, []).append(place)
+        groups = list(places.values())
+        return type(self)(
+            np.stack([self.alarms[:, own].sum(axis=1) for own in groups], axis=1),
+            np.array([self.minutes[own].sum() for own in groups]),
+            tuple(tuple(_sum([row[place] for place in own]) for own in groups) for row in self.outcomes),
         )
 
-    def drawn(self, sessions: Sequence[int]) -> Self:
-        """Return the outcomes on some of the sessions."""
-        outcomes = tuple(tuple(each[session] for session in sessions) for each in self.outcomes)
-        return type(self)(self.alarms[:, [*sessions]], self.minutes[[*sessions]], outcomes)
+    def metrics(self, setting: int) -> EventMetrics:
+        """Return the outcome of a setting on all units together."""
+        return _sum(self.outcomes[setting])
+
+    def drawn(self, units: Sequence[int]) -> Self:
+        """Return the outcomes on some of the units."""
+        outcomes = tuple(tuple(each[unit] for unit in units) for each in self.outcomes)
+        return type(self)(self.alarms[:, [*units]], self.minutes[[*units]], outcomes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +144,11 @@ def _cost(found: EventMetrics) -> float:
     return round((float(found.delays.sum()) + missed) / found.slips) if found.slips else 0.0
 
 
-def _cut(
-    recording: LabelledRecording, probability: Reals, session: object
-) -> list[tuple[LabelledRecording, Reals, object]]:
-    """Return consecutive pieces of a recording, each as a session of its own."""
-    edges = np.linspace(0, len(recording), PIECES + 1).astype(int).tolist()
-    return [
-        (recording.piece(slice(first, last)), probability[first:last], (session, first))
-        for first, last in pairwise(edges)
-    ]
+def _sum(every: Sequence[EventMetrics]) -> EventMetrics:
+    return EventMetrics(
+        np.concatenate([np.empty(0), *(each.delays for each in every)]),
+        sum(each.missed_slips for each in every),
+        sum(each.false_alarms for each in every),
+        sum(each.repeats for each in every),
+        sum(each.minutes for each in every),
+    )

@@ -26,20 +26,20 @@ class TooLittleDataError(SlipflowError):
 def alarm_limit(alarms: NDArray[np.int64], minutes: Reals, confidence: float) -> float:
     """Return the upper confidence limit of the expected number of false alarms in all these minutes.
 
-    Alarms in one session resemble each other: a session of a rough surface has many. So sessions, not
-    samples, are the exchangeable units. The limit is that of a Poisson count, after count and time have been
-    divided by the design effect, the factor by which the variance over sessions exceeds that of a Poisson
-    process [1]. The effect is at least 1, and enlarged by a quotient of quantiles of the t and the normal
-    distribution because it is estimated from few sessions.
+    Alarms in one session resemble each other: a session of a rough surface has many. So sessions, or all
+    sessions of a surface, are the exchangeable units, not samples. The limit is that of a Poisson count,
+    after count and time have been divided by the design effect, the factor by which the variance over units
+    exceeds that of a Poisson process [1]. The effect is at least 1, and enlarged by a quotient of quantiles
+    of the t and the normal distribution because it is estimated from few units.
 
-    Without clusters the limit is exact or conservative: for sessions that have at most one alarm each, with
-    any probabilities, because such a sum is rarer far below its mean than a Poisson count [2]; and for
-    Poisson counts. For clustered alarms it is an approximation. No limit can exclude a session with very many
-    alarms that none of the given ones resembles. Without any alarm it is -ln(1 - confidence): 3.0 at 95 %.
+    Without clusters the limit is exact or conservative: for units that have at most one alarm each, with any
+    probabilities, because such a sum is rarer far below its mean than a Poisson count [2]; and for Poisson
+    counts. For clustered alarms it is an approximation. No limit can exclude a unit with very many alarms
+    that none of the given ones resembles. Without any alarm it is -ln(1 - confidence): 3.0 at 95 %.
 
     Args:
-        alarms: (n,) false alarms of each session.
-        minutes: (n,) static minutes of each session.
+        alarms: (n,) false alarms of each unit.
+        minutes: (n,) static minutes of each unit.
         confidence: Probability that the expected number is at most the limit, above 0.5, below 1.
 
     >>> round(alarm_limit(np.zeros(5, np.int64), np.ones(5), 0.95), 3)
@@ -63,7 +63,7 @@ def alarm_limit(alarms: NDArray[np.int64], minutes: Reals, confidence: float) ->
 
 
 def _design_effect(alarms: NDArray[np.int64], minutes: Reals) -> float:
-    """Return the variance of the number of alarms over sessions relative to a Poisson count, at least 1."""
+    """Return the variance of the number of alarms over units relative to a Poisson count, at least 1."""
     count, size = int(alarms.sum()), len(alarms)
     if size < 2 or count < 2:  # noqa: PLR2004 - one alarm has no cluster
         return 1.0

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,13 +13,16 @@ from flows.learn.leaks.leak import SEEN, card_leaks
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
 from flows.report.table import counted
+from operators.checks import check_choice
 from operators.errors import InputError, ParameterError
 from operators.software import software_version
 from storage import files, load_detector
 from storage.layout import MANIFEST
 from storage.models import ALARMS, LIMIT, load_card, save_card, shipped
 
+UNITS: Final = ("session", "surface")
 _LEARNED: Final = {"trained on", "chosen on"}  # leaks that exclude a recording
+_PIECES: Final = 10  # into which a single session is cut
 _RULE: Final = "threshold", "consecutive", "release"  # of a debounce
 
 
@@ -53,6 +57,7 @@ def calibrate_model(
     rate: float,
     confidence: float,
     *,
+    by: str = UNITS[0],
     out: Path | None = None,
     log: Callable[[str], object] = lambda _: None,
 ) -> CalibratedModel:
@@ -65,6 +70,8 @@ def calibrate_model(
         paths: Labelled datasets or sessions.
         rate: False alarms per static minute.
         confidence: Probability that the rate is kept.
+        by: One of `UNITS`, the exchangeable units: ``session``: the rate is kept in sessions like these, a
+            single one is cut into pieces; ``surface``: also on other surfaces that are like these.
         out: File for a copy of the model, with its card; None: change the card of the model's file, or
             copy a shipped model into the current folder.
         log: Receives progress messages.
@@ -72,10 +79,11 @@ def calibrate_model(
     Raises:
         InputError: if the model has no file, or the recordings cannot be read or are all left out.
         FingertipError: if the recordings have another fingertip than the model.
-        ParameterError: if `out` has another suffix than the model.
+        ParameterError: if `by` is unknown or `out` has another suffix than the model.
         TooLittleDataError: if there are too few static minutes.
         OSError: if the model cannot be written.
     """
+    check_choice("calibrate", "--by", by, UNITS)
     source = shipped(model) or Path(model)
     detector = load_detector(model)
     if source.suffix not in {".safetensors", ".npz"}:
@@ -87,7 +95,7 @@ def calibrate_model(
     recordings, sessions, data = list[LabelledRecording](), list[Path](), list[dict[str, Any]]()
     for each in paths:
         log(f"reading {each}")
-        used = _unseen(model, card, each, log)
+        used = unseen_recordings(model, card, each, log)
         folders = {folder.name: folder for folder in session_folders(each)}
         recordings += used
         sessions += [folders[recording.name] for recording in used]
@@ -95,9 +103,17 @@ def calibrate_model(
     if not recordings:
         raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
     log(f"scoring {counted(len(recordings), 'recording')}")
-    trials = Trials.of(recordings, [probabilities(detector, one) for one in recordings], sessions)
-    found = calibrated(trials, rate, confidence)
-    entry = _entry(found, data)
+    units = [one.group or one.surface for one in recordings] if by == UNITS[1] else sessions
+    pieces = 1
+    if len(set(units)) == 1:
+        if by == UNITS[1]:
+            raise InputError(
+                "calibrate --by surface", f"needs several surfaces; all recordings are of {units[0]!r}"
+            )
+        pieces = _PIECES
+    trials = Trials.of(recordings, [probabilities(detector, one) for one in recordings], pieces)
+    found = calibrated(trials.pooled([*product(units, range(pieces))]), rate, confidence)
+    entry = {**_entry(found, data), "by": by}
     others = [other for other in card.get(ALARMS, ()) if other["false_alarms_per_min"] != rate]
     weights = files.read(source, LIMIT)
     card |= {
@@ -111,7 +127,7 @@ def calibrate_model(
     return CalibratedModel(path, entry, found)
 
 
-def _unseen(
+def unseen_recordings(
     model: str, card: Mapping[str, Any], path: Path, log: Callable[[str], object]
 ) -> list[LabelledRecording]:
     """Read recordings; leave out those that the model was trained or chosen on."""

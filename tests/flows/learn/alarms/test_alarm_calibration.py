@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from flows.learn.alarms.alarm_calibration import PATH, PIECES, Trials, calibrated
+from flows.learn.alarms.alarm_calibration import PATH, Trials, calibrated
 from flows.learn.alarms.alarm_limit import TooLittleDataError
 from flows.learn.evaluation.event_metrics import EventMetrics
 from flows.learn.labelled_recordings import LabelledRecording
@@ -96,19 +96,19 @@ def test_a_higher_rate_never_costs_more() -> None:
     assert rates == sorted(rates)
 
 
-def test_a_single_session_is_cut_into_pieces() -> None:
+def test_a_recording_can_be_cut_into_pieces() -> None:
     recording, probability = noisy(0, seconds=600)
-    one = Trials.of([recording], [probability])
-    assert len(one.minutes) == PIECES
-    assert one.minutes.sum() == pytest.approx(9 - PIECES / 60, abs=0.1)
-    two = Trials.of([recording, recording], [probability, probability])
-    assert len(two.minutes) == 2
+    one, ten = (Trials.of([recording], [probability], pieces) for pieces in (1, 10))
+    assert (len(one.minutes), len(ten.minutes)) == (1, 10)
+    assert ten.minutes.sum() == pytest.approx(one.minutes.sum() - 9 / 60, abs=0.05)  # warm-ups
+    assert ten.alarms[30].sum() == pytest.approx(one.alarms[30].sum(), abs=10)
 
 
-def test_fingertips_of_one_session_are_one_unit() -> None:
+def test_recordings_of_one_unit_are_pooled() -> None:
     found = [noisy(seed) for seed in range(4)]
     recordings, probabilities = zip(*found, strict=True)
-    alone, paired = (Trials.of(recordings, probabilities, names) for names in (None, "aabb"))
+    alone = Trials.of(recordings, probabilities)
+    paired = alone.pooled("aabb")
     assert (len(alone.minutes), len(paired.minutes)) == (4, 2)
     assert paired.minutes.sum() == pytest.approx(alone.minutes.sum())
     for setting in range(len(PATH)):

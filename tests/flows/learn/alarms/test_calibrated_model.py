@@ -62,6 +62,22 @@ def test_a_flow_uses_the_setting_of_its_rate_and_refuses_others(tiny: Path, tmp_
         load_flow("relabel").flow({"false_alarms": "6/h"})
 
 
+def test_surfaces_or_pieces_of_a_single_session_can_be_the_units(tiny: Path, tmp_path: Path) -> None:
+    path = model(tmp_path)
+    by_session = calibrate_model(str(path), [tiny], 20.0, 0.95)
+    by_surface = calibrate_model(str(path), [tiny], 20.0, 0.95, by="surface")
+    assert [by_session.entry["by"], by_surface.entry["by"]] == ["session", "surface"]
+    for name in ("false_alarms", "static_minutes"):
+        assert name in by_surface.entry["measured"]
+    session = tiny / "sessions" / load(tiny)[0].name
+    with pytest.raises(InputError, match="needs several surfaces; all recordings are of"):
+        calibrate_model(str(path), [session], 60.0, 0.8, by="surface")
+    alone = calibrate_model(str(path), [session], 600.0, 0.8).entry
+    assert 0 < alone["measured"]["static_minutes"] < 0.3
+    with pytest.raises(ParameterError, match="must be one of session, surface"):
+        calibrate_model(str(path), [session], 60.0, 0.8, by="finger")
+
+
 def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
     path = model(tmp_path)
     for damage in ([{"false_alarms_per_min": 1}], [3], 3):
