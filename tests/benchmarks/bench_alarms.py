@@ -20,7 +20,7 @@ from flows.learn.alarms.alarm_calibration import PATH, Trials, calibrated
 from flows.learn.alarms.alarm_limit import TooLittleDataError
 from flows.learn.alarms.calibrated_model import UNITS, unseen_recordings
 from flows.learn.scoring import probabilities
-from flows.report.figures import CELLS, Figure, grid, styled
+from flows.report.figures import CELLS, FAINT, Figure, grid, styled
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value
 from storage import load_detector
@@ -169,7 +169,7 @@ def draw_curves(curves: dict[str, list[Cost]]) -> Figure:
         axis.set(xscale="log", xlabel="false alarms per static minute, wanted", ylabel=text)
         axis.set_xticks(CURVE, [f"{rate:g}" for rate in CURVE])
         axis.minorticks_off()
-        axis.set_ylim(bottom=0)
+        axis.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
         axis.grid(visible=True)
     axes[0].legend()
     return figure
