@@ -82,7 +82,7 @@ models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
 models: DATA := $(addprefix models/,paper-0 wide-3 wide-4 wide-5 wide-6 wide-7 wide-8 slow-3 slow-4 slow-5)
 models: PAPER := train models/paper-0 --resume --method
-models:  ## train what ships in storage/trained and what its pages compare: two hours on two cores; resumes; trace=FILE: scores on a real trace
+models:  ## train what ships in storage/trained and what its pages compare: two to three hours on two cores; resumes; trace=FILE: scores on a real trace
 	@deploy/prepare test
 	mkdir -p models
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
