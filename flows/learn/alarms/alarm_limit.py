@@ -13,11 +13,18 @@ class TooLittleDataError(SlipflowError):
 
     def __init__(self, rate: float, confidence: float, alarms: int, minutes: float, needed: float) -> None:
         had = f"{alarms} false alarm{'' if alarms == 1 else 's'}" if alarms else "no false alarm"
-        more = f"record {needed - minutes:.1f} more static minutes"
+        found = f"the strictest setting had {had} in {minutes:.1f} static minutes"
+        if alarms > rate * minutes:
+            advice = (
+                f", {alarms / minutes:.2g} per minute, so more data will not help;"
+                " allow a higher rate, or train or adapt the model for such recordings"
+            )
+        else:
+            more = f"{needed - minutes:.1f} more static minutes{' without a further one' if alarms else ''}"
+            advice = f", but {needed:.1f} are needed; record {more}, or allow a higher rate"
         super().__init__(
             f"a rate of {rate:g} false alarms per minute cannot be shown with {100 * confidence:g} %"
-            f" confidence: the strictest setting had {had} in {minutes:.1f} static minutes, but"
-            f" {needed:.1f} are needed; {more}, or allow a higher rate"
+            f" confidence: {found}{advice}"
         )
         self.rate, self.confidence, self.alarms = rate, confidence, alarms
         self.minutes, self.needed = minutes, needed

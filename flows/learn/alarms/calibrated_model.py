@@ -10,13 +10,14 @@ from typing import Any, Final
 from flows.learn.alarms.alarm_calibration import Calibrated, Trials, calibrated
 from flows.learn.labelled_recordings import LabelledRecording, load, session_folders
 from flows.learn.leaks.leak import SEEN, card_leaks
+from flows.learn.leaks.row_hashes import shared_rows
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
 from flows.report.table import counted
 from operators.checks import check_choice
 from operators.errors import InputError, ParameterError
 from operators.software import software_version
-from storage import files, load_detector
+from storage import Session, files, load_detector
 from storage.layout import MANIFEST
 from storage.models import ALARMS, LIMIT, load_card, save_card, shipped
 
@@ -77,7 +78,8 @@ def calibrate_model(
         log: Receives progress messages.
 
     Raises:
-        InputError: if the model has no file, or the recordings cannot be read or are all left out.
+        InputError: if the model has no file, the recordings cannot be read, are all left out or repeat each
+            other, or a shipped model would replace another one in the current folder.
         FingertipError: if the recordings have another fingertip than the model.
         ParameterError: if `by` is unknown or `out` has another suffix than the model.
         TooLittleDataError: if there are too few static minutes.
@@ -91,17 +93,19 @@ def calibrate_model(
     path = out or (Path(source.name) if shipped(model) else source)
     if path.suffix != source.suffix:
         raise ParameterError("calibrate", "out", str(path), f"a path that ends in {source.suffix}")
-    card = load_card(source)
+    card, weights = load_card(source), files.read(source, LIMIT)
+    known = [*card.get(ALARMS, ()), *_entries_there(path, source, weights, chosen=out is not None)]
     recordings, sessions, data = list[LabelledRecording](), list[Path](), list[dict[str, Any]]()
     for each in paths:
         log(f"reading {each}")
         used = unseen_recordings(model, card, each, log)
-        folders = {folder.name: folder for folder in session_folders(each)}
+        folders = {Session.open(folder).name: folder for folder in session_folders(each)}
         recordings += used
         sessions += [folders[recording.name] for recording in used]
         data.append(_identity(each, [folders[name] for name in dict.fromkeys(one.name for one in used)]))
     if not recordings:
         raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
+    _check_distinct(recordings)
     log(f"scoring {counted(len(recordings), 'recording')}")
     units = [one.group or one.surface for one in recordings] if by == UNITS[1] else sessions
     pieces = 1
@@ -114,12 +118,11 @@ def calibrate_model(
     trials = Trials.of(recordings, [probabilities(detector, one) for one in recordings], pieces)
     found = calibrated(trials.pooled([*product(units, range(pieces))]), rate, confidence)
     entry = {**_entry(found, data), "by": by}
-    others = [other for other in card.get(ALARMS, ()) if other["false_alarms_per_min"] != rate]
-    weights = files.read(source, LIMIT)
+    entries = {float(each["false_alarms_per_min"]): each for each in (*known, entry)}
     card |= {
         "file": path.name,
         "sha256": hashlib.sha256(weights).hexdigest(),
-        ALARMS: sorted([*others, entry], key=lambda each: float(each["false_alarms_per_min"])),
+        ALARMS: [entries[each] for each in sorted(entries)],
     }
     if path.absolute() != source.absolute():
         files.put(path, weights)
@@ -143,6 +146,35 @@ def unseen_recordings(
     left_out = counted(len(recordings) - len(kept), "recording")
     log(f"left out {left_out} of {path}: {model} has learned from them")
     return kept
+
+
+def _entries_there(path: Path, source: Path, weights: bytes, *, chosen: bool) -> list[Mapping[str, Any]]:
+    """Return the settings in the card of a copy of the model that is already at `path`.
+
+    Raises:
+        InputError: if another model is there, unless the user has `chosen` the path.
+    """
+    if path.absolute() == source.absolute() or not path.exists():
+        return []
+    if files.read(path, LIMIT) == weights:
+        return list(load_card(path).get(ALARMS, ()))
+    if not chosen:
+        raise InputError(str(path), f"is another model than the shipped {source.stem}: give a file with -o")
+    return []
+
+
+def _check_distinct(recordings: Sequence[LabelledRecording]) -> None:
+    """Check that no recording repeats another one.
+
+    Raises:
+        InputError: if two recordings have rows in common.
+    """
+    for pair in shared_rows(recordings, range(len(recordings))):
+        both = f"{pair.first.name} and {pair.second.name} have {counted(pair.rows, 'row')} in common"
+        reason = (
+            "repeated data would show a rate with more confidence than there is; give each recording once"
+        )
+        raise InputError("calibrate", f"{both}: {reason}")
 
 
 def _identity(path: Path, sessions: Sequence[Path]) -> dict[str, Any]:

@@ -99,6 +99,33 @@ def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp
         calibrate_model(str(path), [tiny / "sessions" / learned[0].name], 40.0, 0.8)
 
 
+def test_repeated_recordings_are_refused(tiny: Path, tmp_path: Path) -> None:
+    path, name = model(tmp_path), load(tiny)[0].name
+    before = load_card(path)
+    copied = shutil.copytree(tiny / "sessions" / name, tmp_path / "again")
+    for paths in ([tiny, tiny], [tiny, tiny / "sessions" / name], [tiny, copied]):
+        with pytest.raises(
+            InputError, match=r"and .* have [\d,]+ rows in common: .*give each recording once"
+        ):
+            calibrate_model(str(path), paths, 12.0, 0.95)
+    assert load_card(path) == before
+
+
+def test_calibrating_a_shipped_model_again_keeps_other_rates_and_replaces_no_other_model(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for rate in (20.0, 12.0):
+        path = calibrate_model("tcn", [tiny], rate, 0.95).path
+    assert [each["false_alarms_per_min"] for each in load_card(path)["alarms"]] == [12.0, 20.0]
+    shutil.copy(shipped_path("tcn_wide"), path)
+    other = path.read_bytes()
+    with pytest.raises(InputError, match="is another model than the shipped tcn: give a file with -o"):
+        calibrate_model("tcn", [tiny], 20.0, 0.95)
+    assert path.read_bytes() == other
+    assert len(load_card(calibrate_model("tcn", [tiny], 20.0, 0.95, out=path).path)["alarms"]) == 1
+
+
 def test_a_shipped_model_is_copied_and_a_failure_writes_nothing(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
