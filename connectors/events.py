@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from connectors.fields import INT64, Fields
-from operators.batch import DOUBTFUL, EVERY, SLIP, Faults, Reals, Slips
+from operators.batch import CLEAR_DIRECTION, DOUBTFUL, EVERY, SLIP, Faults, Reals, Slips
 from operators.fingertip import CELL_LIMIT
 from operators.health import FaultKind
 from operators.ports import Json
@@ -261,7 +261,7 @@ def slips(batch: Slips) -> Iterator[Slip]:
 
 
 def slip_texts(slip: Slip) -> list[str]:
-    """Return probability, direction and doubt as text.
+    """Return probability, clear direction and doubt as text.
 
     >>> slip_texts(Slip(0, True, 0.931, 1.2, 270, 11))
     ['p 0.93', 'direction 270 deg (sd 11)', 'doubtful: unfamiliar input']
@@ -270,9 +270,19 @@ def slip_texts(slip: Slip) -> list[str]:
     """
     word, reason = quality(slip.probability, (), slip.doubt)
     texts = [f"p {slip.probability:.2f}"]
-    if slip.direction_deg is not None:
-        texts.append(f"direction {slip.direction_deg} deg (sd {slip.direction_sd_deg})")
+    if (direction := clear_direction(slip)) is not None:
+        texts.append(f"direction {direction:.0f} deg (sd {slip.direction_sd_deg})")
     return [*texts, f"{word}: {reason}"] if word == "doubtful" else texts
+
+
+def clear_direction(event: Slip | Event) -> float | None:
+    """Return the direction to show to people, degrees; None if unknown or with a deviation above 45 degrees.
+
+    >>> [clear_direction(Slip(0, True, 0.9, None, 270, deviation)) for deviation in (45, 46)]
+    [270, None]
+    """
+    clear = (event.direction_sd_deg or 0) <= degrees(CLEAR_DIRECTION)
+    return event.direction_deg if clear else None
 
 
 def whole_degrees(angles: Reals) -> list[int | None]:

@@ -28,6 +28,7 @@ SLIP: Final = 1
 STATIC: Final = 0
 UNKNOWN: Final = -1
 DOUBTFUL: Final = 1.0  # doubt above which a sample is doubtful
+CLEAR_DIRECTION: Final = np.pi / 4  # rad, largest standard deviation of a direction that is shown to people
 MOTIONS: Final = ("translation", "rotation", "hold", "tap", "lift")
 SURFACES: Final = ("plane", "sphere", "cylinder_x", "cylinder_y")
 us: Final = 1_000  # ns

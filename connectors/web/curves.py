@@ -6,7 +6,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.events import Slip
+from connectors.events import Slip, clear_direction
 from connectors.sim.truth import SLIDING
 from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
 from operators.ports import Json, Run
@@ -82,7 +82,7 @@ def event_json(number: int, finger: str, slip: Slip, origin: int, latency: int |
         "finger": finger,
         "onset": slip.onset,
         "p": round(slip.probability, 3),
-        "direction": slip.direction_deg,
+        "direction": clear_direction(slip),
         "latency": None if latency is None else round(latency / ms, 3),
     }
 

@@ -66,12 +66,12 @@ def watch(
 
 def _line(event: "Event", now: int) -> str:
     """Return the line of an event that arrived at `now` (ns)."""
-    from connectors.events import timestamp
+    from connectors.events import clear_direction, timestamp
 
     where = f"{event.site}/{event.rig} finger {event.finger}"
     probability = "" if event.probability is None else f"  p {event.probability:.2f}"
-    known = event.direction_deg is not None
-    direction = f"  direction {event.direction_deg:.0f} deg" if known else ""
+    angle = clear_direction(event)
+    direction = "" if angle is None else f"  direction {angle:.0f} deg"
     quality = f"  {event.quality}: {event.reason}" if event.reason else ""
     when = timestamp(event.time)[:23].replace("T", " ")
     created = "" if event.latency is None else f"{event.latency:.1f} ms, "

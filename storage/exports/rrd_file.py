@@ -12,7 +12,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from operators.batch import SLIP, AnyBatch, Batch, Faults, Labelled, Motion, Slips, Touch, Zeroed
+from operators.batch import (
+    CLEAR_DIRECTION,
+    SLIP,
+    AnyBatch,
+    Batch,
+    Faults,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    Zeroed,
+)
 from operators.detectors import Detector
 from operators.errors import EndpointError
 from operators.extras import require_extra
@@ -149,7 +160,8 @@ def _batches(session: Session, kind: type[AnyBatch]) -> Iterator[AnyBatch]:
 
 
 def _slip_texts(batch: Slips) -> list[str]:
-    rows = zip(batch.state.tolist(), batch.probability.tolist(), batch.direction.tolist(), strict=True)
+    clear = np.where(batch.deviation > CLEAR_DIRECTION, np.nan, batch.direction)
+    rows = zip(batch.state.tolist(), batch.probability.tolist(), clear.tolist(), strict=True)
     return [
         f"slip {'onset' if state == SLIP else 'end'}  p {probability:.2f}"
         + ("" if isnan(direction) else f"  direction {degrees(direction) % 360:.0f} deg")

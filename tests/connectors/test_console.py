@@ -65,6 +65,10 @@ def test_an_onset_shows_its_direction_and_a_doubt_about_the_input(run: Run) -> N
     onset, end = printed(io.StringIO(), run, batch)
     assert onset.endswith("  slip onset  p 0.93  direction 270 deg (sd 11)  doubtful: unfamiliar input")
     assert end.endswith("  slip end    p nan")
+    unclear = replace(batch, deviation=np.array([np.radians(46), np.nan]))
+    assert printed(io.StringIO(), run, unclear)[0].endswith(
+        "  slip onset  p 0.93  doubtful: unfamiliar input"
+    )
     onset, end = map(json.loads, printed(io.StringIO(), run, batch, form="json"))
     expected = {"p": 0.931, "doubt": 1.234, "direction_deg": 270, "direction_sd_deg": 11}
     assert {key: onset[key] for key in expected} == expected

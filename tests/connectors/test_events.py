@@ -12,6 +12,7 @@ from jsonschema import Draft202012Validator
 from connectors.events import Event, Fault, encode, faults
 from operators.batch import Faults
 from operators.errors import InputError
+from operators.fingertip import CELL_LIMIT
 from operators.health import FaultKind
 from operators.ports import Json
 
@@ -36,9 +37,9 @@ events = st.builds(
     consecutive=st.none() | st.integers(1, 1000),
     model=names,
     sha256=st.none() | st.text("0123456789abcdef", min_size=64, max_size=64),
-    degraded=st.lists(st.builds(Fault, st.integers(0, 5), names | st.just("saturated")), max_size=3).map(
-        tuple
-    ),
+    degraded=st.lists(
+        st.builds(Fault, st.integers(0, CELL_LIMIT - 1), names | st.just("saturated")), max_size=3
+    ).map(tuple),
     session=st.none() | names,
     doubt=st.none() | st.floats(0, 1e9),
     direction_deg=st.none() | st.floats(0, 360) | st.integers(0, 359),

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,15 @@ def test_an_event_has_its_latency_and_a_fingertip_slips_from_onset_to_end(frames
     frame = document(frames.next())
     assert frame["slipping"] == []
     assert [event["id"] for event in frame["events"]] == [2]
+
+
+@pytest.mark.parametrize(("deviation", "shown"), [(0.7, 90), (0.8, None), (np.nan, 90)])
+def test_a_direction_with_a_deviation_above_45_degrees_is_not_shown(
+    frames: Frames, deviation: float, shown: int | None
+) -> None:
+    frames.add(replace(slips(NOW, 1), direction=np.array([np.pi / 2]), deviation=np.array([deviation])))
+    [event] = document(frames.next())["events"]
+    assert event["direction"] == shown
 
 
 def test_quality_and_direction_are_those_of_the_newest_score(frames: Frames) -> None:
