@@ -24,7 +24,7 @@ def discovery_document(site: str, rig: str, topic: str, fingers: Iterable[str]) 
     """Return the description of a rig that publishes below `topic`.
 
     The entities read the retained documents of the rig: slip, probability and quality of the newest event of
-    each fingertip. They are unavailable while the rig is offline.
+    each fingertip, which do not change between events. They are unavailable while the rig is offline.
     """
     components: dict[str, Json] = {}
     for finger in fingers:

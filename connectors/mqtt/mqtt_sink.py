@@ -48,7 +48,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all retained except events:
 
     - ``<finger>/event``: one CloudEvent per onset and end, see `connectors.events.Event`
-    - ``<finger>/state``: slipping or not
+    - ``<finger>/state``: slipping or not, with probability and quality of the newest event
     - ``head``: number of the newest event, in the current epoch and in earlier ones
     - ``status``: online or offline, also the last will
     - ``info``: flow, sources, detector; ``health``: state of sources, sinks, outbox and clocks every 5 s
