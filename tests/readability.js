@@ -1,5 +1,5 @@
 // Return what makes a page hard to read: text with a contrast below 4.5, below 10 px, over other text of a
-// figure or in literal backticks; anything beyond the page's edge or its own scroller.
+// figure or in literal backticks; colour keys with a contrast below 3; anything beyond the page's edge or its own scroller.
 ({ phone }) => {
   const faults = [];
   const visible = (node) => node.checkVisibility({ visibilityProperty: true, opacityProperty: true });
@@ -85,6 +85,12 @@
     if (ratio < 4.5) faults.push(`contrast ${ratio.toFixed(2)}: ${short(text)}`);
     const size = parseFloat(style.fontSize) * (inSvg ? (node.getScreenCTM()?.a || node.getScreenCTM()?.b || 1) : 1);
     if (Math.abs(size) < 10) faults.push(`${Math.abs(size).toFixed(1)} px: ${short(text)}`);
+  }
+
+  // --- colour keys ---
+  for (const key of document.querySelectorAll(".pad .key")) {
+    const ground = under(key), ratio = contrast(paint(ground, getComputedStyle(key).borderTopColor, opacity(key)), ground);
+    if (shown(key) && ratio < 3) faults.push(`contrast ${ratio.toFixed(2)} of the colour key: ${short(key.parentElement.textContent)}`);
   }
   return faults;
 }

@@ -25,7 +25,10 @@ def chromium() -> Generator[Browser]:
 
 
 def faults(browser: Browser, url: str, ready: Callable[[Page], object] = Page.title) -> list[str]:
-    """Return what makes a page hard to read, in all widths and schemes; `ready` waits for its content."""
+    """Return what makes a page and its frames hard to read, in all widths and schemes.
+
+    `ready` waits for the content.
+    """
     found = list[str]()
     for width in WIDTHS:
         for scheme in SCHEMES:
@@ -33,7 +36,9 @@ def faults(browser: Browser, url: str, ready: Callable[[Page], object] = Page.ti
             tab = context.new_page()
             tab.goto(url)
             ready(tab)
-            seen: list[str] = tab.evaluate(_CHECK, {"phone": width < WIDTHS[0]})
+            seen: list[str] = [
+                each for frame in tab.frames for each in frame.evaluate(_CHECK, {"phone": width < WIDTHS[0]})
+            ]
             found += [f"{width} px, {scheme}: {each}" for each in dict.fromkeys(seen)]
             context.close()
     return found

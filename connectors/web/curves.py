@@ -1,14 +1,15 @@
 """Curves of a page: plotted values, reduction to pixel columns, and JSON."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.events import Slip, clear_direction
+from connectors.events import Fault, Slip, clear_direction, quality, whole_degrees
 from connectors.sim.truth import SLIDING
-from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
+from connectors.web.verdicts import judge_latency
+from operators.batch import Assessed, Motion, Reals, Scores, Times, Touch, Truth, ms
 from operators.ports import Json, Run
 
 Real = TypeVar("Real", bound=np.floating[Any])
@@ -74,8 +75,38 @@ def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> d
     return {"t": ((time - origin) / ms).round(3).tolist(), "v": values.astype(np.float64).round(3).tolist()}
 
 
-def event_json(number: int, finger: str, slip: Slip, origin: int, latency: int | None) -> dict[str, Json]:
-    """Return a slip event as JSON, with its time since `origin` (ns); `latency` is in ns."""
+def score_quality(score: Scores, faults: Iterable[Fault]) -> list[Json]:
+    """Return the quality of a batch with one score, and the reason if it is not good."""
+    doubt = score.doubt.item() if isinstance(score, Assessed) else None
+    return [*quality(score.probability.item(), faults, doubt)]
+
+
+def score_direction(score: Scores) -> list[Json] | None:
+    """Return the direction of sliding and its standard deviation of a batch with one score, degrees."""
+    if not isinstance(score, Assessed):
+        return None
+    return [*whole_degrees(score.direction), *whole_degrees(score.deviation)]
+
+
+def event_json(
+    number: int,
+    finger: str,
+    slip: Slip,
+    origin: int,
+    *,
+    latency: int | None = None,
+    faults: Iterable[Fault] = (),
+) -> dict[str, Json]:
+    """Return a slip event as JSON, with its time since `origin` (ns).
+
+    Args:
+        number: Number of the event.
+        finger: Name of the fingertip.
+        slip: Event.
+        origin: Start of the run, ns.
+        latency: ns from the deciding sample to the arrival of the event; None: unknown.
+        faults: Faults of the fingertip at the time of the event.
+    """
     return {
         "id": number,
         "t": (slip.time - origin) / ms,
@@ -83,7 +114,9 @@ def event_json(number: int, finger: str, slip: Slip, origin: int, latency: int |
         "onset": slip.onset,
         "p": round(slip.probability, 3),
         "direction": clear_direction(slip),
+        "quality": [*quality(slip.probability, faults, slip.doubt)],
         "latency": None if latency is None else round(latency / ms, 3),
+        "verdict": None if latency is None else [*judge_latency(latency)],
     }
 
 

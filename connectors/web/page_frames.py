@@ -6,8 +6,8 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 - ``touch``: by fingertip, ``t`` (n,), ``v`` (n, cells) counts, null for invalid cells, and ``zeroed``
 - ``scores``: by fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
 - ``truth``: by fingertip, ``t`` and ``v`` (n,), 1 while the simulated contact slides, else 0
-- ``events``: numbered onsets and ends of slip; ``latency``: ms from the deciding sample to its arrival here,
-  null in a replay at full speed
+- ``events``: numbered onsets and ends of slip with their quality; ``latency``: ms from the deciding sample to
+  its arrival here, null in a replay at full speed; ``verdict`` on it: word and level
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
 - ``quality``: quality of the newest score and its reason, by fingertip; ``direction``: direction of sliding
   and its standard deviation, degrees, of each fingertip that slips
@@ -19,11 +19,19 @@ from typing import Any, Final, Generic, TypeAlias
 
 import numpy as np
 
-from connectors.events import Fault, faults, finger_name, quality, slips, whole_degrees
-from connectors.web.curves import curve_json, event_json, plotted_values, stream_name, streams_json
+from connectors.events import finger_name, slips
+from connectors.web.cell_faults import NO_FAULTS, CellFaults, changes, fault_list
+from connectors.web.curves import (
+    curve_json,
+    event_json,
+    plotted_values,
+    score_direction,
+    score_quality,
+    stream_name,
+    streams_json,
+)
 from operators.batch import (
     AnyBatch,
-    Assessed,
     Faults,
     Flags,
     Motion,
@@ -100,7 +108,7 @@ class Frames:
         self._tracks: dict[tuple[str, str], Track[Any]] = {}  # by stream and fingertip
         self._scores: dict[str, Scores] = {}  # newest batch by fingertip
         self._slipping: set[str] = set()
-        self._faults: dict[str, dict[str, Json]] = {}
+        self._faults: dict[str, CellFaults] = {}
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
         self._numbered = self._sent = 0  # number of events added and sent
 
@@ -144,11 +152,14 @@ class Frames:
             "now": (self._run.clock.now() - self._run.start) / ms,
             "slipping": [*sorted(self._slipping)],
             "faults": {finger: {**found} for finger, found in self._faults.items() if found},
-            "quality": {finger: [*self._quality(finger, row)] for finger, row in newest.items()},
-            "direction": {
-                finger: [*whole_degrees(row.direction), *whole_degrees(row.deviation)]
+            "quality": {
+                finger: score_quality(row, fault_list(self._faults.get(finger, NO_FAULTS)))
                 for finger, row in newest.items()
-                if isinstance(row, Assessed) and finger in self._slipping
+            },
+            "direction": {
+                finger: found
+                for finger, row in newest.items()
+                if finger in self._slipping and (found := score_direction(row))
             },
         }
 
@@ -157,29 +168,23 @@ class Frames:
         events: list[Json] = [*self._events]
         return events[-newest:]
 
-    def _quality(self, finger: str, score: Scores) -> tuple[str, str | None]:
-        found = [Fault(int(cell), str(kind)) for cell, kind in self._faults.get(finger, {}).items()]
-        doubt = score.doubt.item() if isinstance(score, Assessed) else None
-        return quality(score.probability.item(), found, doubt)
-
     def _add_slips(self, batch: Slips) -> None:
         finger = finger_name(batch.finger)
         for slip in slips(batch):
             (self._slipping.add if slip.onset else self._slipping.discard)(finger)
             self._numbered += 1
             latency = self._run.latency(slip.time)
-            self._events.append(event_json(self._numbered, finger, slip, self._run.start, latency))
+            found = fault_list(self._faults.get(finger, NO_FAULTS))
+            self._events.append(
+                event_json(self._numbered, finger, slip, self._run.start, latency=latency, faults=found)
+            )
 
     def _add_faults(self, batch: Faults) -> None:
         finger = finger_name(batch.finger)
         if finger not in self._faults and len(self._faults) >= FINGERS_MAX:
             return
-        found = self._faults.setdefault(finger, {})
-        for _, fault, begins in faults(batch):
-            if begins:
-                found[str(fault.barometer)] = fault.kind
-            elif found.get(str(fault.barometer)) == fault.kind:
-                del found[str(fault.barometer)]
+        for _, found in changes(batch, self._faults.get(finger, NO_FAULTS)):
+            self._faults[finger] = found
 
 
 def rows_json(rows: Rows, origin: int) -> dict[str, Json]:

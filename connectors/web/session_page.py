@@ -9,31 +9,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors.events import Slip, finger_name, slips
+from connectors.web.cell_faults import FaultHistory, fault_list
 from connectors.web.curves import (
     curve_json,
     event_json,
     page_fingertip,
     plotted_values,
+    score_direction,
+    score_quality,
     stream_name,
     streams_json,
     thin_curve,
 )
 from connectors.web.page_frames import FINGERS_MAX
 from operators import Debounce
-from operators.batch import Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
+from operators.batch import (
+    Assessed,
+    Faults,
+    Flags,
+    Motion,
+    Scores,
+    Slips,
+    Times,
+    Touch,
+    Zeroed,
+    concat,
+    ms,
+    s,
+)
 from operators.errors import InputError
 from operators.ports import Json, Run, Sink
 
 VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
 ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
 EVENTS_MAX: Final = 20_000
-Values: TypeAlias = NDArray[
-    np.float32 | np.float64
-]  # (n, ...) of a curve; scores have all digits, for `detected`
+Values: TypeAlias = NDArray[np.float32 | np.float64]  # (n, ...) of a curve
 _Event: TypeAlias = tuple[str, Slip]  # with its fingertip
 
 
-class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
+class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
     """Sink that keeps the events and curves of a replay in memory.
 
     Args:
@@ -44,6 +58,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
 
     Attributes:
         curves: Times and values of each stream (touch, scores, speed) and fingertip, once closed.
+        scores: Scores of each fingertip, once closed.
     """
 
     def __init__(
@@ -60,6 +75,9 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         # by stream and fingertip: batches, and the curves joined in `close`
         self._arriving: dict[tuple[str, str], list[tuple[Times, Values]]] = {}
         self.curves: dict[tuple[str, str], tuple[Times, Values]] = {}
+        self._scored: dict[str, list[Scores]] = {}  # batches by fingertip
+        self.scores: dict[str, Scores] = {}
+        self._faults = FaultHistory()
         self._events: list[_Event] = []
         self._zeroed, self._falls, self._rows = False, True, 0
 
@@ -76,7 +94,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             each.falls is not False for each in run.fingertips.get(self.destination, {}).values()
         )
 
-    def take(self, batch: Touch | Motion | Scores | Slips) -> bool:
+    def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
         """Keep the rows of a batch.
 
         Raises:
@@ -85,15 +103,17 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         finger = finger_name(batch.finger)
         if isinstance(batch, Slips):
             self._events.extend((finger, slip) for slip in slips(batch))
+        elif isinstance(batch, Faults):
+            self._faults.add(batch)
+        elif isinstance(batch, Scores):
+            self._scored.setdefault(finger, []).append(batch)
         else:
             self._zeroed |= isinstance(batch, Zeroed)
-            values = plotted_values(batch)
-            if not isinstance(batch, Scores):
-                values = values.astype(np.float32)
+            values = plotted_values(batch).astype(np.float32)
             self._arriving.setdefault((stream_name(batch), finger), []).append((batch.time, values))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
-        fingers = len({finger for _, finger in self._arriving})
+        fingers = len({*self._scored, *(finger for _, finger in self._arriving)})
         if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX or fingers > FINGERS_MAX:
             most = f"{ROWS_MAX:,} rows, {EVENTS_MAX:,} events and {FINGERS_MAX} fingertips"
             raise InputError(self._session, f"is too long for a page, which shows at most {most}")
@@ -104,10 +124,15 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         for key, parts in self._arriving.items():
             time = np.concatenate([each for each, _ in parts])  # (n,) ns
             values = np.concatenate([each for _, each in parts])  # (n, ...)
-            before = np.maximum.accumulate(time)[:-1]  # (n - 1,)
-            kept = np.concatenate(([True], time[1:] > before))
+            kept = _in_order(time)
             self.curves[key] = time[kept], values[kept]
+        for finger, batches in self._scored.items():
+            assessed = all(isinstance(each, Assessed) for each in batches)
+            joined = concat(Assessed if assessed else Scores, batches)
+            self.scores[finger] = scores = joined[_in_order(joined.time)]
+            self.curves["scores", finger] = scores.time, scores.probability
         self._arriving.clear()
+        self._scored.clear()
 
     def contents(self) -> dict[str, Json]:
         """Return the first document of the page; times are in ms since `start`."""
@@ -133,10 +158,8 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             InputError: if there are too many events.
         """
         rule, events = replace(self.rule, threshold=threshold), list[_Event]()
-        for (stream, finger), (time, probability) in self.curves.items():
-            if stream == "scores":
-                found = rule.reset_copy().push(Scores(time, probability.astype(np.float64)))
-                events.extend((finger, slip) for slip in slips(found))
+        for finger, scores in self.scores.items():
+            events.extend((finger, slip) for slip in slips(rule.reset_copy().push(scores)))
         if len(events) > EVENTS_MAX:
             raise InputError(self._session, f"has more than {EVENTS_MAX:,} events at this threshold")
         return self._events_json(events)
@@ -155,15 +178,29 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         return self._streams(cut)
 
     def values_at(self, instant: float) -> dict[str, Json]:
-        """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`)."""
+        """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`).
+
+        It also has faults, quality and direction, as a frame of the live page; the direction is meaningless
+        without slip.
+        """
         at = self.start + round(instant * ms)
 
-        def newest(time: Times, values: Values) -> dict[str, Json]:
+        def row(time: Times) -> slice:
             first, end = np.searchsorted(time, [at - VALID_FOR, at + 1])
-            rows = slice(max(first, end - 1), end)
-            return curve_json(time[rows], values[rows], self.start)
+            return slice(max(first, end - 1), end)
 
-        return self._streams(newest)
+        def newest(time: Times, values: Values) -> dict[str, Json]:
+            return curve_json(time[row(time)], values[row(time)], self.start)
+
+        scores = {finger: each[row(each.time)] for finger, each in self.scores.items()}
+        scores = {finger: each for finger, each in scores.items() if len(each)}
+        found = {finger: fault_list(self._faults.at(finger, at)) for finger in scores}
+        return {
+            **self._streams(newest),
+            "faults": self._faults.json_at(at),
+            "quality": {finger: score_quality(each, found[finger]) for finger, each in scores.items()},
+            "direction": {finger: score_direction(each) for finger, each in scores.items()},
+        }
 
     def _streams(self, cut: Callable[[Times, Values], dict[str, Json]]) -> dict[str, Json]:
         """Return the streams of a frame, each curve cut by `cut`."""
@@ -175,7 +212,9 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """Return events in order of time; fingertips are written one after the other."""
         ordered = sorted(events, key=lambda event: event[1].time)
         return [
-            event_json(number, finger, slip, self.start, None)
+            event_json(
+                number, finger, slip, self.start, faults=fault_list(self._faults.at(finger, slip.time))
+            )
             for number, (finger, slip) in enumerate(ordered, 1)
         ]
 
@@ -191,3 +230,9 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             default=nan,
         )
         return None if isnan(least) else least
+
+
+def _in_order(time: Times) -> Flags:
+    """Return which rows are later than all before them."""
+    before = np.maximum.accumulate(time)[:-1]  # (n - 1,)
+    return np.concatenate(([True], time[1:] > before))[: len(time)]

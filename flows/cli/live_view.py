@@ -76,7 +76,7 @@ def add_page(
     def announce(url: str) -> None:
         announce_page("live page", url, page.login_url, browse=browse)
 
-    _watch_cells(flow)
+    watch_cells(flow)
     _show_truth(flow)
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or announce)
     for node in page_streams(flow):
@@ -94,20 +94,20 @@ def page_streams(flow: "Flow") -> "list[Node]":
     return [first[kind] for kind in kinds if kind in first]
 
 
-def _watch_cells(flow: "Flow") -> None:
-    """Add `Health` to the first raw touch of a known range, unless the flow reports faults."""
+def watch_cells(flow: "Flow") -> "Node | None":
+    """Add `Health` to the first raw touch of a known range and return it, unless the flow has faults."""
     from operators import Faults, Health, Source, Touch
     from operators.batch import s
 
     if any(node.gives is Faults for node in flow.nodes):
-        return
+        return None
     for node in flow.nodes:
         fingertip = node.part.fingertip if isinstance(node.part, Source) else None
         if node.gives is Touch and fingertip is not None and fingertip.range is not None:
             low, high = sorted(fingertip.range)
             end = max(1, (high - low) // 100)  # counts at each end of the range
-            flow.add("faults", Health(clear_after=2 * s, floor=low + end, ceiling=high - end), node)
-            return
+            return flow.add("faults", Health(clear_after=2 * s, floor=low + end, ceiling=high - end), node)
+    return None
 
 
 def _show_truth(flow: "Flow") -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from flows.cli.live_view import Listen, NoBrowser, announce_page
+from flows.cli.live_view import Listen, NoBrowser, announce_page, watch_cells
 from flows.cli.options import parse_address
 from flows.cli.terminal import note
 
@@ -98,7 +98,7 @@ async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
     from connectors.web.session_requests import SessionPage
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
-    from operators import Debounce, Labelled, Motion, Score, Slips, Touch, Truth, Zero
+    from operators import Debounce, Faults, Labelled, Motion, Score, Slips, Touch, Truth, Zero
     from storage import load_debounce, load_detector
 
     session.hand_labels()  # an error of its files ends the command before the scoring
@@ -116,6 +116,10 @@ async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
     zeroed.to(curves)
     scores.to(curves)
     (flow.source(Replay(session, Slips)) if has_slips else scores | debounce).to(curves)
+    if session.fingers(Faults):
+        flow.source(Replay(session, Faults)).to(curves)
+    elif faults := watch_cells(flow):
+        flow.add_sink(curves, faults)
     if session.fingers(Motion):
         flow.source(Replay(session, Motion)).to(curves)
     if session.fingers(Labelled):

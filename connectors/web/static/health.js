@@ -1,10 +1,9 @@
 // Health of a run: sources, cells and sinks, each judged by a word and a colour.
 
-import { cell, line, number } from "./lists.js";
-import { element, title, write } from "./pad.js";
+import { cell, judged, line, mark, number } from "./lists.js";
+import { title, write } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
-const MARKS = { good: "●", warning: "▲", bad: "■" }; // by level
 const BROKEN = new Set(["dead", "stuck", "no reading"]); // faults of a cell that are bad; others are warnings
 
 export class Health {
@@ -101,23 +100,6 @@ export class Health {
       : recorders.length ? `${verb}, ${number.format(rows)} rows` : ended ? "Not recorded" : "Not recording";
     write(chip, text);
   }
-}
-
-// Return a cell with a value and its verdict, [word, level]; undefined: it has no limit.
-function judged(value, verdict) {
-  const td = element("td", value ? "number" : "text");
-  td.textContent = value;
-  if (verdict) {
-    const word = element("span");
-    mark(word, ...verdict);
-    td.append(value ? " " : "", word);
-  }
-  return td;
-}
-
-function mark(node, word, level) {
-  node.className = `verdict ${level}`;
-  write(node, `${MARKS[level]}\u00a0${word}`);
 }
 
 function cellLevel(faults) {

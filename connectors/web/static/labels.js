@@ -67,8 +67,7 @@ export class Labels {
       ...(span.begin < begin ? [{ ...span, end: begin }] : []),
       ...(span.end > end ? [{ ...span, begin: end }] : []),
     ]));
-    const author = $("label-author").value.trim(), note = $("label-note").value.trim();
-    if (value) cut.push({ begin, end, finger, value, author, note, created: "" });
+    if (value) cut.push({ begin, end, finger, value, ...this.#by(), created: "" });
     this.past.push(this.spans);
     this.spans = cut;
     this.#show();
@@ -85,13 +84,14 @@ export class Labels {
   // Save all spans as the next version.
   async save() {
     if (!this.unsaved || this.saving) return;
-    const { spans } = this;
+    const { spans } = this, { author, note } = this.#by(); // may be typed after marking
+    const signed = spans.map((span) => (span.created ? span : { ...span, author: span.author || author, note: span.note || note }));
     this.saving = true;
     try {
       const answer = await fetch(`${BASE}labels`, {
         method: "POST",
         headers: { "Content-Type": "application/json" },
-        body: JSON.stringify({ based_on: this.version, spans }),
+        body: JSON.stringify({ based_on: this.version, spans: signed }),
       });
       if (!answer.ok) throw new Error(await answer.text());
       const labels = await answer.json();
@@ -107,6 +107,11 @@ export class Labels {
     }
   }
 
+  // Return name and note as typed.
+  #by() {
+    return { author: $("label-author").value.trim(), note: $("label-note").value.trim() };
+  }
+
   // Show a saved version.
   replace(labels) {
     this.version = labels.version;
@@ -117,11 +122,11 @@ export class Labels {
   }
 
   #key(event) {
-    if (event.target.closest(TAKES_KEYS) || event.altKey) return;
-    const key = event.key.toLowerCase();
-    if (event.ctrlKey || event.metaKey) {
+    const key = event.key.toLowerCase(), control = event.ctrlKey || event.metaKey, saves = control && key === "s";
+    if ((event.target.closest(TAKES_KEYS) && !saves) || event.altKey) return;
+    if (control) {
       if (key === "z") this.undo();
-      else if (key === "s") this.save();
+      else if (saves) this.save();
       else return;
     } else if (key in KEYS) this.mark(KEYS[key]);
     else if (key === "delete") this.mark(null);

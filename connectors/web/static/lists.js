@@ -5,6 +5,8 @@ import { element, write } from "./pad.js";
 const LIVE_MAX = 100; // events kept of a run
 const LISTED_MAX = 1000; // events listed of a recording
 const ARROWS = "→↗↑↖←↙↓↘"; // of 0, 45, ... degrees
+const MARKS = { good: "●", warning: "▲", bad: "■" }; // by level
+const QUALITIES = { doubtful: "warning", blind: "bad" }; // levels
 export const number = new Intl.NumberFormat("en");
 
 export class Events {
@@ -54,6 +56,11 @@ export class Events {
     return spans;
   }
 
+  // True if an event has a direction.
+  get directed() {
+    return this.all.some((event) => event.direction !== null);
+  }
+
   // Return true if a fingertip has an event up to a time.
   any(finger, end) {
     return this.all.some((event) => event.t <= end && (event.finger === finger || event.finger === "every"));
@@ -81,25 +88,30 @@ function row(event, time, go) {
     button.addEventListener("click", () => go(event.t));
     first.append(button);
   } else first.textContent = time;
+  const late = event.verdict && event.verdict[1] !== "good" ? event.verdict : undefined;
   tr.append(
     first,
     cell(event.finger),
-    cell(event.onset ? `slip onset${towards(event.direction)}` : "slip end", event.onset ? "onset" : ""),
+    happened(event),
     cell(event.p === null ? "–" : event.p.toFixed(2), "number probability"),
-    latency(event.latency),
+    judged(event.latency === null ? "–" : `${event.latency.toFixed(1)} ms`, late, "latency"),
   );
   return tr;
 }
 
-function towards(direction) {
-  return (direction ?? null) === null ? "" : ` ${ARROWS[Math.round(direction / 45) % 8]} ${direction}°`;
+// Return the cell of an onset or end, with its direction and a quality other than good.
+function happened({ onset, direction, quality: [word, reason] }) {
+  const td = cell(onset ? `slip onset${towards(direction)}` : "slip end", onset ? "onset" : "");
+  if (word in QUALITIES) {
+    const doubt = element("span");
+    mark(doubt, `${word}: ${reason}`, QUALITIES[word]);
+    td.append(doubt);
+  }
+  return td;
 }
 
-// Return the cell of a latency (ms; null: unknown); its limits are those of the sources.
-function latency(value) {
-  if (value === null) return cell("–", "number latency");
-  const word = value > 250 ? "very late" : value > 50 ? "late" : "";
-  return cell(`${value.toFixed(1)} ms${word ? ` ▲\u00a0${word}` : ""}`, `number latency ${word ? "bad" : ""}`);
+function towards(direction) {
+  return direction === null ? "" : ` ${ARROWS[Math.round(direction / 45) % 8]}\u00a0${direction}°`;
 }
 
 export function line(...cells) {
@@ -112,4 +124,20 @@ export function cell(text, kind = "") {
   const td = element("td", kind);
   td.textContent = text;
   return td;
+}
+
+// Return a cell with a value and its verdict, [word, level]; undefined: it has no limit or is good.
+export function judged(value, verdict, kind = "") {
+  const td = cell(value, `${value ? "number" : "text"} ${kind}`);
+  if (verdict) {
+    const word = element("span");
+    mark(word, ...verdict);
+    td.append(value ? " " : "", word);
+  }
+  return td;
+}
+
+export function mark(node, word, level) {
+  node.className = `verdict ${level}`;
+  write(node, `${MARKS[level]}\u00a0${word}`);
 }

@@ -38,7 +38,7 @@ class View {
     this.faults = {};
     this.slipping = new Set();
     this.quality = {}; // of the newest score: word and reason, by fingertip
-    this.direction = {}; // of sliding: angle and standard deviation, degrees, by fingertip that slips
+    this.direction = {}; // of sliding: angle and standard deviation, degrees, by fingertip; used while it slips
     this.events.clear();
     this.deepest = 100;
     this.hasMotion = false;
@@ -231,7 +231,8 @@ class View {
     $("quality").hidden = !word;
     $("quality").classList.toggle("bad", word !== "good");
     write($("quality"), reason ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : `Quality: ${word}`);
-    $("direction").hidden = (angle ?? null) === null;
+    $("direction").hidden = !this.slips(this.finger) || (angle ?? null) === null;
+    $("directed").hidden = $("direction").hidden && !this.events.directed;
     $("arrow").style.rotate = `${-angle}deg`;
     write($("angle"), `${angle}° ± ${deviation}°`);
   }

@@ -19,7 +19,7 @@ const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabi
 
 export function recorded(view, about) {
   const slider = $("instant"), play = $("play"), span = new Span(about.length);
-  let loading = false, again = false, playing = null, dragged = null, events = about.events, loaded = {}, remark = about.about, hovered = null;
+  let loading = false, again = false, playing = null, dragged = null, events = about.events, loaded = {}, remark = about.about, hovered = null, chosen = null; // threshold; null: the first one
 
   document.body.dataset.link = "recorded";
   for (const id of ["scrub", "readout", "bands-figure"]) $(id).hidden = false;
@@ -66,6 +66,7 @@ export function recorded(view, about) {
   const setThreshold = thresholdSlider(about, (threshold, found) => {
     const own = found === about.events;
     events = found;
+    chosen = own ? null : threshold;
     view.threshold = threshold;
     view.events.replace(found);
     view.events.show((t) => elapsed(t), (t) => go(t + 1000));
@@ -109,6 +110,7 @@ export function recorded(view, about) {
       const answer = await load(...shown(), t, view.charts.columns);
       figures = new Streams(view.sign);
       figures.take(answer.at);
+      for (const name of ["faults", "quality", "direction"]) view[name] = answer.at[name];
       loaded = answer.bands;
       view.take(answer, "replace");
       showTime(instant()); // the fingertip is known now
@@ -216,7 +218,8 @@ export function recorded(view, about) {
 
   // The part of a link after #: what this page shows.
   function hash() {
-    const state = { t: instant(), window: $("window").value, finger: view.finger, threshold: view.threshold };
+    const state = { t: instant(), window: $("window").value, finger: view.finger };
+    if (chosen !== null) state.threshold = chosen;
     if (span.zoomed) state.zoom = span.zooms.at(-1).join(" ");
     return new URLSearchParams(state);
   }
@@ -231,7 +234,7 @@ export function recorded(view, about) {
     span.zooms = zoom.length === 2 && zoom[0] < zoom[1] ? [zoom] : [];
     slider.value = Number(state.get("t"));
     const threshold = Number(state.get("threshold"));
-    if (threshold > 0 && threshold <= 1 && threshold !== view.threshold) setThreshold(threshold);
+    if ((chosen ?? 0) !== threshold) setThreshold(threshold > 0 && threshold <= 1 ? threshold : null);
   }
 
   exportButtons({

@@ -5,7 +5,8 @@ import { write } from "./pad.js";
 
 const $ = (id) => document.getElementById(id);
 
-// `changed(threshold, events)` is called with the events at a threshold, and with the first ones on a reset.
+// `changed(threshold, events)` is called with the events at a threshold, and with the first ones on a reset. Returns a
+// function that sets the threshold; null: resets it.
 export function thresholdSlider(about, changed) {
   const slider = $("threshold"), reset = $("threshold-reset"), say = $("threshold-text");
   let wanted = null, busy = false;
@@ -38,15 +39,16 @@ export function thresholdSlider(about, changed) {
   }
 
   $("tuning").hidden = false;
-  slider.value = about.threshold;
   slider.addEventListener("input", () => load(Number(slider.value)));
-  reset.addEventListener("click", () => {
+  const first = () => {
     slider.value = about.threshold;
     wanted = null;
     show(about.threshold, about.events);
-  });
-  show(about.threshold, about.events);
+  };
+  reset.addEventListener("click", first);
+  first();
   return (threshold) => {
+    if (threshold === null) return first();
     slider.value = threshold;
     load(threshold);
   };

@@ -69,7 +69,17 @@ def test_an_event_has_its_latency_and_a_fingertip_slips_from_onset_to_end(frames
     frame = document(frames.next())
     assert frame["slipping"] == ["1"]
     assert frame["events"] == [
-        {"id": 1, "t": 9_992.0, "finger": "1", "onset": True, "p": 0.9, "direction": None, "latency": 8.0}
+        {
+            "id": 1,
+            "t": 9_992.0,
+            "finger": "1",
+            "onset": True,
+            "p": 0.9,
+            "direction": None,
+            "quality": ["good", None],
+            "latency": 8.0,
+            "verdict": ["good", "good"],
+        }
     ]
     assert document(frames.next())["slipping"] == ["1"]
     frames.add(slips(NOW, 0, finger=1))

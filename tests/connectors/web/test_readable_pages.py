@@ -1,6 +1,7 @@
 """The pages are readable in every state: contrast, size of text, edges, verdicts in words."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -44,17 +45,38 @@ def test_every_tile_and_verdict_is_legible_on_a_desk_and_a_phone(browser: Browse
             now = served.run.clock.now()
             ramp = (np.arange(CELLS, dtype=np.int16) * 16)[None]  # from no to full pressure
             served.write(Touch(np.array([now]), ramp, ramp, ramp >= 0, finger=0), scored(now, 0.93))
-            served.write(slip(now - 700 * ms, int(slips)))
+            event = slip(now - 700 * ms, int(slips))
+            served.write(replace(event, direction=np.array([-1.0 if slips else np.nan])))
             for cell, kind in ((5, FaultKind.DEAD), (63, FaultKind.SATURATED), (7, FaultKind.DRIFTING)):
                 codes = np.array([cell], np.int8), np.array([kind], np.int8)
                 served.write(Faults(np.array([now]), *codes, np.array([True]), finger=0))
             expect(tab.locator("#cells")).to_contain_text("barometer 63 saturated")
             expect(tab.locator("#sources")).to_contain_text("very late")
-            expect(tab.locator("#events tr").first).to_contain_text("very late")
+            row = tab.locator("#events tr").first
+            expect(row).to_contain_text(re.compile("ms ■.very late"))
+            expect(row).to_contain_text("slip onset ↘\u00a0303°" if slips else "slip end")
+            expect(tab.locator("#directed")).to_be_visible(visible=slips)
             expect(tab.locator(".pad td").nth(63)).to_contain_text("1008")
             tab.locator("details").evaluate("details => { details.open = true; }")
 
         assert faults(browser, served.url, ready) == []
+
+
+def test_an_event_shows_a_quality_other_than_good_with_its_reason(watched: Watched) -> None:
+    tab, rows = watched.tab, watched.tab.locator("#events tr")
+    with ServedPage() as served:
+        tab.goto(served.url)
+        served.touch(-10)
+        served.slip(1)
+        expect(rows.first).to_contain_text("slip onset")
+        expect(rows.first).not_to_contain_text("doubtful")
+        served.write(replace(slip(served.run.clock.now(), 0), doubt=np.array([1.5])))
+        expect(rows.first).to_contain_text("▲\u00a0doubtful: unfamiliar input")
+        codes = np.array([4], np.int8), np.array([FaultKind.DEAD], np.int8)
+        served.write(Faults(np.array([0]), *codes, np.array([True]), finger=0))
+        served.slip(1)
+        expect(rows.first).to_contain_text("▲\u00a0doubtful: barometer 4 dead")
+    assert watched.complaints == []
 
 
 def test_health_is_judged_in_words(watched: Watched) -> None:
@@ -127,4 +149,14 @@ def test_the_page_of_a_recorded_session_is_legible(browser: Browser, run: Run) -
         expect(tab.locator(".count")).to_have_text(["41"] * 6)
 
     with ServedRecording(a_minute(run)) as served:
+        assert faults(browser, served.url, ready) == []
+
+
+def test_two_detectors_side_by_side_are_legible(browser: Browser, run: Run) -> None:
+    def ready(tab: Page) -> None:
+        for pane in tab.locator("iframe").all():
+            expect(pane.content_frame.locator("#instant-text")).to_contain_text("UTC")
+            expect(pane.content_frame.locator(".count")).to_have_text(["41"] * 6)
+
+    with ServedRecording(a_minute(run), a_minute(run)) as served:
         assert faults(browser, served.url, ready) == []

@@ -10,15 +10,21 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
+from connectors.web.session_page import SessionCurves
 from connectors.web.session_requests import SessionPage
 from flows.cli.show import load
-from operators.batch import Labelled, Motion, Touch, Truth, concat, ms, s
+from operators import Debounce, FaultKind
+from operators.batch import Assessed, Faults, Labelled, Motion, Touch, Truth, Zeroed, concat, ms, s
+from operators.ports import Run
 from storage import LabelSpan, Session
 from tests.connectors.web.browsing import ServedRecording, Watched, shaking
+from tests.connectors.web.reading import slip
+from tests.connectors.web.test_browser import MOVE
 from tests.storage.made import record
 
 SECONDS = 12
 START = 1_700_000_000 * s
+SET = "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input')); }"
 WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
 
 
@@ -135,9 +141,7 @@ def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
         slider = tab.get_by_role("slider", name="Threshold")
         counts = set[int]()
         for threshold in (0.005, 0.5, 1.0):
-            slider.evaluate(
-                "(each, to) => { each.value = to; each.dispatchEvent(new Event('input')); }", threshold
-            )
+            slider.evaluate(SET, threshold)
             found: list[Any] = pages[0].curves.detected(threshold)
             onsets = [each for each in found if each["onset"]]
             word = "slip" if len(onsets) == 1 else "slips"
@@ -197,6 +201,26 @@ def test_spans_are_marked_corrected_undone_and_saved_as_versions(
     assert watched.complaints == []
 
 
+def test_name_and_note_typed_after_marking_are_saved(
+    watched: Watched, served: ServedRecording, session: Session
+) -> None:
+    tab = watched.tab
+    tab.goto(served.url)
+    drag(tab, tab.locator("#bands"), 0.25, 0.5)
+    tab.keyboard.press("s")
+    tab.get_by_label("Your name").fill("Ada")
+    tab.get_by_label("Note").fill("still hand")
+    tab.get_by_label("Note").press("Control+s")
+    expect(tab.locator("#label-state")).to_have_text("1 span, saved as version 1")
+    drag(tab, tab.locator("#bands"), 0.6, 0.7)
+    tab.keyboard.press("t")
+    tab.get_by_label("Your name").fill("Grace")
+    tab.get_by_role("button", name="Save").click()
+    expect(tab.locator("#label-state")).to_have_text("2 spans, saved as version 2")
+    assert [(each.author, each.note) for each in session.hand_labels(1).spans] == [("Ada", "still hand")]
+    assert [each.author for each in session.hand_labels().spans] == ["Ada", "Ada"]  # as it was marked
+
+
 def test_a_page_that_is_not_up_to_date_does_not_overwrite_labels(
     watched: Watched, served: ServedRecording, session: Session
 ) -> None:
@@ -210,6 +234,52 @@ def test_a_page_that_is_not_up_to_date_does_not_overwrite_labels(
     expect(tab.locator("#label-state")).to_contain_text("Not saved: ")
     expect(tab.locator("#label-state")).to_contain_text("has version 1 of hand labels, not 0")
     assert len(session.hand_labels().spans) == 1
+
+
+def test_quality_and_direction_are_those_of_the_selected_time_at_any_threshold(
+    watched: Watched, run: Run
+) -> None:
+    tab = watched.tab
+    rows = np.arange(600)
+    time = run.start + rows * 10 * ms
+    zeros = np.zeros((600, 6), np.int16)
+    probability = np.where(rows % 200 < 100, 0.1, 0.7)
+    unsure = np.where(rows < 400, 0.5, 1.5)
+
+    async def page() -> SessionPage:
+        curves = SessionCurves(rule=Debounce(0.6))
+        await curves.open(run)
+        await curves.write(Zeroed(time, zeros, zeros, zeros == 0, finger=0))
+        await curves.write(
+            Assessed(time, probability, unsure, np.full(600, 1.5), np.full(600, 0.2), finger=0)
+        )
+        codes = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
+        await curves.write(Faults(time[350:351], *codes, finger=0))
+        await curves.write(slip(int(time[100]), 1))
+        await curves.close()
+        return SessionPage(curves)
+
+    with ServedRecording(page()) as served:
+        tab.goto(served.url)
+        slider, quality = tab.locator("#instant"), tab.locator("#quality")
+        expect(tab.locator("#events tr")).to_have_count(1)
+        expect(tab.locator("#events")).not_to_contain_text("°")  # the recorded event has none
+        slider.evaluate(MOVE, 500)
+        expect(quality).to_have_text("Quality: good")
+        expect(tab.locator("#direction")).to_be_hidden()  # no slip
+        slider.evaluate(MOVE, 1500)
+        expect(tab.locator("#angle")).to_have_text("86° ± 11°")
+        slider.evaluate(MOVE, 3900)
+        expect(quality).to_have_text("Doubtful: barometer 3 stuck")
+        expect(tab.locator(".pad td.fault")).to_contain_text("stuck")
+        slider.evaluate(MOVE, 5500)
+        expect(quality).to_have_text("Doubtful: barometer 3 stuck, unfamiliar input")
+        tab.get_by_role("slider", name="Threshold").evaluate(SET, 0.5)
+        onsets = tab.locator("#events tr").filter(has_text="slip onset")
+        expect(onsets).to_have_text([re.compile("↑.86°")] * 3)
+        expect(onsets.last).to_contain_text("doubtful: barometer 3 stuck, unfamiliar input")
+        expect(onsets.first).not_to_contain_text("doubtful")
+    assert watched.complaints == []
 
 
 def test_two_detectors_are_compared_at_the_same_time(watched: Watched, session: Session) -> None:
@@ -272,6 +342,7 @@ def test_the_visible_span_is_exported_as_files_picture_and_link(
     expect(tab.locator("#export-state")).to_contain_text(re.compile("Link copied|address bar"))
     instant, link = tab.locator("#instant-text").inner_text(), tab.url
     assert "zoom=" in link
+    assert "threshold" not in link
     tab.goto("about:blank")
     with tab.expect_request(re.compile(r"window\?begin=(29|30)\d\d&end=(59|60)\d\d&")):
         tab.goto(link)
