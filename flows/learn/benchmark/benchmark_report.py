@@ -14,6 +14,7 @@ from flows.learn.leaks.leak_section import leak_section
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted, show
 
+_ERROR: Final = "calibration error %", "calibration error % 95 %"
 _SPLITS: Final = {"group": "surfaces or objects", "recording": "recordings"}
 
 
@@ -24,6 +25,7 @@ def benchmark_report(of: Benchmark, command: str) -> Report:
         "saw it; windows and recordings are never split. "
         + " ".join(f"{regime}: {MEANING[regime].format(parts='folds')}." for regime in of.regimes)
         + " Far: balanced accuracy 100 ms or more from any change of the label, which may lag the touch."
+        " Calibration error: mean distance between probability and share of slip in ten bins."
         f" Intervals are 95 % over recordings ({DRAWS} draws with replacement). Decisions are at "
         "probability 0.5; events follow the debounce of the model card, or one tuned on recordings of the "
         "other folds, which the detector was not fitted to where enough have slip."
@@ -50,7 +52,8 @@ def _sections(of: DatasetResult) -> list[Section]:
 def _overview(of: DatasetResult) -> Section:
     data = of.data
     rows: list[list[Value]] = [
-        [each.entrant.regime, each.entrant.name, *_cells(each)[:6], _note(each)] for each in of.results
+        [each.entrant.regime, each.entrant.name, *_cells(each)[:6], *_calibration(each), _note(each)]
+        for each in of.results
     ]
     lacking = "".join(f" Missing: {name}, {reason}." for name, reason in of.missing.items())
     notes = "".join(f" {note}." for note in data.notes)
@@ -61,7 +64,7 @@ def _overview(of: DatasetResult) -> Section:
         f"{counted(len(data.recordings), 'recording')} of {data.minutes:.1f} minutes, "
         f"{data.slip:.0f} % slip, in {counted(len(data.folds), 'fold')} by {data.by}: {folds}."
         f"{notes}{lacking}",
-        [Table(["regime", "detector", *FIGURES_HEAD[:6], "note"], rows, decimals=FIGURES_DECIMALS)],
+        [Table(["regime", "detector", *FIGURES_HEAD[:6], *_ERROR, "note"], rows, decimals=FIGURES_DECIMALS)],
         lambda: drawn.overview(of),
     )
 
@@ -145,6 +148,10 @@ def _headline(of: DatasetResult) -> str:
 
 def _cells(of: EntrantResult) -> list[Value]:
     return figures_cells(of.figures)
+
+
+def _calibration(of: EntrantResult) -> list[Value]:
+    return [of.figures.calibration.value, of.figures.calibration.interval() or None]
 
 
 def _note(of: EntrantResult) -> str:

@@ -10,7 +10,7 @@ from typing import Final, Self, TypeAlias
 import numpy as np
 
 from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, onsets
-from flows.learn.evaluation.sample_metrics import Confusion, Roc, distance
+from flows.learn.evaluation.sample_metrics import BINS, Confusion, Reliability, Roc, distance
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from operators import Debounce, s
 from operators.batch import UNKNOWN, Flags, Reals
@@ -78,6 +78,7 @@ class Figures:
     balanced: Estimate  # balanced accuracy, %
     far: Estimate  # the same, 100 ms or more from any change of the label
     area: Estimate  # under the ROC curve, %
+    calibration: Estimate  # expected calibration error of the probability, %
     events_per_min: Estimate  # reported events per minute of recording
     false_alarms_per_min: Estimate  # per static minute
     missed: Estimate  # slips without an event, %
@@ -113,6 +114,7 @@ def figures(recordings: Sequence[Sequence[Judged]], draws: int = DRAWS, seed: in
         balanced_accuracy([_confusion(own) for own in recordings], draws, seed),
         balanced_accuracy([_confusion(own, far=True) for own in recordings], draws, seed),
         Estimate.of(100 * Roc.of(probability, slip.astype(np.bool_)).area, 100 * _areas(recordings, weights)),
+        _calibration(recordings, weights),
         Estimate.of(float(_ratio(total[4], total[5])), _ratio(drawn[:, 4], drawn[:, 5])),
         Estimate.of(float(_ratio(total[0], total[1])), _ratio(drawn[:, 0], drawn[:, 1])),
         Estimate.of(100 * float(_ratio(total[2], total[3])), 100 * _ratio(drawn[:, 2], drawn[:, 3])),
@@ -165,6 +167,21 @@ def _areas(recordings: Sequence[Sequence[Judged]], weights: Reals) -> Drawn:
     static, slip = weights @ counts[0], weights @ counts[1]  # (draws, bins) each
     below = np.cumsum(static, axis=1) - static / 2  # equal probabilities count half
     return _ratio((slip * below).sum(axis=1), slip.sum(axis=1) * static.sum(axis=1))
+
+
+def _calibration(recordings: Sequence[Sequence[Judged]], weights: Reals) -> Estimate:
+    """Return the expected calibration error over recordings with its interval, %."""
+    sums = np.zeros((len(recordings), BINS + 1))  # of probability minus slip in each bin; samples
+    for n, own in enumerate(recordings):
+        for each in own:
+            found = Reliability.of(each.probability, each.slip)
+            gaps = np.nan_to_num(found.number * (found.probability - found.slip))
+            sums[n] += (*gaps, found.number.sum())
+
+    def error(pooled: Reals) -> Drawn:
+        return 100 * _ratio(np.abs(pooled[..., :BINS]).sum(axis=-1), pooled[..., BINS])
+
+    return Estimate.of(float(error(sums.sum(axis=0))), error(weights @ sums))
 
 
 def _medians(delays: Sequence[Reals], weights: Reals) -> Drawn:

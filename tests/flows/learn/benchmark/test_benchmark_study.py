@@ -225,7 +225,8 @@ def test_the_page_has_every_figure_and_its_interval_and_is_readable(
     assert best["detector"] == "logistic"
     assert best["balanced"]["value"] == pytest.approx(figures.balanced.value, rel=1e-5)
     assert best["balanced"]["low"] <= best["balanced"]["value"] <= best["balanced"]["high"]
-    assert {"area", "events_per_min", "false_alarms_per_min", "missed", "delay"} <= best.keys()
+    assert 0 <= best["calibration"]["value"] < 50
+    assert {"area", "calibration", "events_per_min", "false_alarms_per_min", "missed", "delay"} <= best.keys()
     assert figures.balanced.interval() in report.title
     assert page["datasets"]["strokes"]["folds"]["wood"] == [each.name for each in surfaces[3:6]]
     assert report_faults(report, tmp_path) == []

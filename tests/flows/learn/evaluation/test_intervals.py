@@ -66,6 +66,18 @@ def test_figures_without_events_or_classes_are_unknown() -> None:
     assert figures([]).balanced.interval() == ""
 
 
+def test_the_calibration_error_is_that_of_all_samples_together() -> None:
+    def constant(slips: int) -> Judged:
+        one = judged(0, 2.0)
+        return replace(one, probability=np.full(500, 0.3), slip=np.arange(500) < slips)
+
+    found = figures([[constant(slips)] for slips in (50, 100, 150, 200, 250)]).calibration  # 10 to 50 % slip
+    assert found.value == pytest.approx(0)
+    assert 0 < found.high < 20  # draws of recordings have other shares of slip
+    alike = figures([[constant(50)]] * 4).calibration
+    assert (alike.value, alike.low, alike.high) == pytest.approx((20, 20, 20))
+
+
 def test_repetitions_of_a_recording_count_as_one_recording() -> None:
     once = [[judged(n, 0.3 * n)] for n in range(10)]
     twice = [own * 2 for own in once]
