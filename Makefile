@@ -73,6 +73,9 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_label_delay.py
 	.venv/bin/python tests/benchmarks/bench_assessment.py
 	.venv/bin/python tests/benchmarks/bench_follow.py
+	mkdir -p models
+	test -d models/paper-0 || .venv/bin/slipflow simulate models/paper-0 --plan paper --seed 0
+	.venv/bin/python -m tests.benchmarks.bench_velocity models/paper-0
 	.venv/bin/python tests/benchmarks/bench_training.py
 	.venv/bin/python tests/benchmarks/bench_peers.py
 	.venv/bin/python tests/benchmarks/bench_peers_live.py

@@ -11,6 +11,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.simulated_rig import SimulatedRig
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording, simulated_recordings
+from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording, load, simulated_recordings
 from flows.learn.scoring import assessed
 from flows.learn.stress.stress_fields import FIELDS, plan_of, stressed
 from flows.learn.stress.stress_study import PLAN
@@ -71,16 +72,22 @@ def conditions(detector: Detector, seed: int) -> Iterator[Condition]:
         recordings = simulated_recordings(
             plan_of(field, PLAN), seed, partial(stressed, field=field, value=value)
         )
-        found = [assessed(detector, each) for each in recordings]
-        probability = np.concatenate([each.probability[WARM_UP:] for each in found])
-        sliding = [each.label if each.sliding is None else each.sliding for each in recordings]
-        yield Condition(
-            f"{FIELDS[field].text} {FIELDS[field].show(value)}" if number else "nominal",
-            np.concatenate([each.doubt[WARM_UP:] for each in found]) > DOUBTFUL,
-            ~np.isnan(probability),
-            probability > 0.5,
-            (_joined([each.label for each in recordings]), _joined(sliding)),
-        )
+        name = f"{FIELDS[field].text} {FIELDS[field].show(value)}" if number else "nominal"
+        yield condition(name, detector, recordings)
+
+
+def condition(name: str, detector: Detector, recordings: Sequence[LabelledRecording]) -> Condition:
+    """Return the samples of recordings; without true sliding the label replaces it."""
+    found = [assessed(detector, each) for each in recordings]
+    probability = np.concatenate([each.probability[WARM_UP:] for each in found])
+    sliding = [each.label if each.sliding is None else each.sliding for each in recordings]
+    return Condition(
+        name,
+        np.concatenate([each.doubt[WARM_UP:] for each in found]) > DOUBTFUL,
+        ~np.isnan(probability),
+        probability > 0.5,
+        (_joined([each.label for each in recordings]), _joined(sliding)),
+    )
 
 
 def _joined(labels: Sequence[Codes]) -> Codes:
@@ -158,10 +165,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--model", default="tcn", help="name or file of the detector")
     parser.add_argument("--seed", type=int, default=JUDGED, help="seed of the recordings")
+    parser.add_argument("--strokes", type=Path, help="only judge this dataset of another fingertip")
     given = parser.parse_args()
     model: str = given.model
     detector = load_detector(model)
     print(f"{machine()}; {commit()}; seed {given.seed}")
+    if given.strokes:
+        real = condition(given.strokes.name, detector, load(given.strokes))
+        doubtful = 100 * real.doubtful.mean()
+        print(f"{real.name}: balanced accuracy {real.balanced(0):.1f} %, {doubtful:.1f} % doubtful")
+        return
     report_doubt(list(conditions(detector, given.seed)))
     report_rig(detector, given.seed)
     report_direction(detector, load_debounce(model) or Debounce(), simulated_recordings(ONSETS, given.seed))

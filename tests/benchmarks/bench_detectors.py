@@ -4,26 +4,30 @@ Run by `make bench`. Streaming takes sample after sample, of one fingertip or of
 together, then per fingertip; live is one fingertip's batches of one through `Score`. Heads are the
 familiarity with the input alone, or with the velocity. Windowed takes a whole
 window for each sample, as those must who do not stream. Weights are random: they cost what trained ones do.
-All variants take turns, so that a change of the machine's speed hits all of them; the table shows medians.
+The live path compares a network without heads and one with both, as `tcn` ships, with the operators around
+it. All variants take turns, so that a change of the machine's speed hits all of them; tables show medians.
 """
 
 import argparse
 import gc
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import product
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from flows.learn.chart.windowed_runtimes import OnnxWindowed, TorchEager
-from operators import Score, Zeroed, ms
-from operators.batch import Counts
+from operators import Assessed, Debounce, Follow, Score, Touch, Zero, Zeroed, ms
+from operators.batch import Batch, Counts, Scores
 from operators.detectors import Assessing, Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.detectors.tcn_heads import head_shapes
+from operators.operator import Operator
 from tests.benchmarks.machine import commit, machine
 
 FILTERS = (4, 8, 12, 16, 24)
@@ -32,7 +36,8 @@ SAMPLES = 2000  # of one fingertip
 Run = Callable[[], int]  # says how many samples it scored
 
 
-HEADS = {"": "-", " + familiarity": "familiar", " + both heads": ""}  # prefix of their arrays
+BOTH = " + both heads"
+HEADS = {"": "-", " + familiarity": "familiar", BOTH: ""}  # prefix of their arrays
 
 
 def network(filters: int, seed: int, heads: str = "-") -> Tcn:
@@ -63,16 +68,34 @@ def streaming(tcn: Tcn, counts: Counts, fingers: int) -> Run:
 def live(tcn: Tcn, counts: Counts) -> Run:
     """Batches of one through the operator."""
     time = np.arange(len(counts)) * 10 * ms
-    touch = Zeroed(time, counts, counts, np.ones_like(counts, np.bool_), finger=0)
-    rows = [touch[row : row + 1] for row in range(len(touch))]
+    return in_rows(Score(tcn), Zeroed(time, counts, counts, np.ones_like(counts, np.bool_), finger=0))
+
+
+def in_rows(step: Operator[Any, Any], batch: Batch) -> Run:
+    """Batches of one through an operator."""
+    rows = [batch[row : row + 1] for row in range(len(batch))]
 
     def run() -> int:
-        score = Score(tcn)
+        fresh = step.reset_copy()
         for row in rows:
-            score.push(row)
+            fresh.push(row)
         return len(rows)
 
     return run
+
+
+def around(counts: Counts, seed: int) -> dict[str, Run]:
+    """Operators before and after `Score` on the live path of one fingertip."""
+    time = np.arange(len(counts)) * 10 * ms
+    touch = Touch(time, counts + 700, counts, np.ones_like(counts, np.bool_), finger=0)
+    probability = np.random.default_rng(seed).random(len(counts))
+    assessed = Assessed(time, probability, probability, probability, probability, finger=0)
+    return {
+        "Zero": in_rows(Zero(), touch),
+        "Follow": in_rows(Follow(), touch),
+        "Debounce": in_rows(Debounce(), Scores(time, probability, finger=0)),
+        "Debounce, assessed": in_rows(Debounce(), assessed),
+    }
 
 
 def windowed(detector: Detector, counts: Counts, number: int) -> Run:
@@ -102,8 +125,13 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
             for name, of in (("streaming", partial(streaming, fingers=1)), ("live, through Score", live))
         },
         **{
-            f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
-            for fingers in FINGERS
+            f"streaming, {fingers} fingertips, each{extra}": streaming(
+                network(filters, seed, heads), counts[: SAMPLES // fingers], fingers
+            )
+            for fingers, extra, heads in (
+                *((fingers, "", "-") for fingers in FINGERS),
+                (FINGERS[0], BOTH, HEADS[BOTH]),
+            )
         },
         "windowed, numpy": windowed(tcn, counts, 200),
         "windowed, onnxruntime": windowed(runtime, counts, 100),
@@ -116,15 +144,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=int, default=15)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--filters", type=int, nargs="+", default=FILTERS)
     options = parser.parse_args()
     torch.set_num_threads(1)
     rng = np.random.default_rng(options.seed)
     counts = (-250 + np.cumsum(rng.integers(-20, 21, (SAMPLES, 6)), axis=0) % 250).astype(np.int16)
     runs = {
         (name, filters): run
-        for filters in FILTERS
+        for filters in options.filters
         for name, run in variants(filters, counts, options.seed).items()
     }
+    runs |= {(name, 0): run for name, run in around(counts, options.seed).items()}
     cost: dict[tuple[str, int], list[float]] = {key: [] for key in runs}
     gc.disable()
     for turn in range(options.turns + 1):  # the first one warms up
@@ -137,23 +167,38 @@ def main() -> None:
     print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
     versions = f"numpy {np.__version__}, torch {torch.__version__}"
     print(f"{machine()}, {versions}")
-    print(f"{'us per sample, by filters':36}" + "".join(f"{filters:9}" for filters in FILTERS))
-    for name in dict.fromkeys(name for name, _ in cost):
-        medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
-        print(f"{name:36}" + "".join(f"{median:9.2f}" for median in medians))
+    print(f"{'us per sample, by filters':46}" + "".join(f"{filters:9}" for filters in options.filters))
+    for name in dict.fromkeys(name for name, filters in cost if filters):
+        medians = [statistics.median(cost[name, filters]) for filters in options.filters]
+        print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
     for extra in list(HEADS)[1:]:
         pairs = [
             (cost[f"live, through Score{extra}", filters], cost["live, through Score", filters])
-            for filters in FILTERS
+            for filters in options.filters
         ]
         added = [statistics.median(a / b - 1 for a, b in zip(*pair, strict=True)) for pair in pairs]
         print(
-            f"{'Score' + extra + ' : Score':36}" + "".join(f"{f'+{100 * part:.0f} %':>9}" for part in added)
+            f"{'Score' + extra + ' : Score':46}" + "".join(f"{f'+{100 * part:.0f} %':>9}" for part in added)
         )
-    for name in ("windowed, onnxruntime", "windowed, torch eager"):
-        pairs = [(cost[name, filters], cost["streaming", filters]) for filters in FILTERS]
+    for name, extra in product(("windowed, onnxruntime", "windowed, torch eager"), ("", BOTH)):
+        pairs = [(cost[name, filters], cost[f"streaming{extra}", filters]) for filters in options.filters]
         ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
-        print(f"{name + ' : streaming':36}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
+        print(f"{f'{name} : streaming{extra}':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
+    print_live_path({key: statistics.median(found) for key, found in cost.items()}, options.filters)
+
+
+def print_live_path(cost: dict[tuple[str, int], float], filters: Sequence[int]) -> None:
+    """Print the cost of each operator of one fingertip without heads and with both, by filters."""
+    scores = "live, through Score"
+    for each in filters:
+        headless = [cost["Zero", 0], cost[scores, each], cost["Debounce", 0]]
+        shipped = [cost["Zero", 0], cost[f"{scores}{BOTH}", each], cost["Debounce, assessed", 0]]
+        print(f"{f'us per sample, live, {each} filters':46} no heads    both")
+        for name, *pair in zip(("Zero", "Score", "Debounce"), headless, shipped, strict=True):
+            print(f"{name:46}" + "".join(f"{value:9.2f}" for value in pair))
+        print(f"{'all':46}{sum(headless):9.2f}{sum(shipped):9.2f}")
+        print(f"{'Score + familiarity':46}{'':9}{cost[f'{scores} + familiarity', each]:9.2f}")
+        print(f"{'Follow, in place of Zero':46}{cost['Follow', 0]:9.2f}{cost['Follow', 0]:9.2f}")
 
 
 if __name__ == "__main__":

@@ -41,8 +41,8 @@ def velocity_scores(detector: Detector, recordings: Sequence[LabelledRecording])
         found = velocities(detector, recording.counts)
         for rows in _slips(recording):
             true.append(recording.velocity[rows].mean(axis=0))
-            means.append(_mean(found[rows]))
-            begins.append(_mean(found[rows[:_SHORTEST]]))
+            means.append(mean_velocity(found[rows]))
+            begins.append(mean_velocity(found[rows[:_SHORTEST]]))
     if not true:
         return None
     truth, mean, begin = (np.array(each) for each in (true, means, begins))  # (k, 2)
@@ -71,7 +71,7 @@ def _slips(recording: LabelledRecording) -> list[NDArray[np.intp]]:
     return [part for part in parts if len(part) >= _SHORTEST]
 
 
-def _mean(found: Reals) -> Reals:
+def mean_velocity(found: Reals) -> Reals:
     """Return the mean velocity (2,) of estimates (k, 4), weighted by the inverse of their variance."""
     weight = np.exp(-2 * found[:, _PLANE:])
     mean: Reals = (found[:, :_PLANE] * weight).sum(axis=0) / weight.sum(axis=0)
