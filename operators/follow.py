@@ -43,7 +43,7 @@ class Follow(Operator[Touch, Zeroed]):
       preserved for any time. A slower press is followed like drift.
     - After a contact the tolerance is larger by a fifth of its deepest reading, at most 20 counts, so that
       the fingertip is recognised as unloaded again. A quiet load within it is followed like drift: do not
-      reduce a grip to less than a third without lifting.
+      reduce a grip to less than a fifth of its depth plus 5 s of `rate` without lifting.
     - Quiet counts above the baseline are no press. The baseline follows them if no cell is pressed, except
       for 5 counts that may be recovery of the rubber; this share falls to 0 within 30 s in air.
 
