@@ -29,7 +29,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Only this regime: zero-shot, few-shot, in-domain; repeatable (default: all).",
+            help="Only this regime: zero-shot, adapted, few-shot, in-domain; repeatable (default: all).",
         ),
     ] = None,
     model: Models = None,
@@ -54,10 +54,10 @@ def benchmark(
     fewer than two. zero-shot: detectors as they are. adapted: to 30 s without labels of what is judged.
     few-shot: two labelled minutes of the others. in-domain: fitted to all others.
 
-    Reports balanced accuracy, AUC, events per minute, missed slips and delay with intervals over recordings,
-    next to majority, logistic and gradient-boosting baselines, and names what inflates a score. Writes
-    benchmark.html, .md, .json and figures. Four surfaces take about 20 minutes on two idle cores; trained
-    networks are kept in OUT/models. Needs the train extra.
+    Reports balanced accuracy, AUC, calibration error, events per minute, missed slips and delay with
+    intervals over recordings, next to majority, logistic and gradient-boosting baselines, and names what
+    inflates a score. Writes benchmark.html, .md, .json and figures. Four surfaces take about 20 minutes on
+    two idle cores; trained networks are kept in OUT/models. Needs the train extra.
 
     Examples:
       slipflow benchmark strokes grasps
