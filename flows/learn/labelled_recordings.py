@@ -13,6 +13,7 @@ from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import episode
 from connectors.sim.truth import SLIDING
+from flows.learn.sampling import Sampling
 from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Health, Label, Resample, SlidingMotion, Zero, ms
 from operators.batch import (
@@ -43,8 +44,6 @@ from operators.forward_fill import forward_fill
 from storage import HandLabels, Session
 from storage.layout import SESSION, may_exist, session_folder, session_names
 
-PERIOD: Final = 10 * ms  # ns from one sample to the next
-WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
 Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
 TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
 LABELS: Final = ("hand", "arm")  # by hand where a person gave labels, else by arm speed; only by arm speed
@@ -82,6 +81,11 @@ class LabelledRecording:
         return len(self.label)
 
     @property
+    def sampling(self) -> Sampling:
+        """Rate of the samples, by which all times are computed."""
+        return Sampling.measured(self.fingertip.rate)
+
+    @property
     def slip(self) -> Flags:
         """True where the label is slip; (n,)."""
         slip: Flags = self.label == SLIP
@@ -109,7 +113,7 @@ class LabelledRecording:
 
     def evaluated(self, hop: int) -> NDArray[np.intp]:
         """Return the indices of every `hop`-th sample after the warm-up."""
-        return np.arange(WARM_UP, len(self), hop)
+        return np.arange(self.sampling.warm_up, len(self), hop)
 
     def known(self, hop: int) -> NDArray[np.intp]:
         """Return those of `evaluated` with a known label."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
 from operators import Score
 from operators.batch import Assessed, Counts, Flags, Reals, Zeroed, columns
 from operators.detectors.detector import Detector
@@ -15,7 +15,7 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
     """Return the probability of slip at each sample, as `Score` computes it in a live run.
 
     Returns:
-        (n,) NaN before sample `WARM_UP` or the first full window, and where `Score` returns NaN.
+        (n,) NaN during the warm-up or before the first full window, and where `Score` returns NaN.
 
     Raises:
         FingertipError: if the detector was made for another fingertip.
@@ -28,14 +28,14 @@ def assessed(detector: Detector, recording: LabelledRecording) -> Assessed:
     score = Score(detector)
     score.output_fingertip(recording.fingertip)
     rows = len(recording)
-    found = Assessed(np.arange(rows) * PERIOD, *(np.full(rows, np.nan) for _ in range(4)))
+    found = Assessed(recording.sampling.times(rows), *(np.full(rows, np.nan) for _ in range(4)))
     if not rows:
         return found
     scores = score.push(_zeroed(recording))
     for name in columns(type(scores)):
         getattr(found, name)[rows - len(scores) :] = getattr(scores, name)
     for each in (found.probability, found.doubt, found.direction, found.deviation):
-        each[:WARM_UP] = np.nan
+        each[: recording.sampling.warm_up] = np.nan
     return found
 
 
@@ -53,7 +53,7 @@ def labels(recordings: Sequence[LabelledRecording], hop: int) -> Flags:
 
 def _zeroed(recording: LabelledRecording) -> Zeroed:
     counts, valid = recording.counts, recording.valid
-    time = np.arange(len(counts)) * PERIOD
+    time = recording.sampling.times(len(counts))
     return Zeroed(
         time, counts, np.zeros_like(counts), np.ones(counts.shape, np.bool_) if valid is None else valid
     )

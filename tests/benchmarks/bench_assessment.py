@@ -19,7 +19,8 @@ import numpy as np
 from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.simulated_rig import SimulatedRig
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording, load, simulated_recordings
+from flows.learn.labelled_recordings import LabelledRecording, load, simulated_recordings
+from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import assessed
 from flows.learn.stress.stress_fields import FIELDS, plan_of, stressed
 from flows.learn.stress.stress_study import PLAN
@@ -124,7 +125,10 @@ def report_direction(detector: Detector, debounce: Debounce, recordings: Sequenc
         slips = debounce.reset_copy().push(assessed(detector, recording))
         assert recording.velocity is not None, "these are simulated"
         for row, direction, deviation in zip(
-            (slips.time // PERIOD).tolist(), slips.direction.tolist(), slips.deviation.tolist(), strict=True
+            (slips.time // recording.sampling.period).tolist(),
+            slips.direction.tolist(),
+            slips.deviation.tolist(),
+            strict=True,
         ):
             true = recording.velocity[row : row + FOLLOWING]
             true = true[~np.isnan(true[:, 0])]

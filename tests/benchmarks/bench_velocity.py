@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from flows.learn.labelled_recordings import WARM_UP, load, session_folders
+from flows.learn.labelled_recordings import load, session_folders
+from flows.learn.sampling import WARM_UP
 from flows.learn.training.tcn_features import velocities
 from flows.learn.training.velocity_scores import mean_velocity, velocity_scores
 from operators.batch import Labelled, concat

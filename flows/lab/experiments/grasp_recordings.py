@@ -24,8 +24,9 @@ from connectors.sim.scene import Curvature, Vibration
 from connectors.sim.truth import SLIDING
 from flows.lab.experiments.trial import MOVED, STILL
 from flows.learn.evaluation.event_metrics import filled
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.onsets import runs
+from flows.learn.sampling import WARM_UP, Sampling
 from flows.run.processes import process_map
 from operators import Zero
 from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Reals, Touch, Zeroed, concat, ms
@@ -69,7 +70,7 @@ def sliding_labels(speed: Reals, pause: int = STUCK) -> Codes:
     """
     label = np.full(len(speed), STATIC, np.int8)
     travelled = np.concatenate(([0.0], np.cumsum(speed))) * 1000 / RATE  # (n + 1,) mm
-    for first, end in runs(filled(speed > SLIDING, pause)).tolist():
+    for first, end in runs(filled(speed > SLIDING, Sampling(RATE).samples(pause))).tolist():
         moved = travelled[end] - travelled[first]
         label[first:end] = SLIP if moved > MOVED else UNKNOWN if moved > STILL else STATIC
     return label

@@ -35,7 +35,7 @@ def _path() -> tuple[Debounce, ...]:
     return tuple(rules)
 
 
-PATH: Final = _path()  # from strict to sensitive; fixed before any data is seen
+PATH: Final = _path()  # at 100 Hz, from strict to sensitive; fixed before any data is seen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +45,7 @@ class Trials:
     alarms: NDArray[np.int64]  # (settings, n) false alarms in each unit
     minutes: Reals  # (n,) static minutes of each unit, of all its fingertips
     outcomes: tuple[tuple[EventMetrics, ...], ...]  # [setting][unit]
+    rules: tuple[Debounce, ...] = PATH  # the settings at the rate of the recordings
 
     @classmethod
     def of(
@@ -62,11 +63,12 @@ class Trials:
             edges = np.linspace(0, len(recording), pieces + 1).astype(int).tolist()
             for rows in starmap(slice, pairwise(edges)):
                 parts.append((Slips.labelled(recording.piece(rows)), probability[rows]))
+        rules = tuple(map(recordings[0].sampling.rule, PATH))
         outcomes = tuple(
-            tuple(EventMetrics.of([values], [slips], rule) for slips, values in parts) for rule in PATH
+            tuple(EventMetrics.of([values], [slips], rule) for slips, values in parts) for rule in rules
         )
         alarms = np.array([[each.false_alarms for each in own] for own in outcomes], np.int64)
-        return cls(alarms, np.array([each.minutes for each in outcomes[0]]), outcomes)
+        return cls(alarms, np.array([each.minutes for each in outcomes[0]]), outcomes, rules)
 
     def pooled(self, units: Sequence[object]) -> Self:
         """Return the outcomes with all recordings of a unit, such as a session or a surface, as one."""
@@ -78,6 +80,7 @@ class Trials:
             np.stack([self.alarms[:, own].sum(axis=1) for own in groups], axis=1),
             np.array([self.minutes[own].sum() for own in groups]),
             tuple(tuple(_sum([row[place] for place in own]) for own in groups) for row in self.outcomes),
+            self.rules,
         )
 
     def metrics(self, setting: int) -> EventMetrics:
@@ -87,7 +90,7 @@ class Trials:
     def drawn(self, units: Sequence[int]) -> Self:
         """Return the outcomes on some of the units."""
         outcomes = tuple(tuple(each[unit] for unit in units) for each in self.outcomes)
-        return type(self)(self.alarms[:, [*units]], self.minutes[[*units]], outcomes)
+        return type(self)(self.alarms[:, [*units]], self.minutes[[*units]], outcomes, self.rules)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,13 +100,9 @@ class Calibrated:
     rate: float  # false alarms per static minute
     confidence: float
     setting: int  # its place in `PATH`
+    debounce: Debounce
     bound: float  # upper confidence limit of its rate, per static minute
     measured: EventMetrics  # on the calibration data
-
-    @property
-    def debounce(self) -> Debounce:
-        """Debounce with this setting, in its initial state."""
-        return PATH[self.setting].reset_copy()
 
 
 def calibrated(trials: Trials, rate: float, confidence: float) -> Calibrated:
@@ -135,7 +134,7 @@ def calibrated(trials: Trials, rate: float, confidence: float) -> Calibrated:
         raise TooLittleDataError(rate, confidence, int(trials.alarms[0].sum()), minutes, needed)
     found = [trials.metrics(each) for each in range(len(accepted))]
     best = min(range(len(found)), key=lambda each: (_cost(found[each]), -each))
-    return Calibrated(rate, confidence, best, accepted[best] / minutes, found[best])
+    return Calibrated(rate, confidence, best, trials.rules[best], accepted[best] / minutes, found[best])
 
 
 def _cost(found: EventMetrics) -> float:

@@ -119,12 +119,16 @@ def _is_parent(method: Method) -> bool:
     return method.name in {DEFAULT, WIDE} or method.origin != SHIPPED
 
 
-def _as_it_is(method: Method, _fold: Fold, _course: Course, _draw: int) -> Fitted:
-    return method.detector, method.debounce or PAPER_RULE
+def _paper_rule(fold: Fold) -> Debounce:
+    return fold.train[0].sampling.rule(PAPER_RULE)
+
+
+def _as_it_is(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
+    return method.detector, method.debounce or _paper_rule(fold)
 
 
 def _majority(fold: Fold, _course: Course, _draw: int) -> Fitted:
-    return Majority(bool(labels(fold.train, 1).mean() > 0.5)), PAPER_RULE  # noqa: PLR2004 - the larger part
+    return Majority(bool(labels(fold.train, 1).mean() > 0.5)), _paper_rule(fold)  # noqa: PLR2004 - the larger part
 
 
 def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
@@ -136,13 +140,13 @@ def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
     try:
         return detector, tuned_on(rest, _fitted(name, first))
     except InputError:  # the pieces are too short
-        return detector, PAPER_RULE
+        return detector, _paper_rule(fold)
 
 
 def _adapted(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
     """Adapt to the fold's recording without labels; keep the old network unless the new one is better."""
     assert isinstance(method.detector, Tcn), "only these are adapted"
-    old = method.debounce or PAPER_RULE
+    old = method.debounce or _paper_rule(fold)
     try:
         found = adapt(method.detector, fold.train)
     except InputError:  # the recording is too short, or has no strokes
@@ -156,7 +160,7 @@ def _tuned(method: Method, fold: Fold, course: Course, draw: int) -> Fitted:
     recordings = labelled_minutes(fold, MINUTES, _draw_seed(course, draw))
     found = fine_tune(method.detector, recordings, seed=course.seed)
     if not found.better:
-        return method.detector, method.debounce or PAPER_RULE
+        return method.detector, method.debounce or _paper_rule(fold)
     return found.tcn, tuned_on(recordings, found.tcn)
 
 

@@ -9,19 +9,17 @@ from typing import Final
 import numpy as np
 
 from flows.learn.labelled_recordings import (
-    PERIOD,
     LabelledRecording,
     common_fingertip,
     hand_label_summary,
     load,
 )
 from flows.learn.leaks.leak import Leak, shared_leaks
-from operators import s
 from operators.batch import UNKNOWN
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, Fingertip
 
-RATE: Final = s / PERIOD  # Hz, at which detectors are judged
+RATE: Final = 100.0  # Hz, at which detectors are judged
 ADAPTED_DRAWS: Final = 3  # recordings of a fold that detectors adapt to, one after the other
 _MOST: Final = 8  # folds by recording
 _TURN: Final = 5  # every fifth recording of a fold's training validates
@@ -66,7 +64,7 @@ class BenchmarkData:
     @property
     def minutes(self) -> float:
         """Length of all recordings."""
-        return sum(map(len, self.recordings)) * PERIOD / (60 * s)
+        return self.recordings[0].sampling.minutes(sum(map(len, self.recordings)))
 
     @property
     def slip(self) -> float:
@@ -132,7 +130,7 @@ def labelled_minutes(fold: Fold, minutes: float, seed: int) -> list[LabelledReco
     """
     order: list[int] = np.random.default_rng(seed).permutation(len(fold.train)).tolist()
     first = next((place for place in order if fold.train[place].slip.any()), order[0])
-    left, found = round(minutes * 60 * RATE), list[LabelledRecording]()
+    left, found = round(minutes * 60 * fold.train[0].sampling.rate), list[LabelledRecording]()
     for place in (first, *(place for place in order if place != first)):
         if left <= 0:
             break
@@ -157,7 +155,7 @@ def without_labels(data: BenchmarkData, fold: Fold, seconds: float, draw: int) -
         source, judged = data.recordings[chosen], tuple(place for place in fold.test if place != chosen)
     else:
         source, judged = fold.train[draw % len(fold.train)], fold.test
-    start = source.piece(slice(round(seconds * RATE)))
+    start = source.piece(slice(round(seconds * source.sampling.rate)))
     return Fold(fold.name, (replace(start, label=np.full_like(start.label, UNKNOWN)),), judged)
 
 

@@ -67,7 +67,7 @@ def goals(of: Chart) -> list[Section]:
         for name, wanted in _RATIOS.items()
     ]
     met = [*(ratio >= wanted for _, wanted, ratio in reached), default.core_64 <= _CORE]
-    reached.append(("64 fingertips at 100 Hz, % of a core", _CORE, default.core_64))
+    reached.append((f"64 fingertips at {default.rate:g} Hz, % of a core", _CORE, default.core_64))
     rows: list[list[Value]] = [
         [text, f"{'at most' if wanted == _CORE else 'at least'} {wanted:g}", value, "yes" if good else "no"]
         for (text, wanted, value), good in zip(reached, met, strict=True)

@@ -37,6 +37,7 @@ class Point:
     performances: Mapping[Target, Performance]  # against each target that the dataset has labels for
     same: bool = False  # is the default detector, run by another library
     pareto: bool = False  # no other point is faster and more accurate
+    rate: float = 100.0  # Hz, of the data
 
     @property
     def performance(self) -> Performance:
@@ -45,8 +46,8 @@ class Point:
 
     @property
     def core_64(self) -> float:
-        """Share of one core that 64 fingertips at 100 Hz take, %."""
-        return 100 * self.us_64 * 1e-6 * 100
+        """Share of one core that 64 fingertips at the rate of the data take, %."""
+        return 100 * self.us_64 * 1e-6 * self.rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +116,11 @@ def chart(
         counts = max((recording.counts for recording in test), key=len)[-_TIMED:]
         one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
         many = costs(detectors, counts, fingers=MANY, rounds=_ROUNDS[1], span=span)
+    rate = test[0].sampling.rate
     points = [
-        Point(name, one[name], many[name], isinstance(each, Streaming), found[name], name in others)
+        Point(
+            name, one[name], many[name], isinstance(each, Streaming), found[name], name in others, rate=rate
+        )
         for name, each in detectors.items()
     ]
     return Chart(dataset.resolve().name, len(test), tuple(with_front(points)), missing)

@@ -7,7 +7,8 @@ from typing import Final
 import numpy as np
 
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import Sampling
 from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.batch import Reals
@@ -17,9 +18,10 @@ BUDGET: Final = 2.0  # false alarms per static minute
 MISSED: Final = 2.0  # %, largest share of slips without an onset
 REPEATED: Final = 2.0  # %, most onsets after the first of a slip, relative to the slips
 THRESHOLDS: Final = tuple(np.round(1 / (1 + np.exp(-np.arange(-1.5, 6.1, 0.25))), 3).tolist())
-CONSECUTIVE: Final = (1, 2, 3, 4, 5)  # decisions
-RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions
-_GAP: Final = np.append(np.zeros(max(RELEASE)), np.full(20, np.nan))  # samples between recordings
+CONSECUTIVE: Final = (1, 2, 3, 4, 5)  # decisions at 100 Hz
+RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions at 100 Hz
+_MENU: Final = tuple(Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE, RELEASE))
+_GAP: Final = max(RELEASE), 20  # decisions at 100 Hz between recordings: static ones, and without a score
 
 
 def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector, budget: float = BUDGET) -> Debounce:
@@ -50,7 +52,7 @@ def tuned(
     """
     probability, true = joined(scores, slips)
     best, chosen = (np.inf, np.inf, np.inf), Debounce()
-    for rule in (Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE, RELEASE)):
+    for rule in map(true.sampling.rule, _MENU):
         found = EventMetrics.of([probability], [true], rule)
         alarms = found.false_alarms + 1 + np.sqrt(found.false_alarms + 0.75)
         over, excess, delay = max(alarms - budget * found.minutes, 0), 100 - missed, np.inf
@@ -66,14 +68,18 @@ def joined(scores: Sequence[Reals], slips: Sequence[Slips]) -> tuple[Reals, Slip
     """Join recordings into one, so that a setting is evaluated on all at once.
 
     Before each recording, static samples end any slip, and samples without a score separate the onsets.
+    The result has the rate of the first recording, which the others have within the tolerance of detectors.
     """
     values, found, tolerated = [np.empty(0)], [np.empty((0, 2), np.int64)], [np.empty((0, 2), np.int64)]
-    at = 0  # ns, start of the recording
+    sampling = slips[0].sampling if slips else Sampling()
+    gap = np.repeat([0, np.nan], [sampling.scaled(each) for each in _GAP])
+    at = 0  # samples, start of the recording
     for probability, true in zip(scores, slips, strict=True):
-        at += len(_GAP) * PERIOD
-        found.append(at + true.found)
-        tolerated.append(at + true.tolerated)
-        values += [_GAP, np.full(min(WARM_UP, len(probability)), np.nan), probability[WARM_UP:]]
-        at += len(probability) * PERIOD
+        at, warm_up = at + len(gap), true.sampling.warm_up
+        found.append((at + true.found // true.sampling.period) * sampling.period)
+        tolerated.append((at + true.tolerated // true.sampling.period) * sampling.period)
+        values += [gap, np.full(min(warm_up, len(probability)), np.nan), probability[warm_up:]]
+        at += len(probability)
     static = sum(true.static for true in slips)
-    return np.concatenate(values), Slips(np.concatenate(found), np.concatenate(tolerated), static)
+    joint = Slips(np.concatenate(found), np.concatenate(tolerated), static, sampling)
+    return np.concatenate(values), joint

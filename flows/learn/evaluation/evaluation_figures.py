@@ -1,7 +1,6 @@
 """Figures of an evaluation."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from math import isfinite
 from typing import Final
 
@@ -103,7 +102,7 @@ def changes(results: Sequence[MethodResult]) -> Figure:
         wrong = result.changes.errors
         share = 100 * wrong.cumsum() / max(wrong.sum(), 1)
         errors.plot(places, share, label=result.method.name, **look)
-    names = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]}-"]
+    names = [*results[0].changes.spans, f"{EDGES[-1]}-"]
     for each in (axis, errors):
         each.set_xticks(places, names)
         each.set(xlabel="ms to the nearest change of the label")

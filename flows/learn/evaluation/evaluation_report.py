@@ -1,14 +1,13 @@
 """Report of an evaluation: one section per question, with the paper's figures for comparison."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from math import isnan, nan
 from typing import Final
 
 import numpy as np
 
 from flows.learn.evaluation import evaluation_figures as figures
-from flows.learn.evaluation.evaluation_study import Evaluation
+from flows.learn.evaluation.evaluation_study import PAPER_RULE, Evaluation
 from flows.learn.evaluation.event_metrics import AHEAD, EventMetrics
 from flows.learn.evaluation.figures_table import FIGURES_DECIMALS, FIGURES_HEAD, figures_cells
 from flows.learn.evaluation.intervals import DRAWS
@@ -20,7 +19,7 @@ from flows.learn.labelled_recordings import TARGETS
 from flows.learn.leaks.leak_section import leak_section
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, show
-from operators.batch import ms
+from operators import ms
 
 # row of Table I that a method is compared with
 _PAPER_ROW: Final[Mapping[str, str]] = {
@@ -42,8 +41,8 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
     """Return the report of an evaluation that `command` made."""
     text = (
         f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
-        f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. Baselines were "
-        "fitted to recordings that are not judged."
+        f"{of.minutes:.1f} minutes, {of.samples} samples at {of.sampling.rate:g} Hz, split by recording. "
+        "Baselines were fitted to recordings that are not judged."
         + (f" {of.by_hand[0].upper()}{of.by_hand[1:]}; all others by arm speed." if of.by_hand else "")
         + "".join(f" Leak: {leak.finding}." for leak in of.leaks)
     )
@@ -169,7 +168,8 @@ def events(of: Evaluation) -> Section:
         for each in of.results
     ]
     paper: list[list[Value]] = [[each.method.name, *_event_cells(each.paper_rule)] for each in of.results]
-    total = first.events
+    total, rule = first.events, of.sampling.rule(PAPER_RULE)
+    settings = f"{rule.threshold:g} / {rule.consecutive} / {rule.release}"
     return Section(
         "events",
         f"{first.method.name} raises {total.false_alarms_per_min:.1f} false alarms per static minute, "
@@ -186,7 +186,7 @@ def events(of: Evaluation) -> Section:
                 rows,
                 decimals={**_IN_MS, "threshold": 3},
             ),
-            Table(["method", *_EVENTS], paper, "with the paper's settings, 0.5 / 2 / 2", _IN_MS),
+            Table(["method", *_EVENTS], paper, f"with the paper's settings, {settings}", _IN_MS),
         ],
         lambda: figures.delays(of.results),
     )
@@ -254,7 +254,7 @@ def changes(of: Evaluation) -> Section:
     """Return the section with the accuracy by distance from a change of the label."""
     first = of.leader.changes
     name = of.leader.method.name
-    spans = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]} or more"]
+    spans = [*first.spans, f"{EDGES[-1]} or more"]
     rows: list[list[Value]] = [
         [span, int(first.samples[index]), *(float(each.changes.accuracy[index]) for each in of.results)]
         for index, span in enumerate(spans)

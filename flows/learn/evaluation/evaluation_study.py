@@ -22,8 +22,6 @@ from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
 from flows.learn.labelled_recordings import (
     LABELS,
-    PERIOD,
-    WARM_UP,
     LabelledRecording,
     Target,
     by_split,
@@ -40,6 +38,7 @@ from flows.learn.leaks.leak import (
     split_leaks,
 )
 from flows.learn.provenance import dataset_digest
+from flows.learn.sampling import Sampling
 from flows.learn.scoring import probabilities
 from flows.run.processes import one_thread
 from operators import Debounce, Score
@@ -47,8 +46,7 @@ from operators.batch import SLIP, STATIC, UNKNOWN, Reals
 from operators.errors import InputError
 from operators.extras import require_extra
 
-PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests
-_LABEL_RULE: Final = Debounce(threshold=0.5, consecutive=1, release=PAUSE // PERIOD)  # slips as in `Slips`
+PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +77,7 @@ class Evaluation:
     samples: int  # evaluated
     static: float  # share of static samples, %
     minutes: float  # of all recordings
+    sampling: Sampling  # of all recordings
     budget: float  # false alarms per static minute that the debounce was tuned for
     results: tuple[MethodResult, ...]  # the most accurate first
     missing: Mapping[str, str]  # reasons by method
@@ -149,18 +148,20 @@ def evaluate(
     for leak in leaks:
         log(f"leak: {leak.finding}")
     slip = [each.slip[at] for each, at in zip(recordings, evaluator.known, strict=True)]
-    slips = np.concatenate(slip)
+    slips, sampling = np.concatenate(slip), recordings[0].sampling
+    label_rule = Debounce(DECISION, 1, sampling.samples(PAUSE))  # slips as in `Slips`
     return Evaluation(
         dataset.resolve().name,
         split,
         len(recordings),
         len(slips),
         100 * float((~slips).mean()) if len(slips) else float("nan"),
-        sum(map(len, recordings)) / 6000,
+        sampling.minutes(sum(map(len, recordings))),
+        sampling,
         budget,
         tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
         missing,
-        performances(recordings, [_certain(each) for each in recordings], _LABEL_RULE),
+        performances(recordings, [_certain(each) for each in recordings], label_rule),
         tuple(leaks),
         unchecked,
         by_hand,
@@ -199,6 +200,8 @@ class _Evaluator:
         budget: float,
     ) -> None:
         self.recordings, self.validation, self.budget = recordings, validation, budget
+        self.sampling = recordings[0].sampling
+        self.paper_rule = self.sampling.rule(PAPER_RULE)
         self.known = [recording.known(1) for recording in recordings]
         self.slips = [Slips.labelled(recording) for recording in recordings]
 
@@ -216,12 +219,12 @@ class _Evaluator:
             Confusion.of(np.concatenate(predicted), slip),
             Roc.of(np.concatenate(probability), slip),
             Reliability.of(np.concatenate(probability), slip),
-            LabelChanges.of([each.label for each in self.recordings], at, wrong),
+            LabelChanges.of([each.label for each in self.recordings], at, wrong, self.sampling),
             MotionConfusions.of(self.recordings, at, predicted),
             debounce,
             chosen_on,
             EventMetrics.of(scores, self.slips, debounce),
-            EventMetrics.of(scores, self.slips, PAPER_RULE),
+            EventMetrics.of(scores, self.slips, self.paper_rule),
             performances(self.recordings, scores, debounce),
             figures([[Judged.of(*own, debounce)] for own in zip(self.recordings, scores, strict=True)]),
         )
@@ -230,12 +233,12 @@ class _Evaluator:
         if method.debounce is not None:
             return method.debounce, "its card"
         if not self.validation:
-            return PAPER_RULE, "the paper, as no validation split is left to tune it on"
+            return self.paper_rule, "the paper, as no validation split is left to tune it on"
         return tuned_on(self.validation, method.detector, self.budget), "validation"
 
 
 def _certain(recording: LabelledRecording) -> Reals:
     """Return the label as probabilities (n,); NaN: not evaluated or unknown."""
     probability = np.where(recording.label == UNKNOWN, np.nan, recording.label == SLIP)
-    probability[:WARM_UP] = np.nan
+    probability[: recording.sampling.warm_up] = np.nan
     return probability

@@ -8,15 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.learn.evaluation.sample_metrics import Confusion, percent
-from flows.learn.labelled_recordings import (
-    PERIOD,
-    WARM_UP,
-    LabelledRecording,
-    Target,
-    labelled_by,
-    targets,
-)
+from flows.learn.labelled_recordings import LabelledRecording, Target, labelled_by, targets
 from flows.learn.onsets import match_onsets, runs
+from flows.learn.sampling import Sampling
 from operators import Debounce, ms, s
 from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
 
@@ -37,32 +31,37 @@ class Slips:
     found: Times  # (k, 2) start and end of each slip that must be detected
     tolerated: Times  # (j, 2) start and end of all stretches in which onsets are not false
     static: int  # ns outside of all these, after the warm-up
+    sampling: Sampling
 
     @classmethod
     def labelled(cls, recording: LabelledRecording) -> Self:
         """Return the slips by the recording's label."""
-        return cls.of(recording.slip, PAUSE, recording.label == UNKNOWN)
+        return cls.of(recording.slip, PAUSE, recording.sampling, recording.label == UNKNOWN)
 
     @classmethod
-    def of(cls, slip: Flags, pause: int, unknown: Flags | None = None) -> Self:
+    def of(cls, slip: Flags, pause: int, sampling: Sampling, unknown: Flags | None = None) -> Self:
         """Return the slips of samples (n,); those that are `unknown` (n,) are neither slip nor static.
 
-        >>> Slips.of(np.arange(300) // 50 == 3, PAUSE).found / ms
+        Static stretches shorter than `pause` (ns) belong to the slip.
+
+        >>> Slips.of(np.arange(300) // 50 == 3, PAUSE, Sampling()).found / ms
         array([[1500., 1990.]])
         """
         if unknown is None:
             unknown = np.zeros(len(slip), np.bool_)
-        slips = bridged(slip, pause)  # (m, 2)
-        found = (np.diff(slips)[:, 0] >= BRIEF // PERIOD - 1) & (slips[:, 0] >= WARM_UP)  # (m,)
-        tolerated = np.concatenate([slips, bridged(unknown, 0)])
-        static = int((~filled(slip, pause) & ~unknown)[WARM_UP:].sum()) * PERIOD
-        return cls(slips[found] * PERIOD, tolerated * PERIOD, static)
+        period, warm_up = sampling.period, sampling.warm_up
+        shortest = sampling.samples(pause)  # static stretch that separates slips
+        slips = bridged(slip, shortest)  # (m, 2)
+        found = (np.diff(slips)[:, 0] >= sampling.samples(BRIEF) - 1) & (slips[:, 0] >= warm_up)  # (m,)
+        tolerated = np.concatenate([slips, bridged(unknown)])
+        static = int((~filled(slip, shortest) & ~unknown)[warm_up:].sum()) * period
+        return cls(slips[found] * period, tolerated * period, static, sampling)
 
 
-def bridged(flags: Flags, pause: int) -> NDArray[np.intp]:
-    """Return first and last sample of each run of True, runs closer than `pause` ns joined; (k, 2)."""
+def bridged(flags: Flags, pause: int = 1) -> NDArray[np.intp]:
+    """Return first and last sample of each run of True, runs closer than `pause` samples joined; (k, 2)."""
     starts, ends = runs(flags).T
-    separate = (starts[1:] - ends[:-1]) * PERIOD >= max(pause, 1)
+    separate = starts[1:] - ends[:-1] >= pause
     return np.stack(
         [starts[np.append(True, separate)[: len(starts)]], ends[np.append(separate, True)[: len(ends)]] - 1],
         axis=1,
@@ -70,7 +69,7 @@ def bridged(flags: Flags, pause: int) -> NDArray[np.intp]:
 
 
 def filled(flags: Flags, pause: int) -> Flags:
-    """Return the flags (n,) with pauses shorter than `pause` ns filled."""
+    """Return the flags (n,) with pauses shorter than `pause` samples filled."""
     steps = np.zeros(len(flags) + 1, np.int8)
     starts, ends = bridged(flags, pause).T
     steps[starts], steps[ends + 1] = 1, -1
@@ -95,7 +94,11 @@ class EventMetrics:
     @classmethod
     def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
-        return cls.of_onsets([onsets(probability, debounce) for probability in probabilities], slips)
+        found = [
+            onsets(probability, debounce, true.sampling)
+            for probability, true in zip(probabilities, slips, strict=True)
+        ]
+        return cls.of_onsets(found, slips)
 
     @classmethod
     def of_onsets(cls, found: Sequence[Times], slips: Sequence[Slips]) -> Self:
@@ -145,10 +148,10 @@ class EventMetrics:
         return float(np.quantile(self.delays, share)) if len(self.delays) else float("nan")
 
 
-def onsets(probability: Reals, debounce: Debounce) -> Times:
+def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:
     """Return the times at which `Debounce` reports an onset; (k,) ns from the first probability (n,)."""
-    scores = Scores(np.arange(len(probability)) * PERIOD, probability)
-    slips = debounce.reset_copy().push(scores[WARM_UP:])
+    scores = Scores(sampling.times(len(probability)), probability)
+    slips = debounce.reset_copy().push(scores[sampling.warm_up :])
     raised: Times = slips.time[slips.state == SLIP]
     return raised
 
@@ -184,7 +187,10 @@ def performances(
     recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals], debounce: Debounce
 ) -> dict[Target, Performance]:
     """Compare the probabilities (n,) of each recording with each target that is known."""
-    raised = [onsets(probability, debounce) for probability in probabilities]
+    raised = [
+        onsets(probability, debounce, each.sampling)
+        for each, probability in zip(recordings, probabilities, strict=True)
+    ]
     lead = lead_ms(raised, [Slips.labelled(each) for each in recordings])
     return {
         target: _performance(labelled_by(target, recordings), probabilities, raised, lead)

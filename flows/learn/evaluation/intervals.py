@@ -11,8 +11,8 @@ import numpy as np
 
 from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, onsets
 from flows.learn.evaluation.sample_metrics import BINS, Confusion, Reliability, Roc, distance
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
-from operators import Debounce, s
+from flows.learn.labelled_recordings import LabelledRecording
+from operators import Debounce
 from operators.batch import UNKNOWN, Flags, Reals
 
 DRAWS: Final = 1000
@@ -62,12 +62,13 @@ class Judged:
     @classmethod
     def of(cls, recording: LabelledRecording, probability: Reals, debounce: Debounce) -> Self:
         """Return the answers of a method that gives each sample a probability (n,); NaN: no answer."""
+        sampling = recording.sampling
         known = np.isfinite(probability) & (recording.label != UNKNOWN)
-        known[:WARM_UP] = False
-        raised = onsets(probability, debounce)
+        known[: sampling.warm_up] = False
+        raised = onsets(probability, debounce, sampling)
         events = EventMetrics.of_onsets([raised], [Slips.labelled(recording)])
-        minutes = max(len(recording) - WARM_UP, 0) * PERIOD / (60 * s)
-        far: Flags = distance(recording.label)[known] >= FAR
+        minutes = sampling.minutes(max(len(recording) - sampling.warm_up, 0))
+        far: Flags = distance(recording.label, sampling)[known] >= FAR
         return cls(probability[known], recording.slip[known], events, len(raised), minutes, far)
 
 

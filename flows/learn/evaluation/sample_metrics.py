@@ -2,18 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flows.learn.sampling import Sampling
 from flows.learn.train_extra import sklearn
+from operators import ms
 from operators.batch import Codes, Flags, Reals
 
 BINS: Final = 10  # of the reliability curve
 _POINTS: Final = 201  # of a stored ROC curve
 EDGES: Final = (0, 20, 40, 60, 80, 100, 150, 200, 300, 400)  # ms, of the bins; the last has no end
-_PERIOD_MS: Final = 10  # ms, from one sample to the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,18 +126,29 @@ class LabelChanges:
 
     samples: NDArray[np.intp]  # (10,) in each bin of `EDGES`
     errors: NDArray[np.intp]  # (10,) number of these that are wrong
+    sampling: Sampling
 
     @classmethod
     def of(
-        cls, labels: Sequence[Codes], evaluated: Sequence[NDArray[np.intp]], wrong: Sequence[Flags]
+        cls,
+        labels: Sequence[Codes],
+        evaluated: Sequence[NDArray[np.intp]],
+        wrong: Sequence[Flags],
+        sampling: Sampling,
     ) -> Self:
         """Count errors (j,) at the evaluated samples (j,) of each recording with labels (n,)."""
         samples, errors = np.zeros((2, len(EDGES)), np.intp)
         for label, at, error in zip(labels, evaluated, wrong, strict=True):
-            bins = np.searchsorted(EDGES, distance(label)[at], "right") - 1
+            bins = np.searchsorted(EDGES, distance(label, sampling)[at], "right") - 1
             samples += np.bincount(bins, minlength=len(EDGES))
             errors += np.bincount(bins[error], minlength=len(EDGES))
-        return cls(samples, errors)
+        return cls(samples, errors, sampling)
+
+    @property
+    def spans(self) -> list[str]:
+        """Distance of the first and of the last sample in each bin but the last, ms, as text."""
+        step = self.sampling.period / ms
+        return [f"{low}-{max(high - step, low):.0f}" for low, high in pairwise(EDGES)]
 
     @property
     def accuracy(self) -> Reals:
@@ -154,12 +167,12 @@ class LabelChanges:
         return percent(samples - self.errors[part].sum(), samples)
 
 
-def distance(label: Codes) -> Reals:
+def distance(label: Codes, sampling: Sampling) -> Reals:
     """Return the distance of each sample (n,) from the nearest change of the label; (n,) ms.
 
     It is 0 for the two samples at a change, and infinite if the label never changes.
 
-    >>> distance(np.array([0, 0, 1, 1, 1], np.int8)).tolist()
+    >>> distance(np.array([0, 0, 1, 1, 1], np.int8), Sampling()).tolist()
     [10.0, 0.0, 0.0, 10.0, 20.0]
     """
     same = np.diff(label) == 0
@@ -169,7 +182,7 @@ def distance(label: Codes) -> Reals:
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
 
     steps: Reals = distance_transform_edt(within)
-    return steps * _PERIOD_MS
+    return steps * (sampling.period / ms)
 
 
 def percent(part: float, whole: float) -> float:

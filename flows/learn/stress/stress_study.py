@@ -19,7 +19,8 @@ from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.event_metrics import DECISION, Performance, performances
 from flows.learn.evaluation.methods import trained_methods, with_baselines
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import WARM_UP, Target, simulated_recordings
+from flows.learn.labelled_recordings import Target, simulated_recordings
+from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import assessed
 from flows.learn.stress.stress_fields import FIELDS, breaking_point, plan_of, stressed
 from flows.run.processes import one_thread, process_map

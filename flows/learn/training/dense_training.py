@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional, utils
 
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import WARM_UP
 from flows.learn.training.augmentation import augmented, stretches
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn

@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import WARM_UP
 from flows.learn.training.tcn_features import features
 from flows.learn.training.trained_model import Arrays
 from operators.batch import Reals

@@ -12,13 +12,12 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
-from operators.batch import SLIP, UNKNOWN, Reals
+from flows.learn.labelled_recordings import LabelledRecording
+from operators.batch import SLIP, UNKNOWN, Reals, ms
 
-RATE: Final = 100.0  # Hz
 LATEST: Final = 0.6  # s, maximum lag
 _EARLIEST: Final = -0.4  # s, minimum lag
-_SMOOTH: Final = 3  # samples
+_SMOOTH: Final = 30 * ms  # ns
 _CLEAR: Final = 0.3  # minimum correlation of a usable recording
 
 
@@ -38,7 +37,8 @@ def relabelled(recordings: Sequence[LabelledRecording], lag: float) -> list[Labe
 
     Labels by hand were given on the signal and stay.
     """
-    shifts = np.rint((lags(recordings) - lag) * RATE).astype(int).tolist()
+    rates = np.array([recording.sampling.rate for recording in recordings])
+    shifts = np.rint((lags(recordings) - lag) * rates).astype(int).tolist()
     return [_shifted(recording, shift) for recording, shift in zip(recordings, shifts, strict=True)]
 
 
@@ -59,10 +59,13 @@ def _peak(recording: LabelledRecording) -> tuple[float, float]:
     """Return the lag (s) of the best correlation, and the correlation."""
     steps = np.diff(recording.counts.astype(np.float64), axis=0, prepend=recording.counts[:1])  # (n, 6)
     activity = np.log1p(np.sqrt(np.square(steps).sum(axis=1)))  # (n,)
-    activity = np.convolve(activity, np.full(_SMOOTH, 1 / _SMOOTH), "same")
+    sampling = recording.sampling
+    smooth, rate = sampling.samples(_SMOOTH), sampling.rate
+    activity = np.convolve(activity, np.full(smooth, 1 / smooth), "same")
     slip = (recording.label == SLIP).astype(np.float64)
-    shifts = np.arange(round(_EARLIEST * RATE), round(LATEST * RATE) + 1)
-    inner = np.arange(max(WARM_UP, -int(shifts[0])), len(slip) - int(shifts[-1]))  # evaluated at every shift
+    shifts = np.arange(round(_EARLIEST * rate), round(LATEST * rate) + 1)
+    first = max(sampling.warm_up, -int(shifts[0]))
+    inner = np.arange(first, len(slip) - int(shifts[-1]))  # evaluated at every shift
     if len(inner) < 2 or slip[inner].std() == 0 or activity[inner].std() == 0:  # noqa: PLR2004 no correlation
         return 0.0, 0.0
     signal = activity[inner] - activity[inner].mean()
@@ -74,4 +77,4 @@ def _peak(recording: LabelledRecording) -> tuple[float, float]:
     if 0 < best < len(shifts) - 1:  # a parabola through the peak and its neighbours
         before, peak, after = correlation[best - 1 : best + 2].tolist()
         fine = (before - after) / (2 * (before - 2 * peak + after) or 1.0)
-    return float(shifts[best] + fine) / RATE, float(correlation[best])
+    return float(shifts[best] + fine) / rate, float(correlation[best])

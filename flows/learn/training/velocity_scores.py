@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
-from operators.batch import SLIP, Reals
+from flows.learn.labelled_recordings import LabelledRecording
+from operators.batch import SLIP, Reals, ms
 from operators.detectors import Detector, Tcn
 
 _RIGHT: Final = 45.0  # degrees, largest error of a right direction
-_SHORTEST: Final = 5  # samples of a slip that is judged
+_SHORTEST: Final = 50 * ms  # ns, of a slip that is judged, and of its beginning
 _PLANE: Final = 2  # x and y
 
 
@@ -42,7 +42,7 @@ def velocity_scores(detector: Detector, recordings: Sequence[LabelledRecording])
         for rows in _slips(recording):
             true.append(recording.velocity[rows].mean(axis=0))
             means.append(mean_velocity(found[rows]))
-            begins.append(mean_velocity(found[rows[:_SHORTEST]]))
+            begins.append(mean_velocity(found[rows[: recording.sampling.samples(_SHORTEST)]]))
     if not true:
         return None
     truth, mean, begin = (np.array(each) for each in (true, means, begins))  # (k, 2)
@@ -64,11 +64,11 @@ def _slips(recording: LabelledRecording) -> list[NDArray[np.intp]]:
     assert recording.sliding is not None, "comes with the velocity"
     sliding = np.equal(recording.sliding, SLIP)
     known = ~np.isnan(recording.velocity[:, 0])
-    known[:WARM_UP] = False
+    known[: recording.sampling.warm_up] = False
     starts = np.flatnonzero(np.diff(sliding.astype(np.int8), prepend=0) == 1)
     rows = np.flatnonzero(known)
     parts = np.split(rows, rows.searchsorted(starts))[1:]
-    return [part for part in parts if len(part) >= _SHORTEST]
+    return [part for part in parts if len(part) >= recording.sampling.samples(_SHORTEST)]
 
 
 def mean_velocity(found: Reals) -> Reals:

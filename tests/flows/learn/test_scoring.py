@@ -4,7 +4,8 @@ from typing import Self
 import numpy as np
 import pytest
 
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
 from operators.batch import Counts, Reals

@@ -9,7 +9,8 @@ from flows.lab.experiments.grasp_recordings import (
     sliding_labels,
 )
 from flows.lab.experiments.trial import FINGERTIP
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import WARM_UP
 from operators.batch import SLIP, STATIC, UNKNOWN, ms
 
 COUNT = 20

@@ -14,10 +14,12 @@ from flows.learn.evaluation.event_metrics import (
     onsets,
     performances,
 )
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import WARM_UP, Sampling
 from operators import Debounce, ms
 from operators.batch import Codes, Reals
 
+PERIOD = 10 * ms
 TWICE = Debounce(0.5, consecutive=2, release=2)
 
 
@@ -74,15 +76,15 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
 
 def test_pauses_are_bridged_from_end_to_start() -> None:
     flags = label(30, (3, 5), (8, 10), (20, 30)) == 1
-    assert bridged(flags, 50 * ms).tolist() == [[3, 9], [20, 29]]
-    assert filled(flags, 50 * ms).tolist() == (label(30, (3, 10), (20, 30)) == 1).tolist()
-    assert filled(flags, 0).tolist() == flags.tolist()
-    assert bridged(np.zeros(5, np.bool_), 0).shape == (0, 2)
+    assert bridged(flags, 5).tolist() == [[3, 9], [20, 29]]
+    assert filled(flags, 5).tolist() == (label(30, (3, 10), (20, 30)) == 1).tolist()
+    assert filled(flags, 1).tolist() == flags.tolist()
+    assert bridged(np.zeros(5, np.bool_)).shape == (0, 2)
 
 
 def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
     probability = sure(400, (50, 120), (200, 201), (300, 310))
-    assert (onsets(probability, TWICE) // PERIOD).tolist() == [WARM_UP + 1, 301]
+    assert (onsets(probability, TWICE, Sampling()) // PERIOD).tolist() == [WARM_UP + 1, 301]
 
 
 def test_what_is_felt_is_counted_and_timed() -> None:

@@ -12,6 +12,7 @@ from flows.learn.evaluation.sample_metrics import (
     distance,
     percent,
 )
+from flows.learn.sampling import Sampling
 from flows.learn.train_extra import sklearn
 from operators.batch import Flags, Reals
 
@@ -84,11 +85,11 @@ def test_a_calibrated_detector_has_no_error_and_an_overconfident_one_has() -> No
 def test_the_nearest_change_counts_whether_before_or_after() -> None:
     label = np.array([0] * 10 + [1] * 6 + [0] * 4, np.int8)
     expected = [90, 80, 70, 60, 50, 40, 30, 20, 10, 0, 0, 10, 20, 20, 10, 0, 0, 10, 20, 30]
-    assert distance(label).tolist() == expected
+    assert distance(label, Sampling()).tolist() == expected
 
 
 def test_a_label_that_never_changes_is_infinitely_far() -> None:
-    assert np.isinf(distance(np.ones(4, np.int8))).all()
+    assert np.isinf(distance(np.ones(4, np.int8), Sampling())).all()
 
 
 def test_errors_are_counted_where_they_are() -> None:
@@ -96,7 +97,7 @@ def test_errors_are_counted_where_they_are() -> None:
     at = np.arange(50, 200)
     wrong = np.zeros(150, np.bool_)
     wrong[[49, 50, 149]] = True  # two at the change, one a second from it
-    found = LabelChanges.of([label], [at], [wrong])
+    found = LabelChanges.of([label], [at], [wrong], Sampling())
     assert found.samples.sum() == 150
     assert found.errors.tolist() == [2, *[0] * (len(EDGES) - 2), 1]
     assert found.accuracy[0] == 50

@@ -9,7 +9,8 @@ import pytest
 from connectors.sim.paper_plan import PaperPlan
 from flows.learn.evaluation.event_metrics import performances
 from flows.learn.evaluation.target_table import TITLES
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, simulated_recordings
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
+from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import probabilities
 from flows.learn.stress import stress_figure
 from flows.learn.stress.stress_fields import FIELDS, GOALS, stressed
