@@ -27,7 +27,7 @@ class Replay(Source[Given], Generic[Given]):
             the same origin for all streams of a recording, to keep them synchronous.
 
     Raises:
-        InputError: if the recording has no such stream.
+        InputError: if the recording has no such stream, or states an invalid fingertip.
     """
 
     stale_after = None  # a recording may have gaps
@@ -48,6 +48,8 @@ class Replay(Source[Given], Generic[Given]):
                 raise InputError(recording.name, f"has no {kind.__name__} stream{which}{others}")
         self._recording, self._kind, self._fingers = recording, kind, fingers or recorded
         self._origin = origin
+        # once, because it may be measured
+        self._fingertip = recording.fingertip(kind) if isinstance(recording, TouchRecording) else None
 
     @property
     def kind(self) -> type[Given]:
@@ -62,8 +64,7 @@ class Replay(Source[Given], Generic[Given]):
     @property
     def fingertip(self) -> Fingertip | None:
         """Fingertip of the recorded touch, if the recording states it."""
-        recording = self._recording
-        return recording.fingertip(self._kind) if isinstance(recording, TouchRecording) else None
+        return self._fingertip
 
     @property
     def recording(self) -> str:

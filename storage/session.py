@@ -135,10 +135,12 @@ class Session:
             return None
         if isinstance(stated, dict) and (content := stated.get(table.name)):
             return Fingertip.read(content, str(self.folder / SESSION))
-        for finger in self.fingers(kind):
-            for batch in self.read(cast("type[Touch]", kind), finger):
-                return measured(batch)
-        return None
+        if not (fingers := self.fingers(kind)):
+            return None
+        kept = self._only.copy()
+        first = next(self.read(cast("type[Touch]", kind), fingers[0]))
+        self._only.update(kept)  # `read` drops it, but the rest of its rows will be read
+        return measured(first)
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingertips that have rows of `kind`.

@@ -28,8 +28,9 @@ from flows.record import declare_recording
 from flows.run.processes import process_map
 from flows.run.replay_runner import ReplayRunner
 from operators import Label
-from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, concat, s
+from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, concat, s
 from operators.checks import check_at_least, check_choice
+from operators.fingertip import Fingertip
 from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
@@ -207,7 +208,7 @@ async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
     flow = Flow("simulate")
     dataset = Dataset(root, part_span=_PART_SPAN, host="simulated")
     declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
-    finished = _FinishedScene(planned.session, streams)
+    finished = _FinishedScene(planned.session, streams, rig.touch.fingertip)
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))
     about = {
         **rig.touch.describe(),
@@ -226,6 +227,7 @@ class _FinishedScene:
 
     name: str
     streams: Sequence[Batch]
+    touched_with: Fingertip
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         return tuple(batch.finger for batch in self.streams if isinstance(batch, kind))
@@ -235,6 +237,9 @@ class _FinishedScene:
             if isinstance(batch, kind) and batch.finger == finger:
                 for start in range(0, len(batch), rows):
                     yield batch[start : start + rows]
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        return self.touched_with if issubclass(kind, Touch) else None
 
     def describe(self) -> Description:
         return {}

@@ -27,6 +27,7 @@ from flows.lab.simulation import simulate
 from flows.run.parallel_replay import recordings
 from flows.run.replay_runner import ReplayRunner
 from operators import Batch, Debounce, Operator, Score, Sink, Slips, Touch, Zero
+from operators.fingertip import Fingertip
 from operators.ports import Description
 from storage import Dataset, Session, load_debounce, load_detector
 from tests.benchmarks.machine import commit, machine
@@ -77,6 +78,10 @@ class Watched:
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """As the session."""
         return self.session.fingers(kind)
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        """As the session."""
+        return self.session.fingertip(kind)
 
     def read(self, kind: Any, finger: int, rows: int = 1000) -> Iterator[Any]:  # noqa: ANN401 - as the protocol
         """As the session, timed."""

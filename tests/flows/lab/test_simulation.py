@@ -26,6 +26,7 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Label, ms
 from operators.errors import EndpointError, ParameterError, SlipflowError
+from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
 from tests.command import error, slipflow
 
@@ -71,6 +72,7 @@ def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
         about = session.about
         assert about["complete"] is True
         assert (about["host"], about["start_ns"]) == ("simulated", planned[session.name].start)
+        assert session.about["fingertips"] == dict.fromkeys(("touch", "samples"), TAKKTILE.describe())
         assert session.tables == ("touch", "motion", "samples", "episodes", "truth")
         assert len(session.frame("touch")) == len(session.frame("samples")) > 500
         assert len(session.frame("motion")) > 1.2 * len(session.frame("touch"))

@@ -2,6 +2,7 @@ import json
 from itertools import count
 from pathlib import Path
 from shutil import copytree
+from typing import Any
 
 import pytest
 
@@ -10,6 +11,7 @@ from flows.run.parallel_replay import Replayed, Replays, recordings
 from operators.errors import FlowError, InputError, ParameterError
 from storage import Session
 from storage.layout import session_folder, session_names
+from storage.parts import read_part
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.flows.run.recorder import Recorder
 
@@ -61,6 +63,23 @@ def four(dataset: Path) -> list[Path]:
 
 def replay(felt: str, paths: list[Path], out: Path, jobs: int | None, **settings: str) -> list[Replayed]:
     return list(Replays(felt, {"out": str(out), **settings}, paths, "again").run(jobs))
+
+
+def test_each_file_of_a_short_session_is_read_once(
+    felt: str, four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = [path for path in four if path.name in {"05-seconds", "06-seconds"}]
+    stated = [Session.open(path).about["fingertips"] for path in short]
+    assert stated == [{}, {}]  # so they are measured
+    opened = list[Path]()
+
+    def counted(path: Path, *args: Any) -> Any:  # noqa: ANN401 - as `read_part`
+        opened.append(path)
+        return read_part(path, *args)
+
+    monkeypatch.setattr("storage.session.read_part", counted)
+    assert [each.error for each in replay(felt, short, tmp_path / "out", 1)] == ["", ""]
+    assert opened == [path / "touch/part-000000.parquet" for path in short]
 
 
 def written(out: Path) -> list[tuple[str, dict[str, bytes]]]:
