@@ -10,6 +10,7 @@ import numpy as np
 
 from connectors.files.column_map import COUNTS, JOINT, LABEL, MOTIONS, SIZES, TIME, ColumnMap
 from connectors.files.formats import read_table
+from connectors.files.pad import Pad
 from connectors.files.resolution import COUNT_LIMIT, Steps, common, needed, offsets
 from operators.batch import (
     EVERY,
@@ -42,6 +43,7 @@ GAP: Final = 5.0  # median intervals; a longer interval is a gap
 
 _INT16: Final = np.iinfo(np.int16)
 _DEFAULT: Final = ColumnMap()
+_UNKNOWN_PAD: Final = Pad()
 
 
 class Trace:
@@ -59,6 +61,7 @@ class Trace:
         zeroed: Readings are relative to the unloaded fingertip; default: True if one is negative.
         rate: Rows per second (Hz) of a file without a time column; its times start at 0.
         group: Surface or object of the recording.
+        pad: Layout and range of the fingertip (default: measured layout, unknown range).
 
     Attributes:
         columns: The completed map, without absent quantities.
@@ -91,6 +94,7 @@ class Trace:
         zeroed: bool | None = None,
         rate: float | None = None,
         group: str | None = None,
+        pad: Pad = _UNKNOWN_PAD,
     ) -> None:
         if rate is not None and not 0 < rate <= s:
             raise ParameterError("Trace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
@@ -117,6 +121,7 @@ class Trace:
         counts, valid = self._counts(table, readings, zeroed=zeroed)
         kind = Zeroed if zeroed else Touch
         self.touch = kind(times, counts, np.zeros_like(counts), valid, finger=finger)
+        self._fingertip = self._described(pad)
         self.missing = int(np.count_nonzero(~valid))
         self.motion = _motion(table.motion or table, moves, None if table.motion else times)
         if table.motion:  # described like the columns of this table
@@ -158,6 +163,21 @@ class Trace:
             limits = f"from {ends[0]:g} to {ends[1]:g} at a resolution of {self.resolution:g}"
             table.check(name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
         return np.where(valid, counts, 0).astype(np.int16), valid
+
+    def _described(self, pad: Pad) -> Fingertip:
+        """Return the fingertip of the counts; a range in the unit of the file becomes counts.
+
+        Raises:
+            ParameterError: if layout or range do not fit the cells.
+        """
+        found, limits = measured(self.touch), None
+        pad.check_cells("Trace", found.cells)
+        if pad.range is not None:
+            factor, offset = self.columns.scale(COUNTS) / self.resolution, self.offset.mean()
+            ends = np.clip(np.rint(np.array(pad.range) * factor - offset), -COUNT_LIMIT, COUNT_LIMIT)
+            limits = int(ends[0]), int(ends[1])
+        layout, unit = pad.layout or found.layout, self.columns.cell_units[1]
+        return replace(found, layout=layout, unit=unit, resolution=self.resolution, range=limits)
 
     @property
     def name(self) -> str:
@@ -204,10 +224,8 @@ class Trace:
         return tuple(lines)
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
-        """Return the fingertip: cells, rate, unit and resolution of the file."""
-        if not issubclass(kind, Touch):
-            return None
-        return replace(measured(self.touch), unit=self.columns.cell_units[1], resolution=self.resolution)
+        """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
+        return self._fingertip if issubclass(kind, Touch) else None
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingers with a stream of a type; EVERY for the arm's motion."""

@@ -64,6 +64,24 @@ def import_(
             help="Units per stored count (default: keeps all digits, or is as fine as 16 bits allow)."
         ),
     ] = None,
+    layout: Annotated[
+        str,
+        typer.Option(
+            metavar="LAYOUT",
+            help="Places of the cells: ROWSxCOLUMNS, numbered from the top left, such as 8x2; or the cell"
+            " numbers of each row from the top, such as 5,4,3/0,1,2; -1: no cell (default: as on a TakkTile"
+            " for six cells, else about square).",
+        ),
+    ] = "",
+    range_: Annotated[
+        str,
+        typer.Option(
+            "--range",
+            metavar="LOW:HIGH",
+            help="Readings at the lowest and at the highest pressure, in the unit of the file; 1023:0 states"
+            " that readings fall as the pressure rises (default: unknown).",
+        ),
+    ] = "",
     rate: Annotated[
         float | None,
         typer.Option(help="Rows per second: required for a file without time, else the rate to expect."),
@@ -143,6 +161,7 @@ def import_(
     """
     from connectors.files.column_map import ColumnMap, expanded
     from connectors.files.formats import read_table
+    from connectors.files.pad import Pad
     from flows.graph.quantity import parse_quantity, parse_time
     from flows.lab.file_imports import FileImports
     from flows.lab.importing import TraceImport
@@ -160,6 +179,7 @@ def import_(
         speed=parse_quantity("import", "--slip-speed", slip_speed, "m/s"),
         delay=parse_time("import", "--delay", delay),
     )
+    pad = Pad.parse(layout, range_)
     names = [name for item in header.split(",") if item for name in expanded(item.strip())]
 
     def make(path: Path, column_map: ColumnMap, session: str, group: str | None) -> TraceImport:
@@ -174,6 +194,7 @@ def import_(
             label=label,
             session=session,
             group=group,
+            pad=pad,
         )
 
     with progress_bar("reading") as update:

@@ -10,8 +10,8 @@ import numpy as np
 
 from connectors import Replay, Trace
 from connectors.files.column_map import COUNTS, JOINT, LABEL, LABELS, ColumnMap
+from connectors.files.pad import Pad, layout_text
 from flows.graph import Flow
-from flows.graph.drawing import describe
 from flows.run.replay_runner import ReplayRunner
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Labelled, Motion, Touch, s
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from connectors.files.trace_table import TraceTable
 
 _DEFAULT: Final = ColumnMap()
+_UNKNOWN_PAD: Final = Pad()
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 
 
@@ -64,6 +65,7 @@ class TraceImport:
         label: Labels by the arm's speed, for a file without labels.
         session: Name of the session (default: the file's name).
         group: Surface or object of the recording, by which recordings are split.
+        pad: Layout and range of the fingertip.
 
     Raises:
         InputError: if the file has an invalid value, named by row and column, or another rate.
@@ -82,21 +84,25 @@ class TraceImport:
         label: Label | None = None,
         session: str | None = None,
         group: str | None = None,
+        pad: Pad = _UNKNOWN_PAD,
     ) -> None:
-        self.trace = Trace(source, columns, finger=finger, zeroed=zeroed, rate=rate, group=group)
+        self.trace = Trace(source, columns, finger=finger, zeroed=zeroed, rate=rate, group=group, pad=pad)
         found = self.trace.rate
         if rate is not None and found is not None and abs(found / rate - 1) > RATE_TOLERANCE:
             reason = f"has {found:.1f} rows per second, not {rate:g}: is its time in another unit?"
             raise InputError(self.trace.name, reason)
         self.session = session or session_name(self.trace.name)
-        self._out, self._columns, self._label = out, columns, label or Label()
+        self._out, self._columns, self._label, self._pad = out, columns, label or Label(), pad
 
     @property
     def label_source(self) -> str:
         """Origin of the labels; empty if there are neither labels nor motion."""
         if LABEL in self.trace.columns.columns:
             return "the file"
-        return describe(self._label) if len(self.trace.motion) else ""
+        if not len(self.trace.motion):
+            return ""
+        delay = f", {self._label.delay / ms:g} ms after the sample" if self._label.delay else ""
+        return f"arm speed, slip above {1000 * self._label.speed:g} mm/s{delay}"
 
     def flow(self) -> Flow:
         """Return the flow that writes the dataset."""
@@ -161,6 +167,12 @@ class TraceImport:
             notes += ["recognised by name"] if name not in self._columns.columns else []
             text = f"  {name:9}{' '.join(columns)}"
             lines.append(f"{text}  ({', '.join(notes)})" if notes else text)
+        if self._pad.layout is not None:
+            lines.append(f"  layout   {layout_text(self._pad.layout)}  (cells of each row, from the top)")
+        if self._pad.range is not None:
+            low, high = self._pad.range
+            way = "rise" if low < high else "fall"
+            lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
         if self.label_source not in ("", "the file"):
             lines.append(f"  labels by {self.label_source}")
         if not self.label_source:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Final, Literal
 from urllib.parse import quote
 
-from connectors.files.column_map import LABEL, SPEED, VELOCITY, ColumnMap
+from connectors.files.column_map import COUNTS, LABEL, SPEED, VELOCITY, ColumnMap
+from connectors.files.pad import Pad
 from flows.lab.recipes.expression import Expression
 from flows.lab.toml_file import parse_toml, shipped_text
 from operators.checks import check_above, check_between, check_choice
@@ -99,6 +100,8 @@ class DatasetRecipe:
         assumed: Assumptions of the recipe that the source does not confirm.
         rate: Samples per second, Hz.
         resolution: Units per stored count, where the counts have a unit.
+        layout: Places of the cells, as in ``slipflow import --layout``.
+        range: Readings at the lowest and at the highest pressure, as in ``slipflow import --range``.
         zeroed: Counts are relative to the unloaded or resting fingertip.
         split: Unit that a benchmark holds out as a whole: every ``group``, or every ``recording``.
         group: Kind of the groups, such as surface.
@@ -128,6 +131,8 @@ class DatasetRecipe:
     assumed: str = ""
     rate: float = 0.0  # Hz
     resolution: float | None = None
+    layout: str = ""
+    range: str = ""
     zeroed: bool = False
     split: Literal["group", "recording"] = "recording"
     group: str = "recording"
@@ -142,6 +147,7 @@ class DatasetRecipe:
 
     def __post_init__(self) -> None:
         self._check_source()
+        _ = self.pad  # raises, if invalid
         if self.recordings:
             check_above("recipe", "rate", self.rate, 0, "Hz")
             self._check_columns()
@@ -188,11 +194,17 @@ class DatasetRecipe:
         return ColumnMap.parse(columns, units)
 
     @property
+    def pad(self) -> Pad:
+        """Layout and range of the fingertip."""
+        return Pad.parse(self.layout, self.range)
+
+    @property
     def digest(self) -> str:
         """Checksum of everything that determines the imported dataset, hex."""
         parts = self.rate, self.resolution, self.zeroed, self.skip_invalid, self.recordings
         tables = [[*table.items()] for table in (self.columns, self.derived, self.map, self.units)]
-        return hashlib.sha256(repr((self.name, parts, tables)).encode()).hexdigest()
+        pad = [self.pad] if self.layout or self.range else []  # without: the checksum of earlier versions
+        return hashlib.sha256(repr((self.name, parts, tables, *pad)).encode()).hexdigest()
 
     def link(self, file: SourceFile, mirror: str | None = None) -> str:
         """Return the URL of a file, at the source or on a mirror."""
@@ -230,6 +242,7 @@ class DatasetRecipe:
         for name, columns in self.column_map.columns.items():
             if missing := frozenset(columns) - known:
                 raise ParameterError("recipe", f"map.{name}", ",".join(columns), _among(missing, known))
+        self.pad.check_cells("recipe", len(self.column_map.columns.get(COUNTS, ())))
         check_choice("recipe", "split", self.split, ("group", "recording"))
         for recording in self.recordings:
             names = {file.name for file in recording.files}

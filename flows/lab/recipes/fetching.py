@@ -154,6 +154,7 @@ async def _import(recipe: DatasetRecipe, files: Path, dataset: Path, progress: P
             zeroed=recipe.zeroed,
             session=recording.name,
             group=recording.group or None,
+            pad=recipe.pad,
         )
         await trace.write()
         found = trace.summary()

@@ -60,6 +60,11 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
         (["import", "lab.csv", "out", "--labels", "slip"], "must be written as slip=1,2,static=0"),
         (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
         (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
+        (
+            ["import", "lab.csv", "out", "--layout", "3x3"],
+            "layout is '0,1,2/3,4,5/6,7,8', must be of 6 cells",
+        ),
+        (["import", "lab.csv", "out", "--range", "4000"], "range is '4000', must be LOW:HIGH"),
         (["import", "lab.csv", "out", "--separator", "none"], "separator is 'none', must be one of"),
         (["import", "lab.csv", "lab.csv", "out", "--session", "x"], "left out if there are several files"),
         (["import", "lab.csv", "lab.csv", "out"], "has the same session name as lab.csv"),
@@ -70,6 +75,21 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: st
     (tmp_path / "lab.csv").write_text(TRACE)
     assert message in error(*arguments, cwd=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
+
+
+def test_rising_counts_with_a_stated_range_are_not_taken_for_falling_ones(tmp_path: Path) -> None:
+    (tmp_path / "lab.csv").write_text(TRACE)
+    arguments = "import", "lab.csv", "out", "--layout", "3x2", "--range", "0:4000", "--raw"
+    done = slipflow(*arguments, cwd=tmp_path)
+    assert "  layout   0,1/2,3/4,5  (cells of each row, from the top)\n" in done.stdout
+    assert "  range    0 to 4000  (readings rise as the pressure rises)\n" in done.stdout
+    about = json.loads((tmp_path / "out/sessions/lab/session.json").read_text())
+    tips = about["fingertips"]["samples"]
+    assert (tips["layout"], tips["range"]) == ([[0, 1], [2, 3], [4, 5]], [0, 4000])
+    refused = slipflow("evaluate", "out", "--split", "all", "--method", "tcn", "--json", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "insert Pool(gain=-1)" in refused.stderr
+    assert not (tmp_path / "evaluation").exists()
 
 
 def test_many_files_are_shown_as_a_table_and_imported_in_one_call(tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write)
     assert session.tables == ("touch", "motion", "samples")
     assert rows(session, Motion, EVERY).velocity[:, 0].tolist() == [v / 1000 for v in speeds]
     assert rows(session, Labelled).label.tolist() == [0] * 147 + [1] * 152 + [-1]
-    assert "  labels by Label(speed=0.02, delay=30 ms)\n" in trace_import.report()
+    assert "  labels by arm speed, slip above 20 mm/s, 30 ms after the sample\n" in trace_import.report()
     assert "Label(speed=0.02, delay=30 ms)" in str(session.about["declaration"])
 
 
