@@ -22,6 +22,7 @@ from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_crops import Crops
 from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, set_seed, training_device
 from flows.learn.training.velocity_head import velocity_loss
+from flows.run.processes import one_thread
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.detectors import Tcn
 from operators.errors import ParameterError
@@ -37,7 +38,10 @@ def train_dense(
     progress: Progress = lambda _done, _all, _check: None,
     start: Tcn | None = None,
 ) -> Trained:
-    """Train a TCN, on a GPU if there is one.
+    """Train a TCN, on a GPU if there is one, else in one thread.
+
+    On busy cores, waiting for other threads takes longer than the work; and the result does not depend on the
+    number of cores.
 
     Args:
         train: Recordings of the train split.
@@ -50,7 +54,8 @@ def train_dense(
         ParameterError: if the training recordings are too short or lack a class, or there are no recordings
             to validate on.
     """
-    return fit(_DenseTask(train, validation, recipe, start), progress)
+    with one_thread():
+        return fit(_DenseTask(train, validation, recipe, start), progress)
 
 
 class _DenseTask(TrainingTask):
