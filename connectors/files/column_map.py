@@ -363,16 +363,19 @@ def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield each group of at least two columns that are numbered from 0 or from 1."""
+    """Yield each group of columns that are numbered from 0 or from 1; groups of one only if alone."""
     rows: dict[tuple[str, str, str], dict[int, str]] = {}
     for name in names:
         stem, unit = _stem(COUNTS, name)
         if match := _CELL.fullmatch(stem):
             rows.setdefault((match[1], match[2], unit), {})[int(match[3])] = name
-    for row in rows.values():
-        numbers = sorted(row)
-        if len(row) > 1 and numbers[0] <= 1 and numbers == [*range(numbers[0], numbers[0] + len(row))]:
-            yield tuple(row[number] for number in numbers)
+    groups = [tuple(row[number] for number in sorted(row)) for row in rows.values() if _is_numbered(row)]
+    yield from [group for group in groups if len(group) > 1] or groups
+
+
+def _is_numbered(numbers: Collection[int]) -> bool:
+    first = min(numbers)
+    return first <= 1 and sorted(numbers) == [*range(first, first + len(numbers))]
 
 
 def _stem(quantity: str, column: str) -> tuple[str, str]:

@@ -21,7 +21,8 @@ def benchmark(
         list[str] | None,
         typer.Argument(
             metavar="RECIPE|DATASET",
-            help="Fetched recipes (`slipflow fetch`) or dataset folders (default: all fetched recipes).",
+            help="Fetched recipes (`slipflow fetch`) or dataset folders (default: all fetched recipes with"
+            " labels).",
         ),
     ] = None,
     *,
@@ -108,7 +109,7 @@ def _datasets(given: list[str], folder: Path | None) -> dict[str, Path]:
         InputError: if a recipe is unknown or was not fetched, or none was.
     """
     from flows.lab.recipes.dataset_recipe import load_recipe, shipped_recipes
-    from flows.lab.recipes.fetched import fetched_dataset
+    from flows.lab.recipes.fetched import fetched_dataset, labelled_own_datasets, own_dataset
     from operators.errors import InputError
     from storage.layout import DATASET
 
@@ -117,6 +118,8 @@ def _datasets(given: list[str], folder: Path | None) -> dict[str, Path]:
         path = Path(text)
         if (path / DATASET).is_file():
             found[path.resolve().name] = path
+        elif own := own_dataset(text, folder):
+            found[text] = own
         else:
             recipe = load_recipe(text)
             found[recipe.name] = fetched_dataset(recipe, folder)
@@ -125,6 +128,7 @@ def _datasets(given: list[str], folder: Path | None) -> dict[str, Path]:
             with suppress(InputError):  # was not fetched
                 if recipe.labelled:
                     found[recipe.name] = fetched_dataset(recipe, folder)
+        found |= labelled_own_datasets(folder)
     if not found:
         raise InputError("benchmark", "no labelled recipe was fetched: run `slipflow fetch strokes` first")
     return found

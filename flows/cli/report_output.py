@@ -21,7 +21,9 @@ ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the r
 
 
 def prepare_report(folder: Path) -> None:
-    """Create the folder of a report before a long measurement; note that figures need matplotlib.
+    """Check that the folder of a report can be created, before a long measurement.
+
+    Notes that figures need matplotlib. A measurement that fails leaves no empty folder.
 
     Raises:
         EndpointError: if the folder cannot be created.
@@ -29,7 +31,10 @@ def prepare_report(folder: Path) -> None:
     from flows.report.figures import missing_matplotlib
     from flows.report.report_page import make_output_folder
 
+    new = [each for each in (folder, *folder.parents) if not each.exists()]
     make_output_folder(folder)
+    for each in new:
+        each.rmdir()
     if reason := missing_matplotlib():
         note(f"the report will have no figures, which {reason}")
 

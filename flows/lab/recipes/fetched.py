@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from flows.lab.recipes.dataset_recipe import DatasetRecipe
+from flows.lab.recipes.dataset_recipe import SHIPPED, DatasetRecipe
 from operators.errors import InputError
 from storage.files import read_json
 
@@ -49,6 +49,34 @@ def fetched_dataset(recipe: DatasetRecipe, folder: Path | None = None) -> Path:
         state = "was fetched by another version of the recipe" if other else "was not fetched"
         raise InputError(str(where), f"recipe {recipe.name} {state}: run `{command}` first")
     return where / DATASET
+
+
+def own_dataset(name: str, folder: Path | None = None) -> Path | None:
+    """Return the dataset of a recipe file that was fetched, by the recipe's name; None if there is none.
+
+    Args:
+        name: Name of the recipe; shipped recipes are none.
+        folder: Folder of all recipes; default: `cache_folder`.
+    """
+    where = (folder or cache_folder()) / name
+    known = name not in SHIPPED and Path(name).name == name and (where / RECORD).is_file()
+    return where / DATASET if known and (where / DATASET).is_dir() else None
+
+
+def labelled_own_datasets(folder: Path | None = None) -> dict[str, Path]:
+    """Return the labelled datasets of recipe files that were fetched, by name; `folder` as above.
+
+    Raises:
+        InputError: if the record of a fetch is damaged.
+    """
+    where = folder or cache_folder()
+    names = sorted(each.name for each in where.iterdir()) if where.is_dir() else []
+    found = {name: own_dataset(name, where) for name in names}
+    return {
+        name: path
+        for name, path in found.items()
+        if path is not None and read_json(where / name / RECORD).get("labelled")
+    }
 
 
 def is_fetched(recipe: DatasetRecipe, folder: Path) -> bool:

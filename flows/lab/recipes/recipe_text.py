@@ -9,7 +9,7 @@ MB: Final = 1_000_000  # bytes
 
 _STATED: Final = (
     *("name", "title", "licence", "terms", "citation", "about", "assumed", "label_rule", "split", "group"),
-    *("not_run_here", "rate"),
+    *("not_run_here", "rate", "labelled"),
 )
 
 

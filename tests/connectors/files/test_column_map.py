@@ -83,14 +83,20 @@ def test_usual_names_are_recognised(names: tuple[str, ...], held: dict[str, tupl
     assert not {"velocity", "speed"} <= set(found)
 
 
-@pytest.mark.parametrize("cells", [2, 7, 16, 64])
+@pytest.mark.parametrize("cells", [1, 2, 7, 16, 64])
 def test_numbered_columns_are_the_cells_of_a_fingertip(cells: int) -> None:
     for first in (0, 1):
         names = tuple(f"taxel{number}" for number in range(first, first + cells))
         assert ColumnMap().completed(Header(("t", *names[::-1]), "line 1")).columns["counts"] == names
 
 
-@pytest.mark.parametrize("names", [("s1",), ("s1", "s3"), ("s2", "s3"), ("left", "right")])
+def test_one_numbered_column_is_a_cell_only_if_no_other_columns_are() -> None:
+    assert ColumnMap().completed(Header(("t", "b1", *CELLS))).columns["counts"] == CELLS
+    with pytest.raises(InputError, match="several candidates for counts: 'b1' or 's1'"):
+        ColumnMap().completed(Header(("t", "b1", "s1")))
+
+
+@pytest.mark.parametrize("names", [("s2",), ("s1", "s3"), ("s2", "s3"), ("left", "right")])
 def test_other_columns_are_no_fingertip(names: tuple[str, ...]) -> None:
     with pytest.raises(InputError, match=r"none recognised as counts; map it.* or counts=left,right,"):
         ColumnMap().completed(Header(("t", *names), "line 1"))

@@ -12,7 +12,7 @@ from flows.cli.report_output import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn.training import training_loop
 from operators.batch import s
-from operators.errors import InputError
+from operators.errors import EndpointError, InputError
 from operators.extras import require_extra
 from storage import LabelSpan, Session
 from storage.models import shipped
@@ -132,12 +132,15 @@ def test_labels_cannot_come_before_the_signal_or_much_after(tiny: Path, tmp_path
     assert ("with its unit" if lag[0] == "-" else "from 0 to 0.6 s") in done.stderr
 
 
-def test_evaluate_notes_beforehand_that_figures_need_matplotlib(
+def test_evaluate_notes_beforehand_that_figures_need_matplotlib_and_leaves_no_empty_folder(
     tmp_path: Path, hide_packages: Callable[..., None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     hide_packages("matplotlib")
-    prepare_report(tmp_path / "out")
-    assert (tmp_path / "out").is_dir()
+    prepare_report(tmp_path / "out" / "report")
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(EndpointError, match="cannot be created"):
+        prepare_report(tmp_path / "file" / "out")
     assert (
         "the report will have no figures, which need matplotlib: in the clone, pip install -e '.[report]'"
         in capsys.readouterr().err
