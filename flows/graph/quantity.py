@@ -47,6 +47,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     }
 )
 
+_EXPONENT: Final = 1e15  # from which the format g writes one, which is not parsed
 _LONGEST: Final = 40  # characters; longer text is not a number
 
 
@@ -102,5 +103,7 @@ def format_quantity(value: float, unit: str) -> str:
     exact, found = Fraction(str(value)), list[str]()
     for name, factor in KINDS[unit].units.items():
         if abs(exact) >= Fraction(factor):
-            found.append(f"{float(exact / Fraction(factor)):.15g}{name}")
+            number = float(exact / Fraction(factor))
+            digits = ".15g" if abs(number) < _EXPONENT else ".0f"
+            found.append(f"{number:{digits}}{name}")
     return min(reversed(found), key=len, default=f"{value:g}{unit}")
