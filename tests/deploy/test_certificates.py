@@ -1,6 +1,7 @@
 """Client certificates from deploy/mosquitto/make_certificates, with a real mosquitto."""
 
 import asyncio
+import re
 import ssl
 import subprocess
 from pathlib import Path
@@ -10,12 +11,12 @@ import pytest
 from connectors.mqtt.broker import CA, CERTIFICATE, Broker
 from connectors.mqtt.broker_link import connect
 from operators.errors import EndpointError, InputError
-from tests.connectors.mqtt.broker_process import TestBroker
-from tests.deploy.shipped import DEPLOY
+from tests.connectors.mqtt.broker_process import TestBroker, deliver
+from tests.deploy.shipped import DEPLOY, settings
 
 pytestmark = pytest.mark.broker
 _context = ssl.create_default_context
-SETTINGS = ("cafile", "certfile", "keyfile")
+TLS = (DEPLOY / "mosquitto" / "tls.conf").read_text()
 
 
 def make(folder: Path, *users: str) -> None:
@@ -25,7 +26,10 @@ def make(folder: Path, *users: str) -> None:
 
 async def meet(url: str) -> None:
     link = await connect(Broker.parse(url), "test")
-    await link.disconnect()
+    try:
+        await deliver(link, "slip/v1/lab/fingertip/status")
+    finally:
+        await link.disconnect()
 
 
 def strict(cafile: str | None) -> ssl.SSLContext:
@@ -42,12 +46,9 @@ def test_the_broker_admits_only_clients_with_a_certificate(
     make(tmp_path, "fingertip")
     make(tmp_path / "other", "fingertip")
     monkeypatch.setenv(CA, str(tmp_path / "ca.crt"))
-    files = [
-        f"{each} {tmp_path / name}"
-        for each, name in zip(SETTINGS, ("ca.crt", "broker.crt", "broker.key"), strict=True)
-    ]
-    required = ("require_certificate true", "use_identity_as_username true", "allow_anonymous false")
-    with TestBroker(tmp_path, *files, *required) as broker:
+    _, *tls = [line for line in TLS.splitlines() if not line.startswith("#")]
+    tls = [line.replace("/mosquitto/config", str(tmp_path)) for line in tls]
+    with TestBroker(tmp_path, *tls, *settings(tmp_path)) as broker:
         url = broker.url.replace("mqtt:", "mqtts:")
         with pytest.raises(EndpointError, match="cannot connect"):
             asyncio.run(meet(url))
@@ -56,6 +57,16 @@ def test_the_broker_admits_only_clients_with_a_certificate(
             asyncio.run(meet(url))
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
         asyncio.run(meet(url))
+
+
+def test_the_page_installs_the_files_that_the_broker_reads_for_its_user(tmp_path: Path) -> None:
+    page = (DEPLOY.parent / "docs" / "how-to" / "deploy.md").read_text()
+    flags = re.MULTILINE
+    [install] = re.findall(r"^    sudo install -m 600 -o mosquitto -t (/\S+) (certificates/.*)$", page, flags)
+    make(tmp_path, "fingertip")
+    read = re.findall(r"^\w+file /mosquitto/config/(\S+)$", TLS, flags)
+    assert [f"certificates/{name}" for name in read] == install[1].split()
+    assert all((tmp_path / name).is_file() for name in read)
 
 
 def test_a_missing_client_certificate_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
