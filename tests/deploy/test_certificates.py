@@ -8,9 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from connectors import Mqtt
 from connectors.mqtt.broker import CA, CERTIFICATE, Broker
 from connectors.mqtt.broker_link import connect
+from flows.run.clocks import LoopClock
+from flows.run.diagnosis import diagnose
 from operators.errors import EndpointError, InputError
+from operators.ports import Finding
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
 from tests.deploy.shipped import DEPLOY, settings
 
@@ -32,6 +36,10 @@ async def meet(url: str) -> None:
         await link.disconnect()
 
 
+async def findings(sink: Mqtt) -> list[Finding]:
+    return (await diagnose({"mqtt": sink}, LoopClock()))["mqtt"]
+
+
 def strict(cafile: str | None) -> ssl.SSLContext:
     """Return the context that Python 3.13 creates: it checks certificates as RFC 5280 demands."""
     context = _context(cafile=cafile)
@@ -50,13 +58,19 @@ def test_the_broker_admits_only_clients_with_a_certificate(
     tls = [line.replace("/mosquitto/config", str(tmp_path)) for line in tls]
     with TestBroker(tmp_path, *tls, *settings(tmp_path)) as broker:
         url = broker.url.replace("mqtt:", "mqtts:")
-        with pytest.raises(EndpointError, match="cannot connect"):
+        with pytest.raises(EndpointError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
             asyncio.run(meet(url))
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "other" / "fingertip.pem"))
         with pytest.raises(EndpointError, match="cannot connect"):
             asyncio.run(meet(url))
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
         asyncio.run(meet(url))
+        sink = Mqtt(url, "lab", "fingertip", outbox=tmp_path / "outbox")
+        found = asyncio.run(findings(sink))
+        assert [each.text for each in found if "admits" in each.text] == [
+            f"admits this client with the certificate {tmp_path / 'fingertip.pem'}"
+        ]
+        assert found[-1].text.startswith("accepts slip/v1/lab/fingertip/doctor")
 
 
 def test_the_page_installs_the_files_that_the_broker_reads_for_its_user(tmp_path: Path) -> None:
