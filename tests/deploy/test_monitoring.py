@@ -112,10 +112,39 @@ def test_panels_do_not_overlap_and_have_unique_numbers() -> None:
     assert len({(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in panels}) == len(panels)
 
 
+def promtool(*words: str | Path) -> subprocess.CompletedProcess[str]:
+    program = shutil.which("promtool", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    if program is None:
+        pytest.skip("promtool is missing: deploy/prepare test unpacks it on Debian")
+    return subprocess.run([program, *words], capture_output=True, text=True, check=False)
+
+
 def test_promtool_accepts_the_rules_and_the_scrape_configuration() -> None:
-    promtool = shutil.which("promtool", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
-    if promtool is None:
-        pytest.skip("promtool is missing: deploy/prepare test installs it on Debian")
     for words in (("rules", RULES), ("config", "--syntax-only", RULES.with_name("prometheus.yml"))):
-        done = subprocess.run([promtool, "check", *words], capture_output=True, text=True, check=False)
+        done = promtool("check", *words)
         assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_late_rows_raise_an_alert_only_for_sources_with_frequent_rows(tmp_path: Path) -> None:
+    series = [
+        (f'slipflow_source_{metric}{{source="{source}", instance="i"}}', f"{start}+{step}x30")
+        for source, rate in (("touch", 500), ("episodes", 0))
+        for metric, start, step in (("lag_seconds", 5, 0), ("up", 1, 0), ("rows_total", 0, rate))
+    ]
+    labels = {"source": "touch", "instance": "i", "severity": "warning"}
+    summary = "rows of touch on i are 5s old"
+    case = {
+        "interval": "5s",
+        "input_series": [{"series": name, "values": values} for name, values in series],
+        "alert_rule_test": [
+            {
+                "eval_time": "2m",
+                "alertname": "SlipflowRowsLate",
+                "exp_alerts": [{"exp_labels": labels, "exp_annotations": {"summary": summary}}],
+            }
+        ],
+    }
+    file = tmp_path / "tests.yml"
+    file.write_text(json.dumps({"rule_files": [str(RULES)], "tests": [case]}))  # JSON is YAML
+    done = promtool("test", "rules", file)
+    assert done.returncode == 0, done.stdout + done.stderr

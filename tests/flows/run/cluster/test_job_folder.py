@@ -63,7 +63,7 @@ def test_modules_of_the_flow_s_folder_are_imported_in_another_process_and_place(
     job = created(folder / "job_flow.py", str(tmp_path / "out"))
     rmtree(folder)
     code = "from flows.run.cluster.job_folder import *; print(JobFolder(Path(sys.argv[1])).flow())"
-    command = [sys.executable, "-c", f"import sys; {code}", job.path]
+    command = [sys.executable, "-c", f"import sys; {code}", str(job.path)]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     assert printed.startswith("flow sibling\n")
     assert "0.25" in printed
