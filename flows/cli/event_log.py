@@ -93,8 +93,8 @@ class RepeatFilter:
 
 def begin_log(form: Format = Format.TEXT, stream: TextIO | None = None) -> None:
     """Send log records to stderr as text, or to `stream` (default stdout) as JSON."""
-    for shown in ("slipflow.compilation", "slipflow.models"):  # also as text
-        logging.getLogger(shown).setLevel(logging.INFO)
+    logging.getLogger("slipflow.compilation").setLevel(logging.INFO)  # the user has to wait for it
+    logging.getLogger("slipflow.models").setLevel(logging.INFO)  # a model is for one task only
     handler: logging.Handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     if form is Format.JSON:

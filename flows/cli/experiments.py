@@ -187,9 +187,9 @@ def learn(
     from flows.lab.experiments.grasp_training import Course
     from flows.lab.experiments.grasp_training import learn as train
     from flows.learn.training.learning_curve import Check
-    from flows.report.report_page import make_output_folder
+    from flows.report.report_page import check_output_folder
 
-    make_output_folder(out)
+    check_output_folder(out)
     usual = Course()
     course = replace(
         usual,

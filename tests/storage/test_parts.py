@@ -179,7 +179,7 @@ def test_names_with_indices_of_another_type_are_read_as_pyarrow_16_returns_them(
     for place, field in enumerate(rows.schema):
         if pa.types.is_dictionary(field.type):
             wide = field.with_type(pa.dictionary(pa.int32(), pa.string()))
-            column: Any = pa.array(rows[field.name].to_pylist(), wide.type)
+            column = cast("Any", pa).array(rows[field.name].to_pylist(), wide.type)
             rows = rows.set_column(place, wide, column)
     write_part(tmp_path / "x.parquet", rows)
     read = read_part(tmp_path / "x.parquet", schema(EPISODES))
