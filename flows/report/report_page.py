@@ -38,9 +38,7 @@ class Section:
         """Return the section as an HTML element."""
         parts = [f"<h2>{html_text(self.finding)}</h2>", f"<p>{html_text(self.text)}</p>"]
         if self.svg:
-            parts.append(
-                f'<div class="scroll" tabindex="0">{inline(self.svg, self.name, self.finding)}</div>'
-            )
+            parts.append(inline(self.svg, self.name, self.finding))
         body = "\n".join([*parts, *(table.html() for table in self.tables)])
         return f'<section id="{self.name}">\n{body}\n</section>'
 
