@@ -12,7 +12,7 @@ from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult
 from flows.learn.evaluation.event_metrics import EventMetrics
 from flows.learn.evaluation.intervals import Estimate
 from flows.learn.evaluation.motion_metrics import MotionConfusions
-from flows.learn.evaluation.sample_metrics import EDGES, Confusion, LabelChanges, Roc
+from flows.learn.evaluation.sample_metrics import EDGES, Confusion, Roc
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.leaks.leak import Leak
 from tests.readability import report_faults
@@ -147,7 +147,7 @@ def test_single_things_and_missing_values_are_worded_well(found: Evaluation, tmp
         confusion=Confusion(np.array([[9.0, 1.0], [0.0, 0.0]])),
         events=EventMetrics(np.empty(0), missed_slips=0, false_alarms=0, repeats=0, minutes=1.0),
         roc=Roc.of(np.zeros(2), truth),
-        changes=LabelChanges(nothing, nothing),
+        changes=replace(found.leader.changes, samples=nothing, errors=nothing),
         motions=MotionConfusions(kinds, motions.recordings[strokes], motions.counts[strokes]),
         figures=replace(found.leader.figures, balanced=Estimate(np.nan)),
     )
