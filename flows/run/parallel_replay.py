@@ -144,11 +144,14 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
 def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
     """Check that a flow is valid and does not record into a dataset that it replays.
 
+    The fingertips of its sources are checked for a live run only: a replay has those of its recordings.
+
     Raises:
         FlowError: if the flow is wired wrongly.
         InputError: if a recording is in the dataset of a sink.
     """
-    validate(flow)
+    paths = list(paths)
+    validate(flow, fingertips=not paths)
     written = {Path(node.part.destination) for node in flow.sinks() if isinstance(node.part, Dataset)}
     for path in paths:
         if written & set(path.resolve().parents):
