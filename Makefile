@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-cluster cluster chaos faults scene scene-fit check docs release-check bench models detector-pages clean
+.PHONY: demo test test-slow test-lerobot test-cluster cluster chaos faults scene scene-fit check docs release-check bench models detector-pages clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -12,6 +12,14 @@ test-slow:  ## the tests that take longer than a minute, or need half a gigabyte
 	@deploy/prepare test
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[rerun]'
 	.venv/bin/python -m pytest -m "slow or rerun"
+
+test-lerobot: LEROBOT = $(CURDIR)/.venv/lerobot
+test-lerobot:  ## LeRobot's own loader reads an export: 180 MB more
+	@deploy/prepare test
+	test -d $(LEROBOT) || .venv/bin/python -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement tests/lerobot.txt
+	.venv/bin/python -c 'import site; print(*site.getsitepackages())' >$$(echo $(LEROBOT)/lib/python3*/site-packages)/base.pth
+	LEROBOT_PYTHON=$(LEROBOT)/bin/python .venv/bin/python -m pytest tests/test_docs_lerobot.py
 
 cluster:  ## a Flink cluster on this machine, reached only from here; deploy/cluster stop ends it
 	@deploy/cluster
