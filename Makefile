@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-lerobot test-cluster cluster chaos faults scene scene-fit check docs release-check bench models detector-pages clean
+.PHONY: demo test test-slow test-lerobot test-cluster cluster chaos faults scene scene-fit check docs figures release-check bench models detector-pages clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -57,6 +57,10 @@ docs:  ## build the documentation site into build/site; warnings are errors
 	@deploy/prepare test
 	.venv/bin/python -m tests.reference_pages
 	.venv/bin/mkdocs build --quiet
+
+figures:  ## take the pictures of the live page and of show in docs/figures again, on an idle machine
+	@deploy/prepare test
+	.venv/bin/python -m tests.page_figures docs/figures
 
 release-check:  ## build wheel and sdist into dist, compare their files with git, run the wheel in a new environment
 	@deploy/prepare test

@@ -1,7 +1,9 @@
 """Extras: groups of optional packages, as declared in slipflow's package metadata."""
 
 import json
+import os
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -22,7 +24,7 @@ EXTRAS: Final[Mapping[str, str]] = MappingProxyType(  # use of each extra
         "rerun": "export to Rerun",
     }
 )
-_PLATFORMS: Final = {"ur": "x86-64 Linux, Python 3.11 or 3.12"}  # that have its packages, if not all
+_LIMITS: Final = {"ur": ("x86_64", (3, 13))}  # machine, and first Python without its packages
 _REQUIREMENT: Final = re.compile(r"([\w.-]+)[^<>=!~;]*([^;]*)(?:;.*extra == ['\"](\w+)['\"])?")
 _BOUND: Final = re.compile(r"(>=|<)\s*([\d.]+)")
 
@@ -87,11 +89,15 @@ def missing_packages(extra: str) -> list[str]:
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra, in a clone or from a wheel, and where it is available."""
+    """Return the command that installs an extra, in a clone or from a wheel; else why there is none here."""
+    machine, end = _LIMITS.get(extra, ("", (4, 0)))
+    here, running = os.uname().machine, sys.version_info[:2]
+    if running >= end or machine not in ("", here):
+        python = ".".join(map(str, running))
+        return f"no release for Python {python} on {here}: use Python 3.11 or 3.12 on {machine} Linux"
     origin = json.loads(distribution("slipflow").read_text("direct_url.json") or "{}")
     clone = origin.get("dir_info", {}).get("editable", False)
-    command = f"in the clone, pip install -e '.[{extra}]'" if clone else f"pip install 'slipflow[{extra}]'"
-    return f"{command} ({_PLATFORMS[extra]})" if extra in _PLATFORMS else command
+    return f"in the clone, pip install -e '.[{extra}]'" if clone else f"pip install 'slipflow[{extra}]'"
 
 
 def require_extra(extra: str, owner: str) -> None:

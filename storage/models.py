@@ -136,8 +136,11 @@ def load_detector(name: str | Path) -> Detector:
             detector = TRAINED[kind](weights)
         except InputError as error:
             raise InputError(str(name), error.reason) from error
-        if isinstance(detector, ForOneFingertip) and "fingertip" in card:
-            detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
+        if isinstance(detector, ForOneFingertip):
+            if purpose := PURPOSES.get(str(name)):
+                detector.purpose = f"{name}: {purpose.text}"
+            if "fingertip" in card:
+                detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
         return detector
     known = ", ".join(sorted([*DETECTORS, *shipped_names()]))
     raise InputError(

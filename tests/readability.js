@@ -1,5 +1,6 @@
-// Return what makes a page hard to read: text with a contrast below 4.5, below 10 px, over other text of a
-// figure or in literal backticks; colour keys with a contrast below 3; anything beyond the page's edge or its own scroller.
+// Return what makes a page hard to read: text with a contrast below 4.5, below 10 px, over other text of a figure or in
+// literal backticks; wrong plurals, missing values in sentences, numbers and units broken across lines; colour keys with a
+// contrast below 3; anything beyond the page's edge or its own scroller.
 ({ phone }) => {
   const faults = [];
   const visible = (node) => node.checkVisibility({ visibilityProperty: true, opacityProperty: true });
@@ -10,8 +11,9 @@
   const wide = document.documentElement.scrollWidth;
   if (wide > innerWidth) faults.push(`the page is ${wide} px wide in a window of ${innerWidth}`);
   for (const each of document.querySelectorAll(".scroll")) {
-    const figure = each.querySelector("svg") !== null; // may be scrolled on a phone
-    if (shown(each) && each.scrollWidth > each.clientWidth + 1 && !(phone && figure)) {
+    const figure = each.querySelector("svg") !== null; // may be scrolled on a phone, with a line that says so
+    const hint = each.previousElementSibling?.matches(".sideways") && shown(each.previousElementSibling);
+    if (shown(each) && each.scrollWidth > each.clientWidth + 1 && !(phone && figure && hint)) {
       faults.push(`${figure ? "figure" : "table"} of ${each.scrollWidth} px in ${each.clientWidth}: ${short(each.textContent)}`);
     }
   }
@@ -20,6 +22,12 @@
   for (const text of [document.title, document.body.innerText, ...[...document.querySelectorAll("svg text")].map((each) => each.textContent)]) {
     const found = /.{0,20}`.{0,20}/.exec(text);
     if (found) faults.push(`backtick: ${short(found[0])}`);
+  }
+
+  // --- wording ---
+  for (const each of document.querySelectorAll("h1, h2, p, li, caption, figcaption")) {
+    const found = /\bnan\b|(^|\s)- (%|ms|Hz)|(?<![\d.,:-])1 [a-z]+[^\Ws]s\b/i.exec(each.innerText);
+    if (found && shown(each)) faults.push(`wording: ${short(each.innerText.slice(found.index))}`);
   }
 
   // --- text over text, in figures ---
@@ -79,6 +87,13 @@
   const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   while (walker.nextNode()) {
     const node = walker.currentNode.parentElement, text = walker.currentNode.data;
+    const whole = /\b[cm]?m\/s\b|^[-−]?\d[\d.,]*\d$/.exec(text), range = document.createRange();
+    if (whole && shown(node)) {
+      range.setStart(walker.currentNode, whole.index);
+      range.setEnd(walker.currentNode, whole.index + whole[0].length);
+      const lines = new Set([...range.getClientRects()].map((each) => Math.round(each.top)));
+      if (lines.size > 1) faults.push(`broken: ${short(text)}`);
+    }
     if (!text.trim() || node.closest("script, style, noscript, option, metadata, defs") || !shown(node)) continue;
     const style = getComputedStyle(node), inSvg = node.closest("svg"), ground = under(node);
     const ratio = contrast(paint(ground, inSvg ? style.fill : style.color, opacity(node)), ground);

@@ -28,6 +28,7 @@ RUN = [
     "reference/dataset.md",
     "reference/mqtt.md",
 ]
+EXACT = ["how-to/lerobot.md"]  # pages whose numbers are the same in each run
 SHOWN = re.compile(r"[\d.,:]+|\s+")  # may differ between runs: numbers and padding
 
 
@@ -78,6 +79,7 @@ def test_every_block_runs_in_order_and_prints_the_text_on_the_page(name: str, tm
         elif block.language == "json":
             json.loads(block.body)
         elif block.language in {"text", "mermaid"} and printed:
+            assert name not in EXACT or printed.endswith(block.body), printed
             lines = {same_but_for_numbers(line) for line in printed.splitlines()}
             assert {same_but_for_numbers(line) for line in block.body.splitlines()} <= lines, printed
     assert ran or name == "reference/mqtt.md"  # tests/test_docs_mqtt.py runs its files
@@ -136,25 +138,6 @@ def test_an_unknown_command_or_option_is_found(tmp_path: Path) -> None:
 def test_every_link_target_exists(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
         assert re.match(r"https?://", target) or (page.parent / target).exists(), target
-
-
-def anchors(page: Path) -> set[str]:
-    """Return the anchors of a page's headings, as GitHub and MkDocs make them."""
-    prose = re.sub(r"(?ms)^```.*?^```", "", page.read_text())
-    headings = re.findall(r"(?m)^#+ (.+)$", prose)
-    return {re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in headings}
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_link_to_a_heading_has_its_heading(page: Path) -> None:
-    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#([^)]+)\)", page.read_text()):
-        assert anchor in anchors(page.parent / target if target else page), f"{target}#{anchor}"
-
-
-def test_the_navigation_of_the_site_names_every_page_once() -> None:
-    named = re.findall(r"(?m)^ +- (?:.+: )?(\S+\.md)$", (ROOT / "mkdocs.yml").read_text())
-    docs = ROOT / "docs"
-    assert sorted(named) == sorted(str(page.relative_to(docs)) for page in docs.rglob("*.md"))
 
 
 def test_the_index_names_every_page() -> None:

@@ -41,6 +41,8 @@ def test_a_page_without_faults_has_none(tmp_path: Path) -> None:
         (Section("one", "Finding", "Text.", draw=pale), '1280 px, light: contrast 1.92: "pale text"'),
         (Section("one", "Finding", "Text.", draw=pale), "1280 px, light: figure of"),
         (Section("one", "Finding", "Text.", [Table(["x", "y" * 300], [[1, 2]])]), "1280 px, dark: table of"),
+        (Section("one", "1 methods found", "Text."), '390 px, light: wording: "1 methods found"'),
+        (Section("one", "rotation - %", "Text."), 'wording: "- %"'),
     ],
 )  # fmt: skip
 def test_each_kind_of_fault_is_found(section: Section, fault: str, tmp_path: Path) -> None:

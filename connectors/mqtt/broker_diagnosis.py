@@ -1,5 +1,6 @@
 """Findings about an MQTT broker before a run: login, encryption, access rights and response time."""
 
+import os
 import ssl
 import time
 from collections.abc import AsyncGenerator
@@ -7,7 +8,7 @@ from contextlib import suppress
 from secrets import token_hex
 from typing import Final
 
-from connectors.mqtt.broker import CA, USER, Broker, Message
+from connectors.mqtt.broker import CA, CERTIFICATE, USER, Broker, Message
 from connectors.web.access import is_loopback
 from operators.batch import ms
 from operators.errors import EndpointError
@@ -44,6 +45,8 @@ async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGene
 def _login(broker: Broker, user: str | None, password: str | None) -> Finding:
     """Return how the client logs in, with a note if its password can be read on the network."""
     who = f"user {user}{' with a password' if password else ''}" if user else "any client"
+    if broker.scheme == "mqtts" and (own := os.environ.get(CERTIFICATE)):
+        return Finding(str(broker), f"admits {who if user else 'this client'} with the certificate {own}")
     if password and broker.scheme == "mqtt" and not is_loopback(broker.host):
         text = f"admits {who}, sent without encryption: set up TLS and write mqtts://"
         return Finding(str(broker), text, "note")

@@ -21,7 +21,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
+from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker, Message
 from operators.errors import EndpointError
 
 T = TypeVar("T")
@@ -36,7 +36,12 @@ INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _CLOSED = "the broker closed the connection"
 _UNREACHABLE = "check the address and the network"
-_HINTS = {  # by text of the system error
+_EXTENSION = "Python 3.13 needs this extension: create the certificates again"
+_HINTS = {  # by text of the error; the first that fits
+    "key usage": _EXTENSION,
+    "Key Identifier": _EXTENSION,
+    "mismatch, certificate is not valid for": "write the host as in the broker's certificate",
+    "CERTIFICATE_VERIFY_FAILED": f"set {CA} to the file of the CA that signed its certificate",
     "Connection refused": "check that the broker runs and that this is its port",
     "Name or service not known": "check the host name",
     "name resolution": "check the host name and the network",
@@ -214,14 +219,14 @@ class Link(aiomqtt.Client):
         text = str(error)
         if isinstance(error, MqttConnectError):
             return f"; check {USER} and {PASSWORD}"
-        if "key usage" in text or "Key Identifier" in text:
-            return "; Python 3.13 needs this extension: create the certificates again"
-        if "CERTIFICATE_VERIFY_FAILED" in text:
-            return f"; set {CA} to the file of the CA that signed its certificate"
+        if hint := next((hint for part, hint in _HINTS.items() if part in text), ""):
+            return f"; {hint}"
+        tls = self._url.startswith("mqtts:")
+        if tls and (text == _CLOSED or "alert" in text):  # after the handshake: the broker has TLS
+            return f"; if it asks for client certificates, set {CERTIFICATE} to one that its CA signed"
         if text == _CLOSED or "SSL" in text or "reset by peer" in text:
-            tls = self._url.startswith("mqtts:")
             return f"; if it uses {'no TLS, write mqtt:// and its port' if tls else 'TLS, write mqtts://'}"
-        return next((f"; {hint}" for part, hint in _HINTS.items() if part in text), "")
+        return ""
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - signature of the base class
         try:
@@ -309,7 +314,7 @@ def _reason(error: BaseException | None) -> str:
         return "closed unexpectedly"
     if text == "timed out":
         return f"no response within {TIMEOUT:g} s"
-    return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] | \(_ssl\.c:\d+\)$", "", text)
+    return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] |\.? \(_ssl\.c:\d+\)$", "", text)
 
 
 def _refusal(code: ReasonCode) -> str:

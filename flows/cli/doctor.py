@@ -25,25 +25,20 @@ def doctor(
     *,
     settings: Settings = None,
     bus: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BUS", help="I2C bus of TakkTile fingertips: a number or a path (default: not checked)."
-        ),
+        str | None, typer.Option(metavar="BUS", help="I2C bus of TakkTile fingertips: a number or a path.")
     ] = None,
     rows: Rows = "0",
-    robot: Annotated[
-        str | None, typer.Option(metavar="HOST", help="Address of a UR controller (default: not checked).")
-    ] = None,
+    robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of a UR controller.")] = None,
     gripper: Annotated[
-        str | None,
-        typer.Option(metavar="HOST[:PORT]", help="Address of a Robotiq gripper (default: not checked)."),
+        str | None, typer.Option(metavar="HOST[:PORT]", help="Address of a Robotiq gripper.")
     ] = None,
-    mqtt: Annotated[
-        str | None, typer.Option(metavar="URL", help="MQTT broker (default: not checked).")
-    ] = None,
+    mqtt: Annotated[str | None, typer.Option(metavar="URL", help="MQTT broker.")] = None,
+    rig: Annotated[
+        str, typer.Option(metavar="SITE/RIG", help="Rig whose rights on the broker are checked, with --mqtt.")
+    ] = "lab/rig",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
     virtual: Annotated[
-        bool, typer.Option("--virtual", help="Check the devices of a virtual lab, which is started for this.")
+        bool, typer.Option("--virtual", help="Check the devices of a virtual lab, which runs meanwhile.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -57,13 +52,18 @@ def doctor(
     Examples:
       slipflow doctor
       slipflow doctor --bus 1 --rows 0,1 --robot 10.0.0.2
+      slipflow doctor --mqtt mqtts://broker.example --rig lab/fingertip
       slipflow doctor mine.py --set robot=10.0.0.2
       slipflow doctor --virtual --json
     """
+    from connectors import Mqtt
     from connectors.emulators.lab_loop import run_lab
 
     parts: dict[str, Endpoint] = _declared(target, settings)
-    parts |= _devices(bus, rows, robot, gripper, mqtt)
+    parts |= _devices(bus, rows, robot, gripper)
+    if mqtt is not None:
+        site, _, name = rig.partition("/")
+        parts["--mqtt"] = Mqtt(mqtt, site, name)
     execute = run_lab if virtual else asyncio.run
     found = execute(_diagnose(parts, out, virtual=virtual))
     bad = sum(finding.state == "bad" for findings in found.values() for finding in findings)
@@ -84,11 +84,9 @@ def _declared(target: str | None, settings: list[str] | None) -> "dict[str, Endp
     return {node.name: node.part for node in nodes if isinstance(node.part, Source | Sink)}
 
 
-def _devices(
-    bus: str | None, rows: str, robot: str | None, gripper: str | None, mqtt: str | None
-) -> "dict[str, Endpoint]":
+def _devices(bus: str | None, rows: str, robot: str | None, gripper: str | None) -> "dict[str, Endpoint]":
     """Return the sources and sinks for the options."""
-    from connectors import Gripper, Mqtt, TakkTile, UrMotion
+    from connectors import Gripper, TakkTile, UrMotion
 
     found: dict[str, Endpoint] = {}
     if bus is not None:
@@ -100,8 +98,6 @@ def _devices(
         if colon and not port.isdigit():
             raise typer.BadParameter(f"--gripper {gripper}: write it as HOST or HOST:PORT")
         found["--gripper"] = Gripper(host, int(port)) if colon else Gripper(gripper)
-    if mqtt is not None:
-        found["--mqtt"] = Mqtt(mqtt)
     return found
 
 

@@ -32,8 +32,8 @@ Log = Annotated[
     Format,
     typer.Option(
         "--log",
-        help="Format of the log: text, or json, which prints slips, failures, and the start and end of the"
-        " run as one JSON object per line.",
+        help="Format of the log. json: print slips, failures, and the start and end of the run as one JSON"
+        " object per line.",
     ),
 ]
 
@@ -94,6 +94,7 @@ class RepeatFilter:
 def begin_log(form: Format = Format.TEXT, stream: TextIO | None = None) -> None:
     """Send log records to stderr as text, or to `stream` (default stdout) as JSON."""
     logging.getLogger("slipflow.compilation").setLevel(logging.INFO)  # the user has to wait for it
+    logging.getLogger("slipflow.models").setLevel(logging.INFO)  # a model is for one task only
     handler: logging.Handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     if form is Format.JSON:

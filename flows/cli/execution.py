@@ -1,6 +1,7 @@
 """Execution of a flow for a command, and the report of its result."""
 
 import json
+import logging
 import sys
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
@@ -15,6 +16,8 @@ from flows.cli.terminal import note, progress_bar
 if TYPE_CHECKING:
     from flows.graph import Flow
     from operators.ports import Recording, Run
+
+models = logging.getLogger("slipflow.models")
 
 
 def separate_result(*, as_json: bool, log: Format) -> AbstractContextManager[object]:
@@ -55,6 +58,7 @@ async def execute(
     from flows.run.stop_signals import signals_to, stopping
 
     begin_log(log)
+    _log_models(flow)
     if recording is not None:
         log_replay_destinations(flow)
     session = session_name(flow)
@@ -72,6 +76,16 @@ async def execute(
     live = LiveRunner(flow, session, clock=clock, duration=limit, signals=False)
     with signals_to(live.stop), logged(live.run):  # the log announces a run that signals already end
         return await live.execute()
+
+
+def _log_models(flow: "Flow") -> None:
+    """Log what each shipped model of a flow is meant for."""
+    from operators.score import Score
+
+    detectors = [node.part.detector for node in flow.nodes if isinstance(node.part, Score)]
+    for purpose in dict.fromkeys(getattr(each, "purpose", "") for each in detectors):
+        if purpose:
+            models.info("model %s", purpose)
 
 
 def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as_json: bool) -> None:

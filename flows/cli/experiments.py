@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from flows.lab.experiments.rivals import Method
     from flows.lab.experiments.study import Experiment, Trials
 
-app = command_group("Run the paper's robot experiments in closed loop, simulated.")
+app = command_group("Run the paper's robot experiments in simulation, closed loop.")
 
 Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
 Seed = Annotated[
@@ -187,9 +187,9 @@ def learn(
     from flows.lab.experiments.grasp_training import Course
     from flows.lab.experiments.grasp_training import learn as train
     from flows.learn.training.learning_curve import Check
-    from flows.report.report_page import make_output_folder
+    from flows.report.report_page import check_output_folder
 
-    make_output_folder(out)
+    check_output_folder(out)
     usual = Course()
     course = replace(
         usual,

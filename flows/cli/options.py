@@ -19,10 +19,7 @@ Methods = Annotated[
     typer.Option("--method", metavar="NAME", help="Include this method only; repeatable (default: all)."),
 ]
 Duration = Annotated[
-    str | None,
-    typer.Option(
-        "--for", metavar="TIME", help="Stop after this time, such as 30s or 5min (default: no limit)."
-    ),
+    str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
 ]
 Target = Annotated[
     str,

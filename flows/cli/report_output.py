@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Labelled dataset with splits.")]
 Budget = Annotated[
-    float, typer.Option(min=0, help="Tune the debounce for at most this many false alarms per static minute.")
+    float, typer.Option(min=0, help="Tune the debounce for this many false alarms per static minute.")
 ]
 ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]
 
@@ -29,12 +29,9 @@ def prepare_report(folder: Path) -> None:
         EndpointError: if the folder cannot be created.
     """
     from flows.report.figures import missing_matplotlib
-    from flows.report.report_page import make_output_folder
+    from flows.report.report_page import check_output_folder
 
-    new = [each for each in (folder, *folder.parents) if not each.exists()]
-    make_output_folder(folder)
-    for each in new:
-        each.rmdir()
+    check_output_folder(folder)
     if reason := missing_matplotlib():
         note(f"the report will have no figures, which {reason}")
 

@@ -42,8 +42,9 @@ def show(
     """Show a recorded session in a browser, and label it by hand.
 
     Scores the recorded touch again. Shows the recorded slip events if there are any, else those found by the
-    detector; a slider changes the threshold. Drag over the curves to zoom, and over the bands below them to
-    mark slip, static or unknown; `slipflow train` and `evaluate` use these labels. Ends at Ctrl-C.
+    detector; for two detectors, those that each finds. A slider changes the threshold. Drag over the curves
+    to zoom, and over the bands below them to mark slip, static or unknown; `slipflow train` and `evaluate`
+    use these labels. Ends at Ctrl-C.
 
     With two sessions or two detectors, the two pages share the selected time, the zoom and the pointer.
 
@@ -61,13 +62,19 @@ def show(
     count = max(len(session), len(detectors))
     if count > _PANES or (len(session) > 1 and len(detectors) not in {1, len(session)}):
         raise typer.BadParameter("give one or two sessions, and one or two detectors")
+    recorded = len(session) > 1 or len(detectors) == 1
     sessions = [Session.open(each) for each in session] * (count if len(session) == 1 else 1)
     detectors *= count if len(detectors) == 1 else 1
-    asyncio.run(_show(sessions, detectors, server, browse=not no_browser))
+    asyncio.run(_show(sessions, detectors, server, recorded=recorded, browse=not no_browser))
 
 
 async def _show(
-    sessions: "Sequence[Session]", detectors: Sequence[str], server: "WebServer", *, browse: bool
+    sessions: "Sequence[Session]",
+    detectors: Sequence[str],
+    server: "WebServer",
+    *,
+    recorded: bool,
+    browse: bool,
 ) -> None:
     from connectors.web.session_requests import session_requests
     from flows.run.stop_signals import signals_to
@@ -75,7 +82,7 @@ async def _show(
     pages: list[SessionPage] = []
     for session, detector in zip(sessions, detectors, strict=True):
         note(f"{session.name}: reading and scoring by {detector}")
-        pages.append(await load(session, detector))
+        pages.append(await load(session, detector, recorded=recorded))
     await server.open(*session_requests(pages))
     announce_page("page, until Ctrl-C", server.url, server.login_url, browse=browse)
     stop = asyncio.Event()
@@ -86,8 +93,13 @@ async def _show(
         await server.close()
 
 
-async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
+async def load(session: "Session", detector: str = "tcn", *, recorded: bool = True) -> "SessionPage":
     """Load the data of a session that the page shows.
+
+    Args:
+        session: Session.
+        detector: Name of a detector or of a file with its weights.
+        recorded: Show the recorded slip events, if there are any, and not those of the detector.
 
     Raises:
         InputError: if the session has no touch, is damaged or too long, or the detector is unknown.
@@ -103,8 +115,8 @@ async def load(session: "Session", detector: str = "tcn") -> "SessionPage":
 
     session.hand_labels()  # an error of its files ends the command before the scoring
     debounce = load_debounce(detector) or Debounce()
-    has_slips = bool(session.fingers(Slips))
-    source = "recorded" if has_slips else f"found by {detector} now, as none were recorded"
+    has_slips = recorded and bool(session.fingers(Slips))
+    source = "recorded" if has_slips else f"found by {detector} now" + ", as none were recorded" * recorded
     about = f"Slip probability: computed now by detector {detector}. Slip events: {source}."
     curves, bands = (
         SessionCurves(rule=debounce, about=about, flow=_flow_name(session), dataset=_dataset_name(session)),

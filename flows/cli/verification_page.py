@@ -92,10 +92,11 @@ def _sessions(found: Verified) -> Section:
         worst = heaviest(findings) if findings else "all present"
         rows.append([name, len(parts), readable, unread, span / s, len(findings), worst])
     broken = [each for each in found.parts if not each.whole]
-    finding = f"All {counted(len(found.parts), 'listed file')} can be read"
+    every = counted(len(found.parts), "listed file")
+    finding = f"{every} can be read" if len(found.parts) == 1 else f"All {every} can be read"
     if broken:
         lost = counted(sum(each.part.rows for each in broken), "row")
-        finding = f"{len(broken):,} of {counted(len(found.parts), 'listed file')} cannot be read: {lost}"
+        finding = f"{len(broken):,} of {every} cannot be read: {lost}"
     head = ["session", "files", "rows", "unreadable rows", "span, s", "findings", "worst"]
     text = "The span is the time from the first to the last row."
     return Section("sessions", finding, text, [Table(head, rows)])

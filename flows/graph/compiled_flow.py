@@ -122,6 +122,7 @@ class CompiledFlow:
 
     Raises:
         FlowError: if the flow is wired wrongly.
+        OperatorError: if an operator cannot be copied or prepared.
     """
 
     def __init__(
@@ -177,7 +178,7 @@ class CompiledFlow:
 
         Raises:
             BatchError: if a source yields a fingertip that it does not declare.
-            OperatorError: if an operator fails or returns a type that it does not declare.
+            OperatorError: if an operator fails or returns another type than it declares.
         """
         values: dict[int, Batch] = {}
         deliveries: list[Delivery] = []
@@ -212,7 +213,7 @@ class CompiledFlow:
         try:  # what operators share is in the pickle once
             return pickle.dumps((operators, [*self.late_filters.values()]), pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise self._failure(next(filter(_fails_to_pickle, self.stages)), error) from error
+            raise self._failure(next(filter(_fails_to_pickle, self.stages)).node, error) from error
 
     def restore(self, snapshot: bytes) -> None:
         """Restore the state from a snapshot of the same flow; it is a pickle, so load only trusted ones."""
@@ -234,27 +235,32 @@ class CompiledFlow:
             try:
                 out = step(stage, values)
             except Exception as error:
-                raise self._failure(stage, error) from error
+                raise self._failure(stage.node, error) from error
             if out is not None:
                 values[stage.index] = out
                 if stage.delivers:
                     deliveries.append((stage.node, out))
         return deliveries
 
-    def _failure(self, stage: Stage, error: Exception) -> OperatorError:
+    def _failure(self, node: Node, error: Exception) -> OperatorError:
         reason = str(error)
         if not isinstance(error, SlipflowError):
             reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
-        reason += "" if stage.tested else location(stage.operator, error)
-        return OperatorError(self._flow, stage.node.name, reason)
+        reason += "" if _is_tested(node) else location(node.part, error)
+        return OperatorError(self._flow, node.name, reason)
 
     def _stage(self, node: Node, finger: int, *, delivers: bool) -> Stage:
         inputs = tuple(
             self._indices[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
         )
         index = self._indices[node, finger] = len(self._indices)
-        operator = cast("Operator[Any, Any] | Join[Any, Any, Any]", node.part).reset_copy()
-        operator.prepare()
+        try:
+            operator = cast("Operator[Any, Any] | Join[Any, Any, Any]", node.part).reset_copy()
+            operator.prepare()
+        except SlipflowError:
+            raise
+        except Exception as error:
+            raise self._failure(node, error) from error
         return Stage(index, node, finger, inputs, operator, delivers)
 
     def _downstream(self, index: int) -> list[Stage]:

@@ -5,17 +5,24 @@ Building a flow runs nothing. Runners execute it any number of times, each time 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 from flows.graph.drawing import text
 from flows.graph.node import Node, Part
 from operators.batch import Batch
+from operators.errors import FlowError
 from operators.operator import Join, Operator
 from operators.ports import Sink, Source
 
 B = TypeVar("B", bound=Batch, covariant=True)
 C = TypeVar("C", bound=Batch, covariant=True)
 Out = TypeVar("Out", bound=Batch)
+_USES: Final[dict[type, tuple[str, str]]] = {  # kinds of parts: base class, and how a flow takes them
+    Source: ("Source[Out]", "flow.source({}())"),
+    Operator: ("Operator[In, Out]", "stream | {}()"),
+    Join: ("Join[Left, Right, Out]", "left & right | {}()"),
+    Sink: ("Sink[In]", "stream.to({}())"),
+}
 
 
 class Flow:
@@ -40,6 +47,7 @@ class Flow:
 
     def source(self, source: Source[Out], name: str = "") -> "Stream[Out]":
         """Add a source and return its stream; `name` defaults to the batch type in lower case."""
+        _check_part(self, Source, source)
         return Stream(self, self.add(name or source.kind.__name__.lower(), source))
 
     def sources(self) -> list[Node]:
@@ -74,6 +82,7 @@ class Flow:
 
     def add_sink(self, sink: Sink[Any], stream: Node) -> None:
         """Connect a stream to a new or an existing sink; `Stream.to` calls this."""
+        _check_part(self, Sink, sink, stream)
         for node in self.sinks():
             if node.part is sink:
                 node.inputs.append(stream)
@@ -90,6 +99,7 @@ class Stream(Generic[B]):
 
     def __or__(self, operator: Operator[B, Out]) -> "Stream[Out]":
         """Apply an operator to this stream."""
+        _check_part(self.flow, Operator, operator, self.node)
         return Stream(self.flow, self.flow.add(type(operator).__name__, operator, self.node))
 
     def __and__(self, other: "Stream[C]") -> "Pair[B, C]":
@@ -110,5 +120,20 @@ class Pair(Generic[B, C]):
 
     def __or__(self, join: Join[B, C, Out]) -> Stream[Out]:
         """Join the two streams."""
-        flow = self.left.flow
-        return Stream(flow, flow.add(type(join).__name__, join, self.left.node, self.right.node))
+        flow, inputs = self.left.flow, (self.left.node, self.right.node)
+        _check_part(flow, Join, join, *inputs)
+        return Stream(flow, flow.add(type(join).__name__, join, *inputs))
+
+
+def _check_part(flow: Flow, kind: type, part: object, *inputs: Node) -> None:
+    """Raise an error if a part is not of the kind that its position in the flow requires."""
+    if isinstance(part, kind):
+        return
+    name = getattr(part, "__name__", type(part).__name__)
+    edge = " -> ".join(filter(None, [" & ".join(each.name for each in inputs), name]))
+    reason = f"{name} is not of type {kind.__name__}: derive its class from {_USES[kind][0]}"
+    if isinstance(part, type) and issubclass(part, tuple(_USES)):
+        reason = f"{name} is a class: write {name}()"
+    elif other := next((each for each in _USES if isinstance(part, each)), None):
+        reason = f"{name} is of type {other.__name__}: write {_USES[other][1].format(name)}"
+    raise FlowError(flow.name, edge, reason)

@@ -103,6 +103,18 @@ def load(target: str) -> Declaration:
     return found[name or next(iter(found))]
 
 
+def loaded_modules(file: Path) -> Mapping[Path, Path]:
+    """Return the files of the loaded modules next to a flow file, by their paths relative to its folder."""
+    folder, found = file.resolve().parent, dict[Path, Path]()
+    for name, module in [*sys.modules.items()]:
+        path = Path(getattr(module, "__file__", None) or "").resolve()
+        module_path = Path(*name.split("."))
+        for relative in (module_path.with_suffix(".py"), module_path / "__init__.py"):
+            if path == folder / relative and folder / relative.parts[0] not in _PACKAGES:
+                found[relative] = path
+    return found
+
+
 def _imported(file: Path) -> types.ModuleType:
     """Execute a flow file, which can import the modules of its folder."""
     folder = file.resolve().parent

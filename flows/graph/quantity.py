@@ -36,7 +36,12 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         ),
         "m": Kind("a length", {"mm": "1/1000", "cm": "1/100", "m": "1"}, "1.5mm or 0.0015m"),
         "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
-        "B": Kind("a size", {"MB": "1000000", "GB": "1000000000", "TB": "1000000000000"}, "500MB or 200GB"),
+        "B": Kind(
+            "a size",
+            {f"{prefix}B": str(1000**n) for n, prefix in enumerate("KMGT", 1)}
+            | {f"{prefix}iB": str(1024**n) for n, prefix in enumerate("KMGT", 1)},
+            "500KB, 500MB, 200GB or 1TiB",
+        ),
         "N": Kind("a force", {"N": "1"}, "2N or 0.5N"),
         "1/ns": Kind(
             "a rate",
@@ -47,6 +52,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     }
 )
 
+_EXPONENT: Final = 1e15  # from which the format g writes one, which is not parsed
 _LONGEST: Final = 40  # characters; longer text is not a number
 
 
@@ -102,5 +108,7 @@ def format_quantity(value: float, unit: str) -> str:
     exact, found = Fraction(str(value)), list[str]()
     for name, factor in KINDS[unit].units.items():
         if abs(exact) >= Fraction(factor):
-            found.append(f"{float(exact / Fraction(factor)):.15g}{name}")
+            number = float(exact / Fraction(factor))
+            digits = ".15g" if abs(number) < _EXPONENT else ".0f"
+            found.append(f"{number:{digits}}{name}")
     return min(reversed(found), key=len, default=f"{value:g}{unit}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import fields
+from inspect import signature
 from typing import Any, Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from flows.graph.node import Node, consumers
 from operators.batch import Batch
 from operators.debounce import Debounce
 from operators.errors import FlowError
-from operators.operator import Join, Operator, input_types, output_type
+from operators.operator import Join, Operator, Step, input_types, output_type
 from operators.ports import Sink, Source
 from operators.score import Score
 from operators.zero import Zero
@@ -20,17 +21,21 @@ from operators.zero import Zero
 _CHAIN: Final[tuple[type[Operator[Any, Any]], ...]] = (Zero, Score, Debounce)
 
 
-def validate(flow: Flow) -> None:
+def validate(flow: Flow, *, fingertips: bool = True) -> None:
     """Raise the first problem of a flow, if there is one.
+
+    Args:
+        flow: Flow to check.
+        fingertips: Check that the fingertips of the sources fit; a replay replaces the sources.
 
     Raises:
         FlowError: naming the edge, the mistake and the fix.
     """
-    for problem in problems(flow):
+    for problem in problems(flow, fingertips=fingertips):
         raise problem
 
 
-def problems(flow: Flow) -> list[FlowError]:
+def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
     """Return all problems of a flow; types and destinations are checked only if the structure is valid."""
     structure = [
         *_no_source(flow),
@@ -38,12 +43,13 @@ def problems(flow: Flow) -> list[FlowError]:
         *_unconnected(flow),
         *_shared_parts(flow),
         *_shared_state(flow),
+        *_lost_parameters(flow),
     ]
     return structure or [
         *_wrong_types(flow),
         *_shared_destinations(flow),
         *_duplicate_streams(flow),
-        *trace_fingertips(flow.name, flow.nodes)[1],
+        *(trace_fingertips(flow.name, flow.nodes)[1] if fingertips else ()),
     ]
 
 
@@ -100,6 +106,16 @@ def _shared_state(flow: Flow) -> Iterator[FlowError]:
                 if f.init and isinstance(getattr(node.part, f.name), list | dict | set | np.ndarray):
                     reason = f"{f.name} would be shared by all runs: use a tuple, or init=False for state"
                     yield FlowError(flow.name, node.name, reason)
+
+
+def _lost_parameters(flow: Flow) -> Iterator[FlowError]:
+    """Find arguments that a copy of an operator for a run would not get."""
+    for node in flow.nodes:
+        if isinstance(node.part, Operator | Join) and type(node.part).reset_copy is Step.reset_copy:
+            kept = {f.name for f in fields(node.part) if f.init}
+            for lost in signature(type(node.part)).parameters.keys() - kept:
+                reason = f"{lost} would be lost: make it a field of a @dataclass, which needs no __init__"
+                yield FlowError(flow.name, node.name, reason)
 
 
 def _wrong_types(flow: Flow) -> Iterator[FlowError]:

@@ -10,7 +10,7 @@ from operators import Debounce, s
 from operators.batch import Times
 
 WARM_UP: Final = 99  # samples; the longest window of the detectors has 100
-_USUAL: Final = 100.0  # Hz, rate that settings of a debounce are written for
+_RATE: Final = 100.0  # Hz, that settings of a debounce and features are written for
 _MEASURED: Final = 1e-3  # largest relative error of a measured rate
 
 
@@ -22,7 +22,7 @@ class Sampling:
     (5000000, 199, 4)
     """
 
-    rate: float = _USUAL  # Hz
+    rate: float = _RATE  # Hz
 
     @classmethod
     def measured(cls, rate: float) -> Self:
@@ -58,10 +58,13 @@ class Sampling:
 
     def scaled(self, usual: int) -> int:
         """Return the number of samples that last as long as `usual` ones at 100 Hz; below 100 Hz `usual`."""
-        return round(usual * max(self.rate / _USUAL, 1))
+        return round(usual * max(self.rate / _RATE, 1))
 
     def rule(self, usual: Debounce) -> Debounce:
         """Return a debounce that takes as long as `usual` does at 100 Hz; below 100 Hz as many decisions."""
         return Debounce(
             usual.threshold, self.scaled(usual.consecutive), self.scaled(usual.release), usual.minimum
         )
+
+
+USUAL: Final = Sampling()

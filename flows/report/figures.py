@@ -30,6 +30,9 @@ CELLS: Final = tuple(map(light, ("main", "amber", "green", "magenta", "violet", 
 WIDTH: Final = 11.0  # inches, the most that fits on a page
 _TEXT: Final = 9  # points, of all text in figures
 _TEXT_PX: Final = 13  # the same on a page
+_SMALLEST: Final = 0.8  # scale of a figure on a small screen, as in the style sheet; less is not readable
+_PHONE_PX: Final = 340  # width for a figure on a phone
+_SIDEWAYS: Final = "The figure is wider than this screen: scroll it sideways."
 _ROW_GAP: Final = 0.08  # inches above and below each panel
 _LINE: Final = 12.0  # points from one name of a point to the next
 _LETTER: Final = 5.4  # points, width
@@ -166,9 +169,10 @@ def svg(figure: Figure) -> str:
 
 
 def inline(drawn: str, name: str, text: str) -> str:
-    """Return an SVG file as an element of an HTML page, without prolog and external references.
+    """Return an SVG file as elements of an HTML page, without prolog and external references.
 
-    Its colours are variables of the page. Its text has the same size in all figures.
+    Its colours are variables of the page. Its text has the same size in all figures. On a phone it scrolls
+    sideways if it is wide, and a line says so.
 
     Args:
         drawn: Text of the file.
@@ -182,10 +186,10 @@ def inline(drawn: str, name: str, text: str) -> str:
     size = re.search(r'viewBox="0 0 ([0-9.]+) [^"]+"', head)
     assert size, "matplotlib writes the size of a figure"
     width = float(size[1]) * _TEXT_PX / _TEXT
-    start = (
-        f'<svg {size[0]} style="--width: {width:.0f}px" role="img" aria-label="{escape(plain_text(text))}">'
-    )
-    return f"{start}{with_variables(body)}"
+    label = escape(plain_text(text))
+    start = f'<svg {size[0]} style="--width: {width:.0f}px" role="img" aria-label="{label}">'
+    hint = f'<p class="sideways">{_SIDEWAYS}</p>\n' if _SMALLEST * width > _PHONE_PX else ""
+    return f'{hint}<div class="scroll" tabindex="0">{start}{with_variables(body)}</div>'
 
 
 def _style() -> AbstractContextManager[None]:

@@ -5,6 +5,7 @@ from html import escape
 from typing import Final
 
 _CODE: Final = re.compile(r"`([^`]+)`")
+_UNIT: Final = re.compile(r"\b[cm]?m/s\b")  # a line must not end in it
 
 
 def html_text(text: str) -> str:
@@ -13,7 +14,7 @@ def html_text(text: str) -> str:
     >>> html_text("use `slipflow verify`, if a < b")
     'use <code>slipflow verify</code>, if a &lt; b'
     """
-    return _CODE.sub(r"<code>\1</code>", escape(text))
+    return _UNIT.sub(r'<span class="unit">\g<0></span>', _CODE.sub(r"<code>\1</code>", escape(text)))
 
 
 def plain_text(text: str) -> str:

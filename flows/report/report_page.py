@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -37,9 +38,7 @@ class Section:
         """Return the section as an HTML element."""
         parts = [f"<h2>{html_text(self.finding)}</h2>", f"<p>{html_text(self.text)}</p>"]
         if self.svg:
-            parts.append(
-                f'<div class="scroll" tabindex="0">{inline(self.svg, self.name, self.finding)}</div>'
-            )
+            parts.append(inline(self.svg, self.name, self.finding))
         body = "\n".join([*parts, *(table.html() for table in self.tables)])
         return f'<section id="{self.name}">\n{body}\n</section>'
 
@@ -124,7 +123,7 @@ class Report:
 
 
 def make_output_folder(folder: Path) -> None:
-    """Create the folder that results are written to; call it before a long measurement.
+    """Create the folder that results are written to.
 
     Raises:
         EndpointError: if it cannot be created.
@@ -133,6 +132,19 @@ def make_output_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be created: {os_error_reason(error)}") from error
+
+
+def check_output_folder(folder: Path) -> None:
+    """Check before a long measurement that a folder exists or can be created; leave none behind.
+
+    Raises:
+        EndpointError: if it cannot be created.
+    """
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    make_output_folder(folder)
+    with suppress(OSError):  # another process has written to it
+        for each in missing:
+            each.rmdir()
 
 
 def _figure_file(page: str, section: Section) -> str:

@@ -12,7 +12,7 @@ from flows.report.markup import html_text, plain_text
 Value: TypeAlias = str | float | int | None  # None, NaN and infinity: unknown
 UNKNOWN: Final = "-"  # unknown values in tables
 _PHONE: Final = 48  # characters; a wider table is shown as a list on a phone
-_BREAK: Final = re.compile(r"\s|(?<=[_/])")  # places where a line may end
+_BREAK: Final = re.compile(r"\s|(?<=_)|(?<=/)(?=\w{3})")  # places where a line may end; not in cm/s
 _LARGE: Final = 999.5  # numbers from here on have no exponent
 _GAP: Final = 1  # character between columns
 
@@ -94,8 +94,8 @@ class Table:
 
 
 def _breakable(text: str) -> str:
-    """Return a text as HTML whose lines may also end after an underscore or a slash."""
-    return re.sub(r"(?<=\w)([_/])(?=\w)", r"\1<wbr>", html_text(text))
+    """Return a text as HTML whose lines may also end after an underscore, or a slash before a word."""
+    return re.sub(r"(?<=\w)(_(?=\w)|/(?=\w{3}))", r"\1<wbr>", html_text(text))
 
 
 def show(value: Value, decimals: int | None = 1) -> str:
@@ -113,6 +113,15 @@ def show(value: Value, decimals: int | None = 1) -> str:
     if decimals is None:
         return f"{value:.3g}" if abs(value) < _LARGE else f"{value:,.0f}"
     return f"{value:.{decimals}f}"
+
+
+def quantity(value: float, unit: str = "", decimals: int = 1) -> str:
+    """Return a number with its unit as part of a sentence.
+
+    >>> quantity(93.14, "%"), quantity(30.0, "ms", 0), quantity(float("nan"), "%")
+    ('93.1 %', '30 ms', 'unknown')
+    """
+    return f"{value:.{decimals}f} {unit}".rstrip() if isfinite(value) else "unknown"
 
 
 def _is_text(cells: Sequence[Value]) -> bool:

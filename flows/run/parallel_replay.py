@@ -42,7 +42,7 @@ class Replays:
     Args:
         target: Flow, as `flows.graph.loading.load` takes it.
         settings: Parameters of the flow, as text.
-        recordings: Sessions or traces; `recordings` finds those of datasets.
+        recordings: Sessions or CSV traces; `recordings` finds those of datasets.
         session: Prefix of the session names; a number follows.
     """
 
@@ -125,7 +125,7 @@ class Replays:
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the sessions and traces in `paths`; a dataset is replaced by all of its sessions, sorted.
+    """Return the sessions and CSV traces in `paths`; a dataset is replaced by all of its sessions, sorted.
 
     Raises:
         InputError: if a dataset has no session.
@@ -137,18 +137,21 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
         elif names := session_names(path):
             found += [session_folder(path, name) for name in names]
         else:
-            raise InputError(str(path), "has no session: give a dataset, a session's folder, or a trace")
+            raise InputError(str(path), "has no session: give a dataset, a session's folder, or a CSV trace")
     return found
 
 
 def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
     """Check that a flow is valid and does not record into a dataset that it replays.
 
+    The fingertips of its sources are checked for a live run only: a replay has those of its recordings.
+
     Raises:
         FlowError: if the flow is wired wrongly.
         InputError: if a recording is in the dataset of a sink.
     """
-    validate(flow)
+    paths = list(paths)
+    validate(flow, fingertips=not paths)
     written = {Path(node.part.destination) for node in flow.sinks() if isinstance(node.part, Dataset)}
     for path in paths:
         if written & set(path.resolve().parents):

@@ -32,6 +32,7 @@ class Psd:
         cutoff: Frequency above which power counts, Hz.
         threshold: Power at probability 0.5, counts^2.
         rate: Sample rate, Hz.
+        fingertip: Fingertip that the threshold was fitted to; None: one in counts.
 
     Raises:
         ParameterError: if a parameter is invalid, such as a `cutoff` above the highest bin.
@@ -44,6 +45,7 @@ class Psd:
     cutoff: float = 10.0
     threshold: float = 1000.0
     rate: float = 100.0
+    fingertip: Fingertip | None = None
     name = "psd"
 
     def __post_init__(self) -> None:
@@ -57,12 +59,14 @@ class Psd:
         _transform(self.length, self.cutoff / self.rate)  # compute it before the first score
 
     def check_fingertip(self, given: Fingertip) -> None:
-        """Check that data has the rate of this detector, in counts; any number of cells.
+        """Check that data has the rate and the unit of this detector; any number of cells.
 
         Raises:
             FingertipError: if it has not; it names the operators that convert it.
         """
-        replace(TAKKTILE, rate=self.rate, range=None).check_fits(self.name, given, any_cells=True)
+        replace(self.fingertip or TAKKTILE, rate=self.rate, range=None).check_fits(
+            self.name, given, any_cells=True
+        )
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""

@@ -89,18 +89,20 @@ def _dense_layer(  # noqa: PLR0917 - a compiled function takes no keywords
     memory: Floats, run: int, weights: Floats, layers: Times, layer: int, least: np.float32
 ) -> None:
     """Compute a dense layer of a head for the inputs from `run` on; no output is below `least`."""
-    # unsigned: an index that may be negative is checked each time; slices count references
-    inputs, outputs = np.uintp(layers[layer, _CHANNELS]), np.uintp(layers[layer + 1, _CHANNELS])
-    kernel, result = np.uintp(layers[layer, _KERNEL]), np.uintp(layers[layer + 1, _RINGS])
-    bias, first = kernel + inputs * outputs, np.uintp(run)
-    for output in range(outputs):
-        memory[result + output] = weights[bias + output]
-    for i in range(inputs):
-        row, value = kernel + i * outputs, memory[first + i]
-        for output in range(outputs):
-            memory[result + output] += value * weights[row + output]
-    for output in range(outputs):
-        memory[result + output] = max(memory[result + output], least)
+    reach, outputs = layers[layer, _CHANNELS], layers[layer + 1, _CHANNELS]
+    kernel, result = layers[layer, _KERNEL], layers[layer + 1, _RINGS]
+    bias, inputs = kernel + outputs * reach, memory[run : run + reach]
+    for output in range(0, outputs, _TOGETHER):
+        row = kernel + output * reach
+        four = _products(
+            weights[row : row + reach],
+            weights[row + reach : row + 2 * reach],
+            weights[row + 2 * reach : row + 3 * reach],
+            weights[row + 3 * reach : row + 4 * reach],
+            inputs,
+        )
+        for i in range(_TOGETHER):
+            memory[result + output + i] = max(four[i] + weights[bias + output + i], least)
 
 
 @compile_function(fastmath=_VECTORIZED)
@@ -233,11 +235,8 @@ class _Packing:
     def __init__(self, size: int) -> None:
         self.rows, self.weights, self.size = list[list[int]](), list[Floats](), size
 
-    def add(self, layers: Sequence[CausalLayer], order: Sequence[int] = (2, 0, 1)) -> None:
-        """Append layers of which each reads the outputs of the previous one, and a row for the last outputs.
-
-        Kernels (taps, inputs, outputs) are stored with their axes in this order.
-        """
+    def add(self, layers: Sequence[CausalLayer]) -> None:
+        """Append layers of which each reads the outputs of the one before, and a row for the last outputs."""
         rounded = 0
         for layer in layers:
             taps, inputs, outputs = layer.kernel.shape
@@ -247,7 +246,7 @@ class _Packing:
             self.rows.append(
                 [taps, channels, layer.dilation, self.size, sum(map(len, self.weights)), layer.skip]
             )
-            self.weights += [kernel.transpose(order).ravel(), bias]
+            self.weights += [kernel.transpose(2, 0, 1).ravel(), bias]
             self.size += layer.dilation * 2 * taps * channels
         self.rows.append([1, rounded, 1, self.size, 0, 0])
         self.size += 2 * rounded
@@ -264,9 +263,9 @@ def _packed(
     packing.weights += [scales, *(np.arcsinh(whole / scale) for scale in scales)]
     packing.add(layers)
     if heads:
-        packing.add(heads.velocity or [_MISSING] * 3, (0, 1, 2))
+        packing.add(heads.velocity or [_MISSING] * 3)
         familiar = heads.familiarity
-        packing.add([_MISSING if familiar is None else familiar.whitening_layer], (0, 1, 2))
+        packing.add([_MISSING if familiar is None else familiar.whitening_layer])
         if familiar is not None:
             packing.rows[-2][_DILATION] = 1 + sum((len(each.kernel) - 1) * each.dilation for each in layers)
             mean = np.zeros(packing.rows[-2][_CHANNELS], np.float32)

@@ -19,10 +19,12 @@ class ForOneFingertip:
 
     Attributes:
         fingertip: Cells, rate and unit of that data.
+        purpose: Name of the model and what it is meant for; empty: unknown.
     """
 
     name: str
     fingertip: Fingertip = TAKKTILE
+    purpose: str = ""
 
     def check_fingertip(self, given: Fingertip) -> None:
         """Check that data of the fingertip `given` is like that in training.

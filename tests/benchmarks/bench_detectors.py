@@ -10,6 +10,7 @@ it. All variants take turns, so that a change of the machine's speed hits all of
 
 import argparse
 import gc
+import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -167,6 +168,7 @@ def main() -> None:
     print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
     versions = f"numpy {np.__version__}, torch {torch.__version__}"
     print(f"{machine()}, {versions}")
+    print(f"load {os.getloadavg()[0]:.1f} at the end")
     print(f"{'us per sample, by filters':46}" + "".join(f"{filters:9}" for filters in options.filters))
     for name in dict.fromkeys(name for name, filters in cost if filters):
         medians = [statistics.median(cost[name, filters]) for filters in options.filters]

@@ -1,4 +1,4 @@
-"""How far the live page is behind, and what browsers cost that stop reading; with --figures, how it looks.
+"""How far the live page is behind, and what browsers cost that stop reading.
 
 Run by `make bench`. A process of its own runs the demo's flow on the simulated rig, in real time, and serves
 its page; headless Chromium looks at it. Lag is from the time of the newest sample in a frame to the frame's
@@ -19,9 +19,8 @@ import tempfile
 import time
 from collections.abc import Generator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -43,12 +42,6 @@ NOTE = """
 window.lags = [];
 document.addEventListener("frame", ({ detail }) => window.lags.push(detail.received - detail.newest));
 """
-Scheme: TypeAlias = Literal["light", "dark"]
-FIGURES: Final[tuple[tuple[str, int, int, Scheme, bool], ...]] = (  # width and height, px; whether it slips
-    ("light", 1280, 1040, "light", True),
-    ("dark", 1280, 1040, "dark", False),
-    ("phone", 390, 844, "light", True),
-)
 
 
 @contextmanager
@@ -134,33 +127,6 @@ def memory(processes: Sequence[int], port: int, seconds: float) -> tuple[list[li
     return used, dropped
 
 
-def caught(tab: "Page", *, slips: bool, full: bool) -> bytes:
-    """A picture of the page that was in one state all the while."""
-    while True:
-        for state in (not slips, slips):  # just when it changes
-            tab.wait_for_selector(f"#state[data-slip={str(state).lower()}]")
-        tab.wait_for_timeout(150)  # the figures follow
-        png = tab.screenshot(full_page=full)
-        if tab.locator(f"#state[data-slip={str(slips).lower()}]").count():
-            return png
-
-
-def figures(browser: "Browser", address: str, folder: Path) -> None:
-    """Write how the page looks."""
-    from PIL import Image  # noqa: PLC0415 - comes with the report's dependencies
-
-    for name, width, height, scheme, slips in FIGURES:
-        context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
-        tab = context.new_page()
-        tab.goto(address)
-        tab.wait_for_timeout(1000 * (WARM if name == "light" else 2))
-        png = caught(tab, slips=slips, full=name == "phone")
-        with Image.open(BytesIO(png)) as image:
-            few = image.convert("RGB").quantize(256, kmeans=3, dither=Image.Dither.NONE)
-            few.save(folder / f"page-{name}.png", optimize=True)
-        context.close()
-
-
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -168,14 +134,9 @@ def main() -> None:
     parser.add_argument("--without", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, default=20.0, help="of lag")
     parser.add_argument("--memory", type=float, default=600.0, help="seconds with clients that never read")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="write how the page looks instead")
     options = parser.parse_args()
     if options.serve:
         asyncio.run(serve(page=not options.without))
-        return
-    if options.figures:
-        with real_time_priority(), demo() as (_, address), chromium() as browser:
-            figures(browser, address, options.figures)
         return
     machine = platform.processor() or platform.machine()
     print(f"commit {commit()}, {machine}, {os.cpu_count()} cores")

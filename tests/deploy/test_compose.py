@@ -1,3 +1,4 @@
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -6,11 +7,12 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from connectors.mqtt.broker import CA, CERTIFICATE
 from flows.graph.loading import load
 from flows.graph.validation import problems
 from tests.deploy.shipped import DEPLOY
 
-FILES = ("compose.yaml", "compose.fingertip.yaml")
+FILES = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml")
 
 
 def read(name: str) -> Any:  # noqa: ANN401 - YAML
@@ -38,13 +40,16 @@ def test_the_schema_rejects_a_misspelt_key(tmp_path: Path) -> None:
     assert "stop_grace_time" in done.stdout
 
 
-@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("name", FILES[:2])
 def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
     run, file, *settings = read(name)["services"]["recorder"]["command"]
     assert (run, file) == ("run", "/opt/slipflow/fingertip.py")
     assert {"--metrics=0.0.0.0:9464", "--log=json"} <= set(settings)
     settings = [each for each in settings if each.startswith("--set=")]
     values = dict(setting.removeprefix("--set=").split("=", 1) for setting in settings)
+    values["broker"] = re.sub(
+        r"\$\{\w+:-(.*)\}", r"\1", values["broker"]
+    )  # as compose does without the variable
     flow = load(str(DEPLOY / "fingertip.py")).flow(values)
     assert problems(flow) == []
     assert {"Mqtt", "Dataset"} <= {type(node.part).__name__ for node in flow.sinks()}
@@ -67,6 +72,21 @@ def test_mounted_files_are_shipped_or_passwords() -> None:
     missing = {source for source in {*sources, *secrets} if not (DEPLOY / source).exists()}
     assert missing <= {"./mosquitto/passwords", "./mosquitto/fingertip.password", "./metrics.token"}
     assert {"./mosquitto/mosquitto.conf", "./mosquitto/acl"} <= sources
+
+
+def test_the_certificates_reach_broker_and_recorder() -> None:
+    compose, page = read("compose.tls.yaml"), (DEPLOY.parent / "docs" / "how-to" / "deploy.md").read_text()
+    assert "export BROKER=mqtts://broker\n" in page
+    mounted = dict(mount.split(":")[:2] for mount in compose["services"]["broker"]["volumes"])
+    tls = (DEPLOY / "mosquitto" / "tls.conf").read_text()
+    for place in re.findall(r"^\w+file (\S+)$", tls, re.MULTILINE):
+        assert place in mounted.values()
+    environment = compose["services"]["recorder"]["environment"]
+    assert environment == {CA: "/run/secrets/ca", CERTIFICATE: "/run/secrets/certificate"}
+    files = {*mounted, *(secret["file"] for secret in compose["secrets"].values())}
+    ignored = (DEPLOY / ".gitignore").read_text().split()
+    for file in files:
+        assert any(file.startswith(f".{each}") for each in ignored), file
 
 
 def test_mounts_match_the_brokers_configuration() -> None:

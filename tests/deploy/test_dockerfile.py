@@ -51,6 +51,11 @@ def test_the_last_stage_installs_nothing_and_runs_unprivileged() -> None:
     assert LAST.index(users[0]) < next(n for n, step in enumerate(LAST) if step.startswith("ENTRYPOINT"))
 
 
+def test_a_plain_container_serves_metrics_and_logs_json() -> None:
+    [command] = [json.loads(step.removeprefix("CMD")) for step in LAST if step.startswith("CMD")]
+    assert command == ["run", "/opt/slipflow/fingertip.py", "--metrics=9464", "--log=json"]
+
+
 def test_state_is_writable_in_a_read_only_image() -> None:
     [volumes] = [json.loads(step.removeprefix("VOLUME")) for step in LAST if step.startswith("VOLUME")]
     environment = " ".join(step for step in LAST if step.startswith("ENV"))

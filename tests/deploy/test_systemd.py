@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from connectors.mqtt.broker import PASSWORD_FILE
+from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD_FILE
 from flows.graph.loading import load
 from flows.graph.validation import problems
 from flows.run.live_runner import CHECK_INTERVAL
@@ -18,9 +18,14 @@ PROGRAM = "/opt/slipflow/bin/slipflow"  # where an operator installs it
 EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
 
 
-def verify(folder: Path, text: str) -> str:
+TLS = (DEPLOY / "systemd" / "tls.conf").read_text()
+
+
+def verify(folder: Path, text: str, tls: str = "") -> str:
     """Return the output of systemd-analyze, which exits with 0 even if a value is wrong."""
     unit = folder / "slipflow.service"
+    (folder / "slipflow.service.d").mkdir()
+    (folder / "slipflow.service.d" / "tls.conf").write_text(tls)
     unit.write_text(text.replace(PROGRAM, str(Path(sys.executable).with_name("slipflow"))))
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", unit], capture_output=True, text=True, check=False
@@ -31,6 +36,16 @@ def verify(folder: Path, text: str) -> str:
 def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     assert PROGRAM in TEXT
     assert verify(tmp_path, TEXT) == ""
+
+
+def test_systemd_accepts_the_unit_with_a_client_certificate(tmp_path: Path) -> None:
+    assert verify(tmp_path, TEXT, TLS) == ""
+
+
+def test_systemd_reports_a_mistake_in_the_settings_of_tls(tmp_path: Path) -> None:
+    assert "tls.conf:" in verify(
+        tmp_path, TEXT, TLS.replace("LoadCredential=ca.crt", "LoadCredentials=ca.crt")
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,6 +95,16 @@ def test_it_notifies_systemd_and_serves_metrics() -> None:
 def test_the_password_reaches_the_sink_as_a_credential() -> None:
     [source] = re.findall(r"^LoadCredential=(\S+):/etc/slipflow/mqtt-password$", TEXT, re.MULTILINE)
     assert f"\nEnvironment={PASSWORD_FILE}=%d/{source}\n" in TEXT
+
+
+def test_the_certificates_reach_the_sink_as_credentials() -> None:
+    loaded = dict(re.findall(r"^LoadCredential=(\S+):(\S+)$", TLS, re.MULTILINE))
+    [environment] = re.findall(r"^Environment=(.*)$", TLS, re.MULTILINE)
+    named = dict(word.split("=%d/") for word in environment.split())
+    assert named == {CA: "ca.crt", CERTIFICATE: "client.pem"}
+    for place in (loaded.pop(name) for name in named.values()):
+        assert re.search(rf"^    sudo install -m 600 certificates/\S+ {place}$", PAGE, re.MULTILINE)
+    assert not loaded
 
 
 def test_the_shipped_settings_match_the_shipped_flow() -> None:

@@ -1,4 +1,6 @@
+import os
 import re
+import sys
 import tomllib
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,9 +35,29 @@ def from_clone(_: str) -> object:
 def test_the_install_command_fits_a_wheel_or_a_clone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "distribution", from_wheel)
     assert install_command("gripper") == "pip install 'slipflow[gripper]'"
-    assert install_command("ur") == "pip install 'slipflow[ur]' (x86-64 Linux, Python 3.11 or 3.12)"
     monkeypatch.setattr(extras, "distribution", from_clone)
     assert install_command("gripper") == "in the clone, pip install -e '.[gripper]'"
+
+
+@pytest.mark.parametrize(
+    ("machine", "python", "told"),
+    [
+        ("x86_64", (3, 12), "pip install 'slipflow[ur]'"),
+        ("x86_64", (3, 13), "no release for Python 3.13 on x86_64: use Python 3.11 or 3.12 on x86_64 Linux"),
+        (
+            "aarch64",
+            (3, 11),
+            "no release for Python 3.11 on aarch64: use Python 3.11 or 3.12 on x86_64 Linux",
+        ),
+    ],
+)
+def test_no_command_is_given_where_an_extra_has_no_packages(
+    monkeypatch: pytest.MonkeyPatch, machine: str, python: tuple[int, int], told: str
+) -> None:
+    monkeypatch.setattr(extras, "distribution", from_wheel)
+    monkeypatch.setattr(os, "uname", lambda: SimpleNamespace(machine=machine))
+    monkeypatch.setattr(sys, "version_info", python)
+    assert install_command("ur") == told
 
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from operators.batch import Motion, Touch
+from operators.batch import EVERY, Episodes, Motion, Touch
 from operators.errors import EndpointError, InputError
 from storage import arrow, files
-from storage.layout import MOTION, TOUCH, Table
+from storage.layout import EPISODES, MOTION, TOUCH, Table
 from storage.parts import read_part, write_part
-from storage.schema import schema, to_arrow
-from tests.storage.made import new_batch
+from storage.schema import from_arrow, schema, to_arrow
+from tests.storage.made import new_batch, new_episodes, same
 
 
 @pytest.fixture(scope="session")
@@ -172,6 +172,18 @@ def test_nulls_are_reported_in_rows_and_in_their_arrays(rows: pa.Table, tmp_path
 def test_further_columns_are_ignored(rows: pa.Table, tmp_path: Path) -> None:
     write_part(tmp_path / "x.parquet", rows.append_column("more", rows["time"]))
     assert read_part(tmp_path / "x.parquet", schema(TOUCH)).equals(rows)
+
+
+def test_names_with_indices_of_another_type_are_read_as_pyarrow_16_returns_them(tmp_path: Path) -> None:
+    rows: Any = to_arrow(EPISODES, [batch := new_episodes((0, 1, "hold"), (1, 2, "tap"))])
+    for place, field in enumerate(rows.schema):
+        if pa.types.is_dictionary(field.type):
+            wide = field.with_type(pa.dictionary(pa.int32(), pa.string()))
+            column = cast("Any", pa).array(rows[field.name].to_pylist(), wide.type)
+            rows = rows.set_column(place, wide, column)
+    write_part(tmp_path / "x.parquet", rows)
+    read = read_part(tmp_path / "x.parquet", schema(EPISODES))
+    same(from_arrow(EPISODES, Episodes, read)[EVERY], batch)
 
 
 @pytest.mark.parametrize(("table", "kind"), [(TOUCH, Touch), (MOTION, Motion)])

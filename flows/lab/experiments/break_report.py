@@ -87,7 +87,9 @@ def _axis(study: Study, axis: str) -> Section:
             success, false = one.select(SUCCESS, FALSE_FIRM).row(0)
             rows.append([value, str(method), success, interval(int(one["success"].sum()), len(one)), false])
     found = [(method, _broken(study, method, axis)) for method in study.methods]
-    finding = "; ".join(f"{method} breaks at {', '.join(broken) or 'none'}" for method, broken in found)
+    finding = "; ".join(
+        f"{method} breaks {'at ' + ', '.join(broken) if broken else 'nowhere'}" for method, broken in found
+    )
     table = Table([axis, "method", "success %", "95 % CI", "false %"], rows)
     return Section(axis, f"{axis.capitalize()}: {finding}", TEXTS[axis], [table])
 
@@ -131,7 +133,5 @@ def figure(study: Study) -> Figure:
             panel.yaxis.grid(visible=True)
             panel.set(ylim=(-4, 104), title=f"{axis}: {title}, %")
         panels[top].axhline(GOOD, color=FAINT, linestyle="--", linewidth=0.8, zorder=0)
-    drawing.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(study.methods)
-    )
+    drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=len(study.methods))
     return drawing

@@ -18,6 +18,7 @@ from flows.learn.onsets import runs
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import Augmentation, PaperRecipe, Recipe
 from flows.learn.training.trained_model import Model, label_scores, write_model
+from flows.report.report_page import make_output_folder
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import Detector, GraspTcn, PaperTcn
 from operators.extras import require_extra
@@ -107,6 +108,7 @@ def learn(
     tuned = tune(detectors, course.trials, course.tuning_seed, jobs)
     networks = {DEFAULT: (ours, asdict(course.recipe)), "paper": (paper, asdict(course.paper))}
     about, models = _data_card(kinds, course), dict[str, Model]()
+    make_output_folder(folder)
     for name, detector in detectors.items():
         path, card = folder / f"{CARDS[name]}.safetensors", _tuning_card(detector, tuned[name], course)
         if name not in networks:

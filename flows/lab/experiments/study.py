@@ -12,6 +12,7 @@ from flows.lab.experiments.lift_trial import LiftOutcome
 from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.experiments.trial import Conditions, Trace, Trial
+from flows.report.table import counted
 from flows.run.processes import process_map
 from operators import GripController
 from operators.checks import check_at_least, check_choice
@@ -47,7 +48,7 @@ class Trials:
             check_choice("Trials", "object", name, OBJECTS)
 
     def __str__(self) -> str:
-        return f"{self.count} {'trial' if self.count == 1 else 'trials'} of each object"
+        return f"{counted(self.count, 'trial')} of each object"
 
 
 @dataclass(frozen=True)

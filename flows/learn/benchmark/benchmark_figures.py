@@ -58,5 +58,5 @@ def events(of: DatasetResult) -> Figure:
         name_points(axis, named[axis], (4.6, 3.5))
     for regime, color in zip(regimes, CELLS, strict=False):
         missed.plot([], [], "o", color=color, label=regime)
-    figure.legend(*missed.get_legend_handles_labels(), loc="outside upper center", ncols=len(regimes))
+    figure.legend(*missed.get_legend_handles_labels(), loc="outside upper left", ncols=len(regimes))
     return figure

@@ -10,6 +10,7 @@ from flows.learn.benchmark.entrants import DEFAULT, MEANING, MINUTES, REGIMES
 from flows.learn.evaluation.figures_table import FIGURES_DECIMALS, FIGURES_HEAD, figures_cells
 from flows.learn.evaluation.intervals import DRAWS
 from flows.learn.evaluation.sample_metrics import percent
+from flows.learn.evaluation.target_table import event_text
 from flows.learn.leaks.leak_section import leak_section
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted, show
@@ -77,10 +78,8 @@ def _events(of: DatasetResult) -> Section:
     finding = f"{of.data.name}: no detector was evaluated"
     if first:
         found = first.figures
-        finding = (
-            f"{of.data.name}: {first.entrant.title} misses {show(found.missed.value)} % of slips with "
-            f"{show(found.false_alarms_per_min.value)} false alarms per static minute, "
-            f"{show(found.delay.value, 0)} ms after the label (median)"
+        finding = f"{of.data.name}: {first.entrant.title} " + event_text(
+            found.false_alarms_per_min.value, found.missed.value, found.delay.value
         )
     return Section(
         f"{of.data.name}-events",

@@ -21,7 +21,7 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, windows
 from flows.learn.training.recipe import Recipe
 from operators import Debounce
-from operators.batch import Counts, Flags, Reals
+from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd, Tcn
 from operators.errors import InputError
 
@@ -39,7 +39,7 @@ FEW_DRAWS: Final = 3  # of the labelled minutes
 MAJORITY: Final = "majority"
 DEFAULT: Final = "tcn"  # shipped detector that is trained on the folds
 WIDE: Final = "tcn_wide"  # shipped detector for other fingertips than the TakkTile
-_HOP: Final = 2  # samples between the windows that baselines are fitted to
+_HOP: Final = 2  # samples at 100 Hz between the windows that baselines are fitted to
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,15 +180,16 @@ def _tcn(fold: Fold, course: Course, _draw: int) -> Fitted:
 
 
 def _fitted(name: str, recordings: Sequence[LabelledRecording]) -> Detector:
-    slip = labels(recordings, _HOP)
+    sampling = recordings[0].sampling
+    hop, features = sampling.scaled(_HOP), STROKES.at(sampling)
+    slip = labels(recordings, hop)
     if slip.all() or not slip.any():
         raise InputError(name, "the recordings to fit to lack slip or static")
-    length, fit = _FITTED[name]
-    return fit(np.concatenate([windows(each, length, _HOP) for each in recordings]), slip)
+    seen = np.concatenate([windows(each, features.length, hop) for each in recordings])
+    return _FITTED[name].fitted(seen, slip, features)
 
 
-# by name: length of a window, and function that fits a detector to windows and labels
-_FITTED: Final[Mapping[str, tuple[int, Callable[[Counts, Flags], Detector]]]] = {
-    "logistic": (STROKES.length, lambda seen, slip: Logistic.fitted(seen, slip, STROKES)),
-    "gradient_boosting": (STROKES.length, lambda seen, slip: GradientBoosting.fitted(seen, slip, STROKES)),
+_FITTED: Final[Mapping[str, type[Logistic | GradientBoosting]]] = {
+    "logistic": Logistic,
+    "gradient_boosting": GradientBoosting,
 }

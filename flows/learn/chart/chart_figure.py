@@ -37,7 +37,7 @@ def chart(points: Sequence[Point]) -> Figure:
     _speed(speed, points)
     _onsets(onsets, [point for point in points if not point.same])
     handles, names = speed.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=3)
+    figure.legend(handles, names, loc="outside upper left", ncols=3)
     return figure
 
 

@@ -7,7 +7,7 @@ from flows.learn.chart.chart_study import DEFAULT, Chart
 from flows.learn.evaluation import published
 from flows.learn.evaluation.target_table import TARGET_DECIMALS, target_cells, target_head
 from flows.report.report_page import Report, Section
-from flows.report.table import Table, Value
+from flows.report.table import Table, Value, counted
 
 _RATIOS: Final = {"torch_eager_windowed": 500.0, "onnxruntime_windowed": 50.0}  # times as fast
 _DECIMALS: Final = {"us/sample": None, "64 fingertips, % of a core": None}
@@ -17,8 +17,8 @@ _CORE: Final = 2.0  # %, of a core, for 64 fingertips
 def chart_report(of: Chart, command: str) -> Report:
     """Return the report of a chart that `command` made."""
     text = (
-        f"{len(of.points)} detectors on the test split of {of.dataset}, {of.recordings} recordings, "
-        "evaluated and timed in one run."
+        f"{counted(len(of.points), 'detector')} on the test split of {of.dataset}, "
+        f"{counted(of.recordings, 'recording')}, evaluated and timed in one run."
     )
     facts = {"dataset": of.dataset, "recordings": of.recordings, "missing": dict(of.missing)}
     title = f"Speed against accuracy on {of.dataset}"

@@ -11,8 +11,8 @@ from typing import Final
 from flows.learn.chart.detector_speed import costs
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
 from flows.learn.evaluation.event_metrics import Performance, performances
-from flows.learn.evaluation.methods import trained_methods, with_baselines
-from flows.learn.labelled_recordings import Target, by_split, hand_label_summary, load
+from flows.learn.evaluation.methods import for_fingertip, trained_methods, with_baselines
+from flows.learn.labelled_recordings import Target, by_split, common_fingertip, hand_label_summary, load
 from flows.learn.scoring import probabilities
 from flows.run.processes import one_thread
 from operators.detectors.detector import Detector, Streaming
@@ -82,7 +82,8 @@ def chart(
 
     Raises:
         InputError: if the train extra is missing, the dataset does not exist or lacks a validation or test
-            split, or a method or model does not exist.
+            split, or a method or model does not exist, or none can be evaluated.
+        FingertipError: if the recordings have different fingertips.
     """
     require_extra("train", "chart")
     trained = trained_methods(models, names)
@@ -95,10 +96,11 @@ def chart(
         if not part:
             reason = f"has no {split} split: `slipflow simulate` makes datasets with all splits"
             raise InputError(str(dataset), reason)
+    trained, misfits = for_fingertip(trained, common_fingertip(recordings), log)
     with one_thread():
-        chosen, missing = with_baselines(trained, train, names, log)
-    for name, reason in missing.items():
-        log(f"skipped: {name}: {reason}")
+        chosen, missing = with_baselines(trained, train, names, log, misfits)
+    if not chosen:
+        raise InputError("chart", "; ".join(f"{name}: {why}" for name, why in missing.items()))
     detectors = {method.name: method.detector for method in chosen}
     rules = {method.name: method.debounce for method in chosen}
     others = _by_other_libraries(detectors.get(DEFAULT))  # imports torch: `one_thread` then limits it, too

@@ -1,22 +1,23 @@
 """Baselines on simple features, fitted by scikit-learn, for comparison with the networks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, Self
 
 import numpy as np
 
+from flows.learn.sampling import USUAL, Sampling
 from flows.learn.train_extra import sklearn
 from operators.batch import Counts, Flags, Reals
 
 _STEPS: Final = 16  # number of newest steps that are separate features
-_SPANS: Final = (5, 10, 20, 40)  # samples
-_LAGS: Final = (3, 8, 20, 50)  # samples
+_SPANS: Final = (5, 10, 20, 40)  # samples at 100 Hz
+_LAGS: Final = (3, 8, 20, 50)  # samples at 100 Hz
 _BINS: Final = 255  # of a feature, most that scikit-learn takes
 
 
-def activity(windows: Counts | Reals) -> Reals:
-    """Return 48 features of windows (n, 41, 6); (n, 48).
+def activity(windows: Counts | Reals, sampling: Sampling) -> Reals:
+    """Return 48 features of windows (n, 41, 6) at 100 Hz, 8 for each cell; (n, 48).
 
     Over the newest 50, 100, 200 and 400 ms: the variance of each cell and the mean square of its steps, as
     log(1 + x), each sorted over the cells, so that the order of the cells does not matter.
@@ -24,25 +25,26 @@ def activity(windows: Counts | Reals) -> Reals:
     values = windows.astype(np.float64)
     steps = np.square(np.diff(values, axis=1))  # (n, 40, 6)
     parts: list[Reals] = []
-    for length in _SPANS:
+    for length in map(sampling.scaled, _SPANS):
         parts += [values[:, -length:].var(axis=1), steps[:, -length:].mean(axis=1)]
     return np.log1p(np.sort(np.stack(parts, axis=1), axis=2)).reshape(len(windows), -1)
 
 
-def activity_and_steps(windows: Counts | Reals) -> Reals:
-    """Return 88 features of windows (n, 41, 6); (n, 88).
+def activity_and_steps(windows: Counts | Reals, sampling: Sampling) -> Reals:
+    """Return 88 features of windows (n, 41, 6) at 100 Hz; (n, 88).
 
     The 48 of `activity`; the size of each of the newest 16 steps, summed over the cells; and the distance
     of the newest sample from the mean over the newest 50, 100, 200 and 400 ms, sorted over the cells.
     """
     values = windows.astype(np.float64)
     steps = np.square(np.diff(values[:, -_STEPS - 1 :], axis=1)).sum(axis=2)  # (n, 16)
-    offsets = [np.sort(np.abs(values[:, -1] - values[:, -span:].mean(axis=1))) for span in _SPANS]  # (n, 6)
-    return np.concatenate([activity(windows), np.log1p(steps), *offsets], axis=1)
+    spans = map(sampling.scaled, _SPANS)
+    offsets = [np.sort(np.abs(values[:, -1] - values[:, -span:].mean(axis=1))) for span in spans]  # (n, 6)
+    return np.concatenate([activity(windows, sampling), np.log1p(steps), *offsets], axis=1)
 
 
-def strokes(windows: Counts | Reals) -> Reals:
-    """Return 20 features of windows (n, 51, cells) for any number of cells; (n, 20).
+def strokes(windows: Counts | Reals, sampling: Sampling) -> Reals:
+    """Return 20 features of windows (n, 51, cells) at 100 Hz for any number of cells; (n, 20).
 
     Over the newest 30, 80, 200 and 500 ms, as log(1 + x): the RMS step, the change since the oldest sample
     and the standard deviation, each the mean over the cells; the first two also of the largest cell.
@@ -50,7 +52,7 @@ def strokes(windows: Counts | Reals) -> Reals:
     values = windows.astype(np.float64)
     steps = np.square(np.diff(values, axis=1))
     parts: list[Reals] = []
-    for span in _LAGS:
+    for span in map(sampling.scaled, _LAGS):
         step = np.sqrt(steps[:, -span:].mean(axis=1))  # (n, cells)
         change = np.abs(values[:, -1] - values[:, -1 - span])
         deviation = values[:, -span:].std(axis=1)
@@ -61,15 +63,29 @@ def strokes(windows: Counts | Reals) -> Reals:
 
 @dataclass(frozen=True)
 class Features:
-    """Features of windows."""
+    """Features of windows; below 100 Hz the windows have as many samples as at 100 Hz."""
 
-    length: int  # of a window, samples
-    of: Callable[[Counts | Reals], Reals]  # windows (n, length, cells) to features (n, k)
+    steps: int  # of a window at 100 Hz
+    compute: Callable[[Counts | Reals, Sampling], Reals]  # windows (n, length, cells) to features (n, k)
+    sampling: Sampling = USUAL
+
+    @property
+    def length(self) -> int:
+        """Length of a window, samples."""
+        return self.sampling.scaled(self.steps) + 1
+
+    def at(self, sampling: Sampling) -> Self:
+        """Return the features over the same times at another rate."""
+        return replace(self, sampling=sampling)
+
+    def of(self, windows: Counts | Reals) -> Reals:
+        """Return the features of windows (n, length, cells); (n, k)."""
+        return self.compute(windows, self.sampling)
 
 
-ACTIVITY: Final = Features(41, activity)
-ACTIVITY_AND_STEPS: Final = Features(41, activity_and_steps)
-STROKES: Final = Features(51, strokes)
+ACTIVITY: Final = Features(40, activity)
+ACTIVITY_AND_STEPS: Final = Features(40, activity_and_steps)
+STROKES: Final = Features(50, strokes)
 
 
 @dataclass(frozen=True, eq=False)

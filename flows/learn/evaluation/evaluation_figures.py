@@ -139,7 +139,7 @@ def motion(found: Mapping[str, MotionConfusions]) -> Figure:
         axis.yaxis.grid(visible=True)
     axes[0].set_ylabel("F1, %")
     handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=3)
+    figure.legend(handles, names, loc="outside lower left", ncols=3)
     return figure
 
 

@@ -14,11 +14,19 @@ from flows.learn.evaluation.intervals import DRAWS
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.sample_metrics import EDGES, Confusion
-from flows.learn.evaluation.target_table import TARGET_DECIMALS, lead_text, target_cells, target_head
+from flows.learn.evaluation.target_table import (
+    BY_HAND,
+    TARGET_DECIMALS,
+    TITLES,
+    event_text,
+    lead_text,
+    target_cells,
+    target_head,
+)
 from flows.learn.labelled_recordings import TARGETS
 from flows.learn.leaks.leak_section import leak_section
 from flows.report.report_page import Report, Section
-from flows.report.table import Table, Value, show
+from flows.report.table import Table, Value, counted, quantity
 from operators import ms
 
 # row of Table I that a method is compared with
@@ -40,9 +48,10 @@ _FAR: Final = 100  # ms
 def evaluation_report(of: Evaluation, command: str) -> Report:
     """Return the report of an evaluation that `command` made."""
     text = (
-        f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
-        f"{of.minutes:.1f} minutes, {of.samples} samples at {of.sampling.rate:g} Hz, split by recording. "
-        "Baselines were fitted to recordings that are not judged."
+        f"{counted(len(of.results), 'method')} on the {of.split} split of {of.dataset}: "
+        f"{counted(of.recordings, 'recording')}, {of.minutes:.1f} minutes, {counted(of.samples, 'sample')} "
+        f"at {of.sampling.rate:g} Hz, split by recording. Baselines were fitted to recordings that are not "
+        "judged."
         + (f" {of.by_hand[0].upper()}{of.by_hand[1:]}; all others by arm speed." if of.by_hand else "")
         + "".join(f" Leak: {leak.finding}." for leak in of.leaks)
     )
@@ -58,7 +67,8 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
         "leaks": [leak.json() for leak in of.leaks],
     }
     first = of.leader
-    title = f"Slip detectors on {of.dataset}: {first.method.name} reaches {first.confusion.accuracy:.1f} %"
+    reached = quantity(first.confusion.accuracy, "%")
+    title = f"Slip detectors on {of.dataset}: {first.method.name} reaches {reached}"
     sections = [
         accuracy(of),
         leak_section(of.leaks, of.unchecked),
@@ -92,8 +102,8 @@ def accuracy(of: Evaluation) -> Section:
         f"{first.method.name} classifies {first.confusion.accuracy:.1f} % of the samples correctly; "
         f"the paper's TCN {TABLE_1['TCN'][0]} % of its real ones",
         f"The paper's Table I, in %: averages over the two classes, weighted by their share, on all "
-        f"{of.samples} samples of {of.recordings} recordings ({of.static:.0f} % static). The paper's figures "
-        "are of its own, real test set."
+        f"{counted(of.samples, 'sample')} of {counted(of.recordings, 'recording')} ({of.static:.0f} % "
+        "static). The paper's figures are of its own, real test set."
         + "".join(f" Not evaluated: {name}, {reason}." for name, reason in of.missing.items()),
         [Table(head, rows)],
     )
@@ -105,12 +115,12 @@ def intervals(of: Evaluation) -> Section:
     rows: list[list[Value]] = [[each.method.name, *figures_cells(each.figures)] for each in of.results]
     return Section(
         "intervals",
-        f"The balanced accuracy of {of.leader.method.name} is {show(first.value)} %, "
+        f"The balanced accuracy of {of.leader.method.name} is {quantity(first.value, '%')}, "
         f"{first.interval() or 'without an interval'} over recordings",
-        f"95 % intervals from {DRAWS} draws of {of.recordings} recordings with replacement: samples of a "
-        "recording are alike. Fewer than three recordings give no interval. Far: balanced accuracy 100 ms or "
-        "more from any change of the label. Events: reported events per "
-        "minute of recording; false alarms: per static minute.",
+        f"95 % intervals from {DRAWS} draws of {counted(of.recordings, 'recording')} with replacement: "
+        "samples of a recording are alike. Fewer than three recordings give no interval. Far: balanced "
+        "accuracy 100 ms or more from any change of the label. Events: reported events per minute of "
+        "recording; false alarms: per static minute.",
         [Table(["method", *FIGURES_HEAD], rows, decimals=FIGURES_DECIMALS)],
     )
 
@@ -118,7 +128,8 @@ def intervals(of: Evaluation) -> Section:
 def confusions(of: Evaluation) -> Section:
     """Return the section with the confusion of slip and static."""
     first = of.leader
-    static, slip = first.confusion.recalls
+    recalls = zip(("static", "slip"), first.confusion.recalls, strict=True)
+    right = " and ".join(f"{share:.1f} % of {name}" for name, share in recalls if not isnan(share))
     rows: list[list[Value]] = [
         [each.method.name, *map(int, each.confusion.counts.ravel()), *each.confusion.recalls]
         for each in of.results
@@ -126,7 +137,7 @@ def confusions(of: Evaluation) -> Section:
     head = ["method", "static as static", "static as slip", "slip as static", "slip as slip"]
     return Section(
         "confusion",
-        f"{first.method.name} recognises {static:.1f} % of static and {slip:.1f} % of slip",
+        f"{first.method.name} recognises {right or 'no sample'}",
         "Samples by label and prediction; percentages are of the samples with the same label.",
         [Table([*head, "static %", "slip %"], rows)],
         lambda: figures.confusions(of.results),
@@ -143,7 +154,7 @@ def curves(of: Evaluation) -> Section:
     ]
     return Section(
         "curves",
-        f"The area under the ROC of {best.method.name} is {100 * best.roc.area:.1f} %; "
+        f"The area under the ROC of {best.method.name} is {quantity(100 * best.roc.area, '%')}; "
         f"the probabilities of {first.method.name} are off by {first.reliability.error:.1f} % on average",
         "The expected calibration error is the mean distance between probability and share of slip in ten "
         "bins, weighted by their number of samples.",
@@ -172,13 +183,13 @@ def events(of: Evaluation) -> Section:
     settings = f"{rule.threshold:g} / {rule.consecutive} / {rule.release}"
     return Section(
         "events",
-        f"{first.method.name} raises {total.false_alarms_per_min:.1f} false alarms per static minute, "
-        + _missed(total),
-        f"{total.slips} slips by the label in {total.minutes:.1f} static minutes. An onset from 50 ms "
-        "before a slip to 150 ms after it detects it; others are false alarms. Each slip needs an onset of "
-        "its own. Repeated: onsets of a slip after its first, of all slips. Settings: the probability from "
-        "which a sample counts as slip (threshold), and the numbers of consecutive decisions that begin a "
-        "slip (on) and end it (off). Settings chosen on the validation split have the least delay within "
+        f"{first.method.name} {event_text(total.false_alarms_per_min, total.missed, total.onset_ms)}",
+        f"{counted(total.slips, 'slip')} by the label in {total.minutes:.1f} static minutes. An onset from "
+        "50 ms before a slip to 150 ms after it detects it; others are false alarms. Each slip needs an "
+        "onset of its own. Repeated: onsets of a slip after its first, of all slips. Settings: the "
+        "probability from which a sample counts as slip (threshold), and the numbers of consecutive "
+        "decisions that begin a slip (on) and end it (off). Settings chosen on the validation split have "
+        "the least delay within "
         f"{of.budget:g} false alarms per static minute and 2 % missed slips.",
         [
             Table(
@@ -206,6 +217,9 @@ def motions(of: Evaluation) -> list[Section]:
     ]
     known = [(ours, theirs) for ours, theirs in pairs if not isnan(ours)]
     reached = sum(ours >= theirs for ours, theirs in known)
+    finding = (
+        f"at or above the paper's F1 in {reached} of {counted(len(known), 'kind')} of motion and surface"
+    )
     rotation = first.motions.confusion(lambda motion: motion.kind == "rotation").f1
     text = "F1 averaged over the two classes by their share, %, by motion and surface (cylinders by axis)."
     others = [each for each in of.results if each is not first]
@@ -216,8 +230,7 @@ def motions(of: Evaluation) -> list[Section]:
     sections = [
         Section(
             "motions",
-            f"{first.method.name} is at or above the paper's F1 in {reached} of {len(known)} kinds of motion "
-            f"and surface; rotation {show(rotation)} %",
+            f"{first.method.name} is {finding}" + ("" if isnan(rotation) else f"; rotation {rotation:.1f} %"),
             f"The paper's Table III: {text}",
             [
                 motion_table(first.method.name, first.motions),
@@ -252,8 +265,13 @@ def motion_name(kind: str, speed: float | None) -> str:
 
 def changes(of: Evaluation) -> Section:
     """Return the section with the accuracy by distance from a change of the label."""
-    first = of.leader.changes
-    name = of.leader.method.name
+    first, name = of.leader.changes, of.leader.method.name
+    near, far = first.near(_NEAR), first.far(_FAR)
+    finding = f"{name} makes no error"
+    if not isnan(near):
+        finding = f"{near:.0f} % of the errors of {name} lie within {_NEAR} ms of a change of the label"
+    if not isnan(far):
+        finding += f"; {_FAR} ms or more from any change, {far:.1f} % are correct"
     spans = [*first.spans, f"{EDGES[-1]} or more"]
     rows: list[list[Value]] = [
         [span, int(first.samples[index]), *(float(each.changes.accuracy[index]) for each in of.results)]
@@ -261,10 +279,9 @@ def changes(of: Evaluation) -> Section:
     ]
     return Section(
         "changes",
-        f"{first.near(_NEAR):.0f} % of the errors of {name} lie within {_NEAR} ms of a change of the label; "
-        f"{_FAR} ms or more from any change, {first.far(_FAR):.1f} % are correct",
-        "Accuracy, %, by distance from the nearest change of the label. The label follows the arm's speed "
-        "as it arrived; the contact starts and stops sliding up to 100 ms earlier or later.",
+        finding,
+        "Accuracy, %, by distance from the nearest change of the label. A label by arm speed follows the "
+        "speed as it arrived; the contact starts and stops sliding up to 100 ms earlier or later.",
         [Table(["ms to the change", "samples", *(each.method.name for each in of.results)], rows)],
         lambda: figures.changes(of.results),
         terminal=False,
@@ -275,22 +292,23 @@ def sliding(of: Evaluation) -> list[Section]:
     """Return the section with the comparison of both targets; [] if true sliding is unknown."""
     if len(of.label) < len(TARGETS):
         return []
-    rows: list[list[Value]] = [["the arm-speed label", None, *target_cells(of.label)]]
+    label, titles = ("label by arm speed and hand", BY_HAND) if of.by_hand else ("arm-speed label", TITLES)
+    rows: list[list[Value]] = [[f"the {label}", None, *target_cells(of.label)]]
     rows += [[each.method.name, each.method.target, *target_cells(each.performance)] for each in of.results]
     first = of.leader.performance["sliding"]
     return [
         Section(
             "sliding",
-            f"Against true sliding the arm-speed label has a balanced accuracy of "
-            f"{of.label['sliding'].balanced:.1f} %, {of.leader.method.name} {first.balanced:.1f} %; it "
-            f"reports slips {lead_text(first)} the label",
+            f"Against true sliding the {label} has a balanced accuracy of "
+            f"{quantity(of.label['sliding'].balanced, '%')}, {of.leader.method.name} "
+            f"{quantity(first.balanced, '%')}; it reports slips {lead_text(first)} the label",
             "True sliding is the simulated sliding of the contact (faster than 3 mm/s, sticks of up to "
             "150 ms included). The arm may move while the contact still sticks, and taps slide the contact "
             "while the arm stands still. Trained on: the target of a model's training, arm speed or true "
             "sliding. False alarms, missed slips and median onset delay are of events as above, against the "
-            "slips of each target. Lead: median time from an onset to the change of the arm-speed label, for "
-            f"onsets up to {AHEAD // ms} ms before it.",
-            [Table(["method", "trained on", *target_head(of.label)], rows, decimals=TARGET_DECIMALS)],
+            "slips of each target. Lead: median time from an onset to the change of the {label}, for onsets "
+            f"up to {AHEAD // ms} ms before it.",
+            [Table(["method", "trained on", *target_head(of.label, titles)], rows, decimals=TARGET_DECIMALS)],
         )
     ]
 
@@ -305,14 +323,6 @@ def _motion_head() -> list[str]:
 
 def _shares(confusion: Confusion) -> Sequence[float]:
     return confusion.accuracy, confusion.precision, confusion.accuracy, confusion.f1
-
-
-def _missed(events: EventMetrics) -> str:
-    if isnan(events.missed):
-        return "and there are no slips"
-    if isnan(events.onset_ms):
-        return f"and misses {events.missed:.1f} % of slips"
-    return f"misses {events.missed:.1f} % of slips, and is {events.onset_ms:.0f} ms late (median)"
 
 
 def _event_cells(events: EventMetrics) -> list[float]:

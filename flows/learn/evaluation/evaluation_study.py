@@ -17,7 +17,7 @@ from flows.learn.evaluation.event_metrics import (
     performances,
 )
 from flows.learn.evaluation.intervals import Figures, Judged, figures
-from flows.learn.evaluation.methods import Method, trained_methods, with_baselines
+from flows.learn.evaluation.methods import Method, for_fingertip, trained_methods, with_baselines
 from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
 from flows.learn.labelled_recordings import (
@@ -41,7 +41,7 @@ from flows.learn.provenance import dataset_digest
 from flows.learn.sampling import Sampling
 from flows.learn.scoring import probabilities
 from flows.run.processes import one_thread
-from operators import Debounce, Score
+from operators import Debounce
 from operators.batch import SLIP, STATIC, UNKNOWN, Reals
 from operators.errors import InputError
 from operators.extras import require_extra
@@ -118,7 +118,7 @@ def evaluate(
 
     Raises:
         InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
-        FingertipError: if a detector was made for another fingertip; it names the operators that convert it.
+        FingertipError: if the recordings have different fingertips.
     """
     require_extra("train", "evaluate")
     trained = trained_methods(models, names)
@@ -128,13 +128,12 @@ def evaluate(
     if by_hand := hand_label_summary(recordings):
         log(by_hand)
     fingertip = common_fingertip(everything)
-    for method in trained:
-        Score(method.detector).output_fingertip(fingertip)
+    trained, misfits = for_fingertip(trained, fingertip, log)
     bad = overlapping(everything, recordings)
     parts = by_split(each for place, each in enumerate(everything) if place not in bad)
     leaks, unchecked = _card_leaks(dataset, trained, recordings)
     with one_thread():
-        chosen, missing = with_baselines(trained, parts["train"], names, log)
+        chosen, missing = with_baselines(trained, parts["train"], names, log, misfits)
         if not chosen:
             raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
         evaluator = _Evaluator(recordings, parts["validation"], budget)

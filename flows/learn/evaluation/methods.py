@@ -3,22 +3,31 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, GradientBoosting, Logistic
+from flows.learn.evaluation.baselines import (
+    ACTIVITY,
+    ACTIVITY_AND_STEPS,
+    Features,
+    GradientBoosting,
+    Logistic,
+)
 from flows.learn.labelled_recordings import TARGETS, LabelledRecording
+from flows.learn.sampling import Sampling
 from flows.learn.scoring import labels, windows
-from operators import Debounce
-from operators.batch import SLIP, STATIC, Counts, Flags
+from operators import Debounce, Score
+from operators.batch import SLIP, STATIC, Counts
 from operators.detectors import TRAINED, Detector, Psd
-from operators.errors import InputError
+from operators.errors import FingertipError, InputError, ParameterError
+from operators.fingertip import Fingertip
 from storage import load_debounce, load_detector
 from storage.models import load_card, shipped, shipped_names
 
 SHIPPED: Final = "ships"  # origin
-_HOP: Final = 5  # samples between the windows that baselines are fitted to
+_HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
 
 Log: TypeAlias = Callable[[str], object]
 
@@ -57,11 +66,33 @@ def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) ->
     return [method for name, method in found.items() if not names or name in {*names, *given}]
 
 
+def for_fingertip(
+    methods: Sequence[Method], fingertip: Fingertip, log: Log = lambda _: None
+) -> tuple[list[Method], dict[str, str]]:
+    """Return the methods that were made for a fingertip, and the reasons why others were not, by name.
+
+    Args:
+        methods: Methods with weights.
+        fingertip: Fingertip of the data.
+        log: Receives the reasons.
+    """
+    found, missing = list[Method](), dict[str, str]()
+    for method in methods:
+        try:
+            Score(method.detector).output_fingertip(fingertip)
+            found.append(method)
+        except FingertipError as error:
+            missing[method.name] = str(error)
+            log(f"not evaluated: {method.name}: {error}")
+    return found, missing
+
+
 def with_baselines(
     trained: Sequence[Method],
     training: Sequence[LabelledRecording],
     names: Collection[str] = (),
     log: Log = lambda _: None,
+    misfits: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[list[Method], dict[str, str]]:
     """Return the methods with weights and the baselines, and the reasons why others are missing, by name.
 
@@ -69,51 +100,56 @@ def with_baselines(
         trained: Methods that `trained_methods` returned for `names`.
         training: Recordings that the baselines are fitted to.
         names: Only these methods; empty: all.
-        log: Receives progress messages.
+        log: Receives progress messages, and the reasons.
+        misfits: Methods for other fingertips, as `for_fingertip` returned them.
     """
     found, loaded = list(trained), {method.name for method in trained}
     wanted = names or {*TRAINED, *_BASELINES}
     reason = "no model ships: give one as --model FILE"
-    missing = {name: reason for name in TRAINED if name in wanted and name not in loaded}
-    for name, (length, fit) in _BASELINES.items():
+    missing = {name: reason for name in TRAINED if name in wanted and name not in {*loaded, *misfits}}
+    for name in _BASELINES:
         if name in wanted:
             log(f"fitting {name}")
             try:
-                found.append(_fitted(name, length, fit, training))
+                found.append(_fitted(name, training))
             except InputError as error:
                 missing[name] = error.reason
-    return found, missing
+            except ParameterError as error:  # such as a rate that is too low for the frequencies of psd
+                missing[name] = str(error)
+    for name, reason in missing.items():
+        log(f"not evaluated: {name}: {reason}")
+    return found, {**misfits, **missing}
 
 
-def _psd(seen: Counts, slip: Flags, rate: float) -> Detector:
-    return Psd(seen.shape[1], rate=rate).fitted(seen, np.where(slip, SLIP, STATIC).astype(np.int8))
-
-
-# by name: length of a window, and function that fits a detector to windows and labels at a rate (Hz)
-_BASELINES: Final[Mapping[str, tuple[int, Callable[[Counts, Flags, float], Detector]]]] = {
-    "gradient_boosting": (
-        ACTIVITY_AND_STEPS.length,
-        lambda seen, slip, _: GradientBoosting.fitted(seen, slip),
-    ),
-    "logistic": (ACTIVITY.length, lambda seen, slip, _: Logistic.fitted(seen, slip)),
-    "psd": (25, _psd),
-    "psd_1s": (100, _psd),  # the paper's window
+_MODELS: Final[Mapping[str, tuple[type[Logistic | GradientBoosting], Features]]] = {
+    "gradient_boosting": (GradientBoosting, ACTIVITY_AND_STEPS),
+    "logistic": (Logistic, ACTIVITY),
 }
+_PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
+_BASELINES: Final = (*_MODELS, *_PSD)
 
 
-def _fitted(
-    name: str,
-    length: int,
-    fit: Callable[[Counts, Flags, float], Detector],
-    training: Sequence[LabelledRecording],
-) -> Method:
-    slip = labels(training, _HOP) if training else np.empty(0, np.bool_)
+def _fitted(name: str, training: Sequence[LabelledRecording]) -> Method:
+    sampling = training[0].sampling if training else Sampling()
+    hop = sampling.scaled(_HOP)
+    slip = labels(training, hop) if training else np.empty(0, np.bool_)
     if slip.all() or not slip.any():
         raise InputError(
             name, "no train split with slip and static is left to fit it to: judged recordings do not count"
         )
-    seen = np.concatenate([windows(recording, length, _HOP) for recording in training])
-    detector = fit(seen, slip, training[0].fingertip.rate)
+
+    def seen(length: int) -> Counts:
+        return np.concatenate([windows(recording, length, hop) for recording in training])
+
+    detector: Detector
+    if name in _PSD:
+        fingertip = training[0].fingertip
+        psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
+        detector = psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
+    else:
+        model, features = _MODELS[name]
+        own = features.at(sampling)
+        detector = model.fitted(seen(own.length), slip, own)
     return Method(name, detector, f"fitted to {len(slip)} windows")
 
 

@@ -152,7 +152,7 @@ def _neighbours(datasets: Iterable[Sequence[LabelledRecording]]) -> list[Leak]:
                 pairs.append(f"{first.name} ({first.split}) and {second.name} ({second.split})")
     if not pairs:
         return []
-    text = f"{counted(len(pairs), 'recording')} continues another one of a different split: {_some(pairs)}"
+    text = f"recordings of different splits continue each other: {_some(pairs)}"
     return [Leak("neighbours", "", text)]
 
 

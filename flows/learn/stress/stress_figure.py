@@ -96,7 +96,7 @@ def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
     for axis in axes[len(FIELDS) :]:
         axis.set_axis_off()
     handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 6))
+    figure.legend(handles, names, loc="outside upper left", ncols=min(len(names), 6))
     return figure, axes[: len(FIELDS)]
 
 

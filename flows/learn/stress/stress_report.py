@@ -1,6 +1,6 @@
 """Report of stresses: goals, breaking points, and every measure along every field."""
 
-from math import isnan, nan
+from math import inf, isnan, nan
 from typing import Final
 
 from flows.learn.evaluation.event_metrics import Performance
@@ -11,7 +11,7 @@ from flows.learn.stress.stress_fields import FALL, FIELDS, GOALS, StressGoal
 from flows.learn.stress.stress_figure import MEASURES
 from flows.learn.stress.stress_study import Stress
 from flows.report.report_page import Report, Section
-from flows.report.table import Table, Value, show
+from flows.report.table import Table, Value, counted, quantity
 
 _AGAINST: Final[dict[Target, str]] = {
     "arm-speed": "by the arm's speed, as the paper labels",
@@ -22,10 +22,11 @@ _AGAINST: Final[dict[Target, str]] = {
 def stress_report(of: Stress, command: str) -> Report:
     """Return the report of a stress study that `command` made."""
     text = (
-        f"{len(of.names)} detectors along {len(FIELDS)} stress fields, each from nominal to broken; the line "
-        f"in a panel marks nominal. The {of.recordings} recordings of each condition are simulated with "
-        f"seed {of.seed}; those of a field differ only by the stress. For slip speed all strokes are "
-        "translations at 50 mm/s, slowed down; otherwise the plan is a small version of the paper's. The "
+        f"{counted(len(of.names), 'detector')} along {len(FIELDS)} stress fields, each from nominal to "
+        f"broken; the line in a panel marks nominal. Each condition has "
+        f"{counted(of.recordings, 'recording')}, simulated with seed {of.seed}; those of a field differ only "
+        "by the stress. For slip speed all strokes are translations at 50 mm/s, slowed down; otherwise the "
+        "plan is a small version of the paper's. The "
         "debounce is that of the model card, or was tuned on nominal recordings of another seed."
         + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items())
     )
@@ -83,14 +84,16 @@ def breaking(of: Stress) -> Section:
 def events(of: Stress, key: str) -> Section:
     """Return the section with false alarms, missed slips or delay."""
     first, measure = of.names[0], MEASURES[key]
-    value, field = max((_worst(of, first, field, key), field) for field in FIELDS)
+    worst = {field: _worst(of, first, field, key) for field in FIELDS}
+    field = max(worst, key=lambda each: -inf if isnan(worst[each]) else worst[each])
     nominal = getattr(_nominal(of, first), key)
     rows: list[list[Value]] = [
         [FIELDS[each].text, *(_worst(of, name, each, key) for name in of.names)] for each in FIELDS
     ]
     return Section(
         key.replace("_", "-"),
-        f"{measure.text}: {first} from {show(nominal)} at nominal to {show(value)} ({FIELDS[field].text})",
+        f"{measure.text}: {first} from {quantity(nominal)} at nominal to {quantity(worst[field])} "
+        f"({FIELDS[field].text})",
         "Of debounced events, by the label. The table gives the worst value along each field.",
         [Table(["field", *of.names], rows)],
         lambda: stress_figure.panels(of, measure),
@@ -104,7 +107,7 @@ def sliding(of: Stress) -> Section:
     return Section(
         "sliding",
         f"Against true sliding {first} has a balanced accuracy of "
-        f"{show(_nominal(of, first, 'sliding').balanced)} % at nominal",
+        f"{quantity(_nominal(of, first, 'sliding').balanced, '%')} at nominal",
         "Sliding of the contact faster than 3 mm/s, sticks shorter than 150 ms included. The delay of the "
         "arm's velocity and stresses of the motion stream have no effect on it. Slip slower than 3 mm/s does "
         "not count.",
@@ -116,22 +119,27 @@ def sliding(of: Stress) -> Section:
 
 def abstention(of: Stress) -> Section:
     """Return the section with the shares of samples that are degraded, doubtful or have no score."""
-    first = of.names[0]
+    first, nominal = of.names[0], of.outcome(*_first())
     heads = "degraded %", "at nominal %", "no score %", "doubtful %", "right if good %", "right if doubtful %"
     rows = list[list[Value]]()
     for field, grid in FIELDS.items():
         for side, values in grid.sides.items():
-            nominal, hardest = (of.outcome(field, value) for value in (values[0], values[-1]))
-            shares = [hardest.degraded, nominal.degraded, hardest.unscored[first], hardest.doubtful[first]]
+            first_value, hardest = (of.outcome(field, value) for value in (values[0], values[-1]))
+            shares = [
+                hardest.degraded,
+                first_value.degraded,
+                hardest.unscored[first],
+                hardest.doubtful[first],
+            ]
             rows.append([_side_name(field, side), grid.show(values[-1]), *shares, *hardest.right[first]])
     return Section(
         "abstention",
-        f"A fault is reported during {show(of.outcome(*_first()).degraded)} % of nominal samples",
+        f"A fault is reported during {nominal.degraded:.1f} % of nominal samples",
         "A fingertip is degraded while `Health` reports a cell as dead, stuck, saturated or drifting; "
         "overload alone saturates cells. There is no score if more than three cells have no reading. A "
         f"sample is doubtful if the input is unlike the training data of {first}: "
-        f"{show(of.outcome(*_first()).doubtful[first])} % at nominal. Right: samples whose score agrees with "
-        "the label by the arm's speed.",
+        f"{quantity(nominal.doubtful[first], '%')} at nominal. Right: samples whose score agrees with the "
+        "label by the arm's speed.",
         [Table(["field", "hardest", *heads], rows)],
         lambda: stress_figure.abstention(of),
         terminal=False,

@@ -117,8 +117,6 @@ def stress(
     detectors = dict[str, tuple[Detector, Debounce]]()
     with one_thread():
         chosen, missing = with_baselines(trained, fitting, names, log)
-        for name, reason in missing.items():
-            log(f"skipped: {name}: {reason}")
         for method in chosen:
             debounce = method.debounce
             if debounce is None:

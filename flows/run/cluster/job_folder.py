@@ -3,7 +3,7 @@
 .. code-block:: text
 
     job.json               the flow, its parameters and the folders of its datasets
-    flow/<name>.py         the flow's file when the job began
+    flow/<name>.py         the flow's file and the modules of its folder, as of the start of the job
     units/<name>.lines     work units; a file appears when it is complete
     <attempt>/             a session that is being written, see flows.run.cluster.assembly
     done/<session>.json    error of a session; empty if it was written
@@ -21,7 +21,7 @@ from typing import Any, Final, Self
 from uuid import uuid4
 
 from flows.graph import Flow
-from flows.graph.loading import Declaration, load
+from flows.graph.loading import Declaration, load, loaded_modules
 from flows.run.cluster.assembly import JOBS, assemble
 from flows.run.cluster.work_units import UnitResult, WorkUnit
 from operators.errors import EndpointError, InputError, os_error_reason
@@ -58,6 +58,9 @@ class JobFolder:
             for each in (folder.units, path / "done", path / "flow"):
                 each.mkdir(parents=True)
             copyfile(declaration.file, path / "flow" / declaration.file.name)
+            for name, file in loaded_modules(declaration.file).items():
+                (path / "flow" / name).parent.mkdir(parents=True, exist_ok=True)
+                copyfile(file, path / "flow" / name)
             files.put_json(
                 path / _JOB,
                 {

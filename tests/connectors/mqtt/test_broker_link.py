@@ -189,6 +189,16 @@ def test_mqtts_rejects_an_untrusted_certificate(secure: TestBroker) -> None:
         asyncio.run(use(secure.url.replace("mqtt:", "mqtts:")))
 
 
+def test_a_certificate_for_another_host_is_refused_with_a_hint(
+    secure: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(CA, str(tmp_path / "certificate.pem"))
+    url = f"mqtts://localhost:{secure.port}"
+    hint = "certificate is not valid for 'localhost'; write the host as in the broker's certificate"
+    with pytest.raises(EndpointError, match=rf"{hint}$"):
+        asyncio.run(connect(Broker.parse(url), "test"))
+
+
 def test_mixing_up_tls_and_plain_ports_fails_fast_with_a_hint(secure: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
     plain = TestBroker(tmp_path / "plain")

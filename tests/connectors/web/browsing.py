@@ -6,7 +6,7 @@ from threading import Thread
 from typing import Any, Self
 
 import numpy as np
-from playwright.sync_api import ConsoleMessage, Request
+from playwright.sync_api import ConsoleMessage, Locator, Request
 from playwright.sync_api import Page as Tab
 
 from connectors import Page
@@ -28,6 +28,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
+WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
 LATE = 60_000  # ms, for a busy machine
 
 
@@ -59,6 +60,19 @@ def shaking(seconds: int) -> list[Touch]:
         counts = np.full((1, 6), 700 - (250 + 200 * (k % 3) if shaken else k % 2), np.int16)
         batches.append(Touch(np.array([k * 10 * ms]), counts, counts, np.ones((1, 6), np.bool_), finger=0))
     return batches
+
+
+def drag(tab: Tab, place: Locator, begin: float, end: float, *, y: float = 0.5) -> None:
+    """Drag over a chart, from and to shares of its time axis."""
+    place.scroll_into_view_if_needed()
+    box = place.bounding_box()
+    assert box is not None
+    wide = box["width"] - WIDTH_OF_AXIS - RIGHT
+    at = [box["x"] + WIDTH_OF_AXIS + share * wide for share in (begin, end)]
+    tab.mouse.move(at[0], box["y"] + y * box["height"])
+    tab.mouse.down()
+    tab.mouse.move(at[1], box["y"] + y * box["height"], steps=5)
+    tab.mouse.up()
 
 
 class Served:

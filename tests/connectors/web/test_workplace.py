@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import expect
 
 from connectors.web.session_page import SessionCurves
 from connectors.web.session_requests import SessionPage
@@ -17,7 +17,7 @@ from operators import Debounce, FaultKind
 from operators.batch import Assessed, Faults, Labelled, Motion, Touch, Truth, Zeroed, concat, ms, s
 from operators.ports import Run
 from storage import LabelSpan, Session
-from tests.connectors.web.browsing import ServedRecording, Watched, shaking
+from tests.connectors.web.browsing import RIGHT, WIDTH_OF_AXIS, ServedRecording, Watched, drag, shaking
 from tests.connectors.web.reading import slip
 from tests.connectors.web.test_browser import MOVE
 from tests.storage.made import record
@@ -25,7 +25,6 @@ from tests.storage.made import record
 SECONDS = 12
 START = 1_700_000_000 * s
 SET = "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input')); }"
-WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
 
 
 @pytest.fixture
@@ -49,19 +48,6 @@ def session(tmp_path: Path) -> Session:
 def served(session: Session) -> Iterator[ServedRecording]:
     with ServedRecording(load(session, "psd")) as found:
         yield found
-
-
-def drag(tab: Page, place: Locator, begin: float, end: float, *, y: float = 0.5) -> None:
-    """Drag over a chart, from and to shares of its time axis."""
-    place.scroll_into_view_if_needed()
-    box = place.bounding_box()
-    assert box is not None
-    wide = box["width"] - WIDTH_OF_AXIS - RIGHT
-    at = [box["x"] + WIDTH_OF_AXIS + share * wide for share in (begin, end)]
-    tab.mouse.move(at[0], box["y"] + y * box["height"])
-    tab.mouse.down()
-    tab.mouse.move(at[1], box["y"] + y * box["height"], steps=5)
-    tab.mouse.up()
 
 
 def spans(session: Session) -> list[tuple[float, float, str]]:

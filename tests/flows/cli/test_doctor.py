@@ -87,6 +87,12 @@ def test_devices_can_be_given_without_a_flow(tmp_path: Path) -> None:
     assert done.stdout.splitlines()[-1] == f"{len(bad)} of {len(done.stdout.splitlines()) - 5} checks failed"
 
 
+@pytest.mark.broker
+def test_a_rig_can_be_named_whose_rights_are_checked(broker: TestBroker, tmp_path: Path) -> None:
+    found = findings("--mqtt", broker.url, "--rig", "hall/ur10", cwd=tmp_path)
+    assert any(f["text"].startswith("accepts slip/v1/hall/ur10/doctor ") for f in found)
+
+
 def test_wrong_options_are_one_line(tmp_path: Path) -> None:
     assert error("doctor", "--set", "a=1") == "--set requires a flow"
     assert error("doctor", "--rows", "a", "--bus", "1") == "--rows a: must be row numbers such as 0,1"

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 from pathlib import Path
@@ -105,7 +106,7 @@ def test_an_unwritable_output_is_an_error_before_the_run(tmp_path: Path) -> None
 
 def test_a_missing_broker_is_a_one_line_error(tmp_path: Path) -> None:
     done = slipflow("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
-    note, line = done.stderr.splitlines()
+    _, note, line = done.stderr.splitlines()
     assert "the replay is written to" in note
     assert (done.returncode, line.startswith("error: mqtt://127.0.0.1:1: cannot connect")) == (2, True)
 
@@ -115,6 +116,12 @@ def test_a_live_run_prints_one_json_object() -> None:
     found = json.loads(done.stdout)
     assert list(found) == ["session", "flow", "seconds", "sources", "sinks", "error"]
     assert (found["flow"], found["error"]) == ("live", None)
+
+
+@pytest.mark.parametrize(("model", "task"), [("tcn", "slides over a surface"), ("tcn_grasp", "fingers hold")])
+def test_a_run_logs_what_its_model_is_meant_for(model: str, task: str) -> None:
+    done = slipflow("run", "live", "--set", f"detector={model}", "--for", "10ms")
+    assert re.search(rf"INFO model {model}: .*{task}", done.stderr)
 
 
 def test_a_closed_stdout_ends_the_run_quietly(tmp_path: Path) -> None:

@@ -216,6 +216,18 @@ def test_a_failing_operator_is_reported_with_the_line_of_its_file() -> None:
         compiled.push({compiled.entries[0]: scores(0.1)})
 
 
+def test_an_operator_that_cannot_be_prepared_is_named() -> None:
+    @dataclass
+    class Unready(Keep):
+        def prepare(self) -> None:
+            raise OSError("no weights")
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Unready()).to(TestSink())
+    with pytest.raises(OperatorError, match=r"^flow 'f': Unready: OSError: no weights \(test_compiled_flow"):
+        CompiledFlow(flow)
+
+
 def test_a_compiled_flow_resumes_from_a_snapshot() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())

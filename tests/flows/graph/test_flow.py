@@ -1,8 +1,11 @@
+from collections.abc import Callable
+from typing import Any
+
 import pytest
 
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
-from operators import Align, Debounce, Motion, Sample, Scores, Slips, Touch, Zero
+from operators import Align, Debounce, FlowError, Motion, Sample, Scores, Slips, Touch, Zero
 
 
 def test_a_stream_has_the_output_type_of_its_operator() -> None:
@@ -54,3 +57,48 @@ def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
     assert [node.name for node in copy.nodes] == [node.name for node in flow.nodes]
     assert not set(copy.nodes) & {parent for node in flow.nodes for parent in node.inputs}
     assert str(flow) == drawn
+
+
+class Half:
+    def process(self, batch: Touch) -> Touch:
+        return batch
+
+
+@pytest.mark.parametrize(
+    ("use", "part", "message"),
+    [
+        ("operator", Zero, "touch -> Zero: Zero is a class: write Zero()"),
+        (
+            "operator",
+            Half(),
+            "touch -> Half: Half is not of type Operator: derive its class from Operator[In, ",
+        ),
+        (
+            "operator",
+            abs,
+            "touch -> abs: abs is not of type Operator: derive its class from Operator[In, Out]",
+        ),
+        ("operator", TestSink(), "touch -> TestSink: TestSink is of type Sink: write stream.to(TestSink())"),
+        ("operator", Align(), "touch -> Align: Align is of type Join: write left & right | Align()"),
+        ("join", Zero(), "touch & touch -> Zero: Zero is of type Operator: write stream | Zero()"),
+        ("sink", TestSink, "touch -> TestSink: TestSink is a class: write TestSink()"),
+        ("sink", Half(), "touch -> Half: Half is not of type Sink: derive its class from Sink[In]"),
+        ("source", Half(), "Half: Half is not of type Source: derive its class from Source[Out]"),
+    ],
+)
+def test_a_part_of_the_wrong_kind_is_an_error_that_says_what_to_write(
+    use: str,
+    part: Any,  # noqa: ANN401 - of any kind
+    message: str,
+) -> None:
+    flow = Flow("f")
+    touch = flow.source(TestSource(Touch))
+    uses: dict[str, Callable[[], object]] = {
+        "source": lambda: flow.source(part),
+        "operator": lambda: touch | part,
+        "join": lambda: touch & touch | part,
+        "sink": lambda: touch.to(part),
+    }
+    with pytest.raises(FlowError) as raised:
+        uses[use]()
+    assert str(raised.value).startswith(f"flow 'f': {message}")

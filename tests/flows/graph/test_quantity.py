@@ -1,5 +1,5 @@
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from flows.graph.quantity import KINDS, format_quantity, parse_quantity
@@ -21,6 +21,9 @@ from operators.errors import ParameterError
         ("3mm/s", "m/s", 0.003),
         ("30d", "ns", 30 * 86400 * 10**9),
         ("200GB", "B", 2e11),
+        ("500KB", "B", 5e5),
+        ("2KiB", "B", 2048.0),
+        ("1TiB", "B", 2.0**40),
         ("2.5N", "N", 2.5),
     ],
 )
@@ -61,6 +64,7 @@ def test_negative_quantities_need_signed() -> None:
 
 
 @given(st.integers(-(2**62), 2**62))
+@example(49_999_999_999_999_948)
 def test_a_formatted_time_parses_to_the_same_value(time: int) -> None:
     text = format_quantity(time, "ns")
     assert parse_quantity("x", "y", text, "ns", signed=True) == pytest.approx(time, rel=1e-14)

@@ -118,6 +118,37 @@ def test_state_shared_by_runs_is_reported() -> None:
     assert _one_problem(flow).startswith("Sharing: seen would be shared by all runs")
 
 
+@dataclass
+class Loud(Operator[Scores, Scores]):
+    def process(self, batch: Scores) -> Scores:
+        return batch
+
+
+def test_an_operator_whose_copies_would_lose_an_argument_is_reported() -> None:
+    class Own(Loud):
+        def __init__(self, gain: float = 1.0) -> None:
+            super().__init__()
+            self.gain = gain
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Own(2.0)).to(TestSink())
+    assert _one_problem(flow).startswith("Own: gain would be lost: make it a field of a @dataclass")
+
+
+def test_an_operator_that_copies_itself_may_have_its_own_arguments() -> None:
+    class Own(Loud):
+        def __init__(self, gain: float) -> None:
+            super().__init__()
+            self.gain = gain
+
+        def reset_copy(self) -> "Own":
+            return Own(self.gain)
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Own(2.0)).to(TestSink())
+    assert problems(flow) == []
+
+
 def test_an_operator_without_type_annotations_is_reported() -> None:
     class Silent(Operator[Scores, Scores]):
         def process(self, batch):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202

@@ -9,7 +9,7 @@ from unittest.mock import patch
 import pytest
 
 from flows.report.figures import Figure, grid, styled, svg
-from flows.report.report_page import Report, Section, make_output_folder
+from flows.report.report_page import Report, Section, check_output_folder, make_output_folder
 from flows.report.table import Table
 from operators.errors import EndpointError
 
@@ -142,6 +142,18 @@ def test_a_folder_below_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(EndpointError, match=r"file/out: cannot be created: "):
         make_output_folder(tmp_path / "file" / "out")
+
+
+def test_a_checked_folder_is_left_as_it_was(tmp_path: Path) -> None:
+    check_output_folder(tmp_path / "new" / "out")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "old").mkdir()
+    check_output_folder(tmp_path / "old" / "out")
+    check_output_folder(tmp_path / "old")
+    assert [path.name for path in tmp_path.rglob("*")] == ["old"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EndpointError, match="cannot be created: "):
+        check_output_folder(tmp_path / "file" / "out")
 
 
 def test_an_error_in_writing_names_the_folder_and_the_fix(tmp_path: Path) -> None:

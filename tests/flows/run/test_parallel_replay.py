@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from shutil import copytree
@@ -7,8 +8,14 @@ from typing import Any
 import pytest
 
 from connectors import Event
-from flows.run.parallel_replay import Replayed, Replays, recordings
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from flows.run.parallel_replay import Replayed, Replays, check_outputs, recordings
+from flows.run.replay_runner import ReplayRunner
+from operators import Score, Touch, Zero
+from operators.detectors import Psd
 from operators.errors import FlowError, InputError, ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 from storage import Session
 from storage.layout import session_folder, session_names
 from storage.parts import read_part
@@ -202,3 +209,20 @@ def test_a_flow_wired_wrongly_is_each_recordings_error(tmp_path: Path, four: lis
     assert [each.error for each in found] == [
         str(FlowError("wrong", "no source", "add one with flow.source(...)"))
     ] * 2
+
+
+def test_a_replay_needs_a_detector_for_its_recording_not_for_the_live_source(four: list[Path]) -> None:
+    class Faster(TestSource[Touch]):
+        @property
+        def fingertip(self) -> Fingertip:
+            return replace(TAKKTILE, rate=200.0)
+
+    flow = Flow("faster")
+    (flow.source(Faster(Touch, fingers=(0,))) | Zero() | Score(Psd())).to(TestSink())
+    check_outputs(flow, four[:1])
+    assert ReplayRunner(flow, Session.open(four[0]), "again").compiled.entries
+    with pytest.raises(FlowError, match="psd needs 100 Hz; the data has 200 Hz"):
+        check_outputs(flow, [])
+    flow.source(TestSource(Touch, fingers=(1,)))
+    with pytest.raises(FlowError, match="is unconnected"):
+        check_outputs(flow, four)

@@ -1,6 +1,7 @@
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -16,6 +17,7 @@ from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from operators.errors import InputError
+from operators.fingertip import TAKKTILE
 from storage import load_detector
 from storage.models import save_weights
 from tests.readability import report_faults
@@ -44,6 +46,19 @@ def test_every_detector_and_the_default_by_other_libraries_is_a_point(found: Cha
     assert names.isdisjoint(found.missing)
     assert {point.name for point in found.points if point.streams} == {"tcn", "tcn4"}
     assert all(point.us > 0 and point.us_64 > 0 for point in found.points)
+
+
+def test_detectors_for_other_fingertips_are_missing(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fast = [replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in load(tiny)]
+    monkeypatch.setattr(module, "load", lambda _: fast)
+    found = chart(tiny, names=["tcn", "psd"], span=1e-4)
+    [point] = found.points
+    assert point.name == "psd"
+    assert point.core_64 == pytest.approx(point.us_64 * 200 / 1e4)
+    assert "insert Resample(rate=100)" in found.missing["tcn"]
+    assert goals(found) == []
+    with pytest.raises(InputError, match="tcn needs 100 Hz"):
+        chart(tiny, names=["tcn"], span=1e-4)
 
 
 def test_the_accuracy_is_that_on_the_test_split(found: Chart, tiny: Path, small: Path) -> None:

@@ -1,6 +1,14 @@
 import numpy as np
 
-from flows.learn.evaluation.baselines import GradientBoosting, Logistic, activity, activity_and_steps
+from flows.learn.evaluation.baselines import (
+    ACTIVITY,
+    STROKES,
+    GradientBoosting,
+    Logistic,
+    activity,
+    activity_and_steps,
+)
+from flows.learn.sampling import USUAL, Sampling
 from flows.run.processes import one_thread
 from operators.batch import Counts, Flags
 
@@ -30,5 +38,22 @@ def test_logistic_regression_detects_shaking_of_any_cell() -> None:
 def test_features_do_not_depend_on_the_order_of_the_cells() -> None:
     windows, _ = shaking(0)
     for features, number in ((activity, 48), (activity_and_steps, 88)):
-        assert features(windows).shape == (400, number)
-        np.testing.assert_allclose(features(windows), features(windows[:, :, ::-1]))
+        assert features(windows, USUAL).shape == (400, number)
+        np.testing.assert_allclose(features(windows, USUAL), features(windows[:, :, ::-1], USUAL))
+
+
+def test_features_cover_the_same_times_at_another_rate() -> None:
+    windows = np.random.default_rng(0).normal(0, 9, (50, 51, 6))
+    fast = windows.repeat(3, axis=1)
+    activities, strokes = (
+        [
+            each.of(values[:, -each.length :])
+            for each, values in ((one, windows), (one.at(Sampling(300.0)), fast))
+        ]
+        for one in (ACTIVITY, STROKES)
+    )
+    slow, found = (np.expm1(each).reshape(50, 4, 2, 6) for each in activities)
+    np.testing.assert_allclose(found[:, :, 0], slow[:, :, 0])  # variances
+    np.testing.assert_allclose(3 * found[:, :, 1], slow[:, :, 1])  # mean squares of steps, which are as many
+    slow, found = (each.reshape(50, 4, 5)[:, :, [1, 2, 4]] for each in strokes)  # changes and deviations
+    np.testing.assert_allclose(found, slow)

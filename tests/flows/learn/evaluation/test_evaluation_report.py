@@ -11,6 +11,8 @@ from flows.learn.evaluation.evaluation_report import evaluation_report
 from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult
 from flows.learn.evaluation.event_metrics import EventMetrics
 from flows.learn.evaluation.intervals import Estimate
+from flows.learn.evaluation.motion_metrics import MotionConfusions
+from flows.learn.evaluation.sample_metrics import EDGES, Confusion, Roc
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.leaks.leak import Leak
 from tests.readability import report_faults
@@ -58,10 +60,15 @@ def test_findings_contain_numbers(found: Evaluation) -> None:
 
 
 def test_no_delay_is_given_if_no_slip_is_detected(found: Evaluation) -> None:
+    name = found.leader.method.name
     nothing = EventMetrics(np.empty(0), missed_slips=3, false_alarms=0, repeats=0, minutes=1.0)
     for events, end in (
-        (nothing, "and misses 100.0 % of slips"),
-        (replace(nothing, missed_slips=0), "and there are no slips"),
+        (nothing, "per static minute, and misses 100.0 % of slips"),
+        (replace(nothing, missed_slips=0), "per static minute; there are no slips"),
+        (
+            replace(nothing, minutes=0.0),
+            f"{name} misses 100.0 % of slips; nothing is static",
+        ),
     ):
         leader = replace(found.leader, events=events)
         assert sections.events(replace(found, results=(leader,))).finding.endswith(end)
@@ -127,6 +134,43 @@ def test_intervals_contain_the_figure(found: Evaluation) -> None:
     assert section.finding.endswith("is 90.0 %, 88.0 to 91.0 over recordings")
     [row] = section.tables[0].rows
     assert row[1:3] == [90.0, "88.0 to 91.0"]
+
+
+def test_single_things_and_missing_values_are_worded_well(found: Evaluation, tmp_path: Path) -> None:
+    nothing = np.zeros(len(EDGES), np.intp)
+    truth = np.zeros(2, np.bool_)
+    motions = found.leader.motions
+    strokes = [place for place, kind in enumerate(motions.kinds) if kind.kind != "rotation"]
+    kinds = tuple(motions.kinds[place] for place in strokes)
+    leader = replace(
+        found.leader,
+        confusion=Confusion(np.array([[9.0, 1.0], [0.0, 0.0]])),
+        events=EventMetrics(np.empty(0), missed_slips=0, false_alarms=0, repeats=0, minutes=1.0),
+        roc=Roc.of(np.zeros(2), truth),
+        changes=replace(found.leader.changes, samples=nothing, errors=nothing),
+        motions=MotionConfusions(kinds, motions.recordings[strokes], motions.counts[strokes]),
+        figures=replace(found.leader.figures, balanced=Estimate(np.nan)),
+    )
+    static = replace(found, results=(leader,), recordings=1, samples=1)
+    report = evaluation_report(static, COMMAND)
+    for text in (report.markdown("evaluation"), report.terminal()):
+        assert "nan" not in text.replace("-", " ").split()
+    assert report.text.startswith("1 method on the test split of tiny: 1 recording, ")
+    findings = {each.name: each.finding for each in report.sections}
+    assert findings["confusion"].endswith("recognises 90.0 % of static")
+    assert findings["curves"].startswith(f"The area under the ROC of {leader.method.name} is unknown; ")
+    assert "rotation" not in findings["motions"]
+    assert report_faults(report, tmp_path) == []
+
+
+def test_labels_by_hand_are_not_called_labels_by_arm_speed(found: Evaluation) -> None:
+    corrected = replace(found, by_hand="labels by hand: 5 of 9 samples of one version 1")
+    [section] = sections.sliding(corrected)
+    assert section.finding.startswith("Against true sliding the label by arm speed and hand has a balanced")
+    assert section.tables[0].rows[0][0] == "the label by arm speed and hand"
+    assert section.tables[0].head[2] == "arm and hand: balanced %"
+    for part in evaluation_report(corrected, COMMAND).sections:
+        assert "arm-speed label" not in part.text + part.finding
 
 
 def test_the_page_is_readable_on_a_desk_and_a_phone(found: Evaluation, tmp_path: Path) -> None:

@@ -1,17 +1,20 @@
 import json
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from flows.learn.evaluation.methods import Method, trained_methods, with_baselines
+from flows.learn.evaluation.methods import Method, for_fingertip, trained_methods, with_baselines
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.detectors import TRAINED, Psd
 from operators.detectors.paper_tcn import shapes
-from operators.errors import InputError
+from operators.errors import FingertipError, InputError
+from operators.fingertip import TAKKTILE
 from storage import save_weights
 from storage.models import shipped_names
 
@@ -56,6 +59,47 @@ def test_baselines_are_fitted_to_the_training_split(training: list[LabelledRecor
     psd = next(method.detector for method in found if method.name == "psd")
     assert isinstance(psd, Psd)
     assert psd.threshold != Psd().threshold
+
+
+def test_baselines_are_fitted_at_the_rate_and_in_the_unit_of_their_data(
+    training: list[LabelledRecording],
+) -> None:
+    fingertip = replace(TAKKTILE, rate=200.0, unit="kPa", resolution=0.01)
+    fast = [replace(each, fingertip=fingertip) for each in training]
+    found, missing = methods(fast, names=["psd", "psd_1s", "logistic"])
+    assert not missing
+    assert {method.name: method.detector.length for method in found} == {
+        "logistic": 81,
+        "psd": 50,
+        "psd_1s": 200,
+    }
+    for method in found:
+        assert np.isfinite(probabilities(method.detector, fast[0])[-1])
+    with pytest.raises(FingertipError, match=r"psd needs steps of 0\.01 kPa, 200 Hz; the data has count"):
+        probabilities(found[1].detector, training[0])
+
+
+def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(
+    training: list[LabelledRecording],
+) -> None:
+    slow = [replace(each, fingertip=replace(TAKKTILE, rate=16.0)) for each in training]
+    found, missing = methods(slow, names=["psd", "logistic"])
+    assert [method.name for method in found] == ["logistic"]
+    assert "below 7.68 Hz" in missing["psd"]
+
+
+def test_methods_for_other_fingertips_are_missing_before_anything_is_fitted(
+    training: list[LabelledRecording],
+) -> None:
+    log = list[str]()
+    fast = [replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in training]
+    trained = trained_methods(names=["tcn", "psd"])
+    left, misfits = for_fingertip(trained, fast[0].fingertip, log.append)
+    found, missing = with_baselines(left, fast, ["tcn", "psd"], log.append, misfits)
+    assert [method.name for method in found] == ["psd"]
+    reason = "tcn needs 100 Hz; the data has 200 Hz: insert Resample(rate=100)"
+    assert missing["tcn"].endswith(reason)
+    assert log == [f"not evaluated: tcn: {missing['tcn']}", "fitting psd"]
 
 
 def test_without_a_training_split_baselines_are_missing_with_a_reason() -> None:

@@ -1,3 +1,4 @@
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from flows.learn.training.onnx_export import export_onnx
 from flows.learn.training.recipe import Recipe
 from operators import Score, Zeroed, ms
 from operators.detectors import Psd, Tcn
-from operators.errors import FingertipError
+from operators.errors import FingertipError, InputError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
 
@@ -28,9 +29,9 @@ def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
     found = list[LabelledRecording]()
     for seed, split in enumerate(("train", "train", "validation", "test")):
         rng = np.random.default_rng(seed)
-        label = np.repeat(np.arange(14) % 2, 50).astype(np.int8)
+        label = np.repeat(np.arange(30) % 2, 50).astype(np.int8)
         spread = np.where(label == 1, 40.0, 1.0)[:, None]
-        counts = rng.normal(0, spread, (700, fingertip.cells)).round().astype(np.int16)
+        counts = rng.normal(0, spread, (1500, fingertip.cells)).round().astype(np.int16)
         found.append(LabelledRecording(counts, label, "plane", name=split, split=split, fingertip=fingertip))
     return found
 
@@ -100,9 +101,13 @@ def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: py
 
 def test_a_detector_is_not_evaluated_on_another_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation_study, "load", loading(replace(TAKKTILE, rate=200.0)))
-    with pytest.raises(
-        FingertipError, match=r"tcn needs 100 Hz; the data has 200 Hz: insert Resample\(rate=100"
-    ):
+    misfit = r"tcn needs 100 Hz; the data has 200 Hz: insert Resample\(rate=100"
+    with pytest.raises(InputError, match=misfit):
         evaluate(tmp_path, names=["tcn"])
+    log = list[str]()
+    found = evaluate(tmp_path, names=["tcn", "psd"], log=log.append)
+    assert [each.method.name for each in found.results] == ["psd"]
+    assert re.search(misfit, found.missing["tcn"])
+    assert log.index(f"not evaluated: tcn: {found.missing['tcn']}") < log.index("fitting psd")
     with pytest.raises(FingertipError, match="psd needs 100 Hz"):
         probabilities(Psd(), recordings(replace(TAKKTILE, rate=50.0))[0])

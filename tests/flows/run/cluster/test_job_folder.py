@@ -1,4 +1,7 @@
+import subprocess
+import sys
 from pathlib import Path
+from shutil import rmtree
 
 import pytest
 
@@ -44,6 +47,27 @@ def test_the_flow_file_is_copied_when_the_job_begins(file: Path, tmp_path: Path)
     folder = created(file, str(tmp_path / "out"))
     file.write_text("raise RuntimeError")
     assert str(folder.flow()).startswith("flow slips\n")
+
+
+def test_modules_of_the_flow_s_folder_are_imported_in_another_process_and_place(tmp_path: Path) -> None:
+    folder = tmp_path / "own"
+    (folder / "own_parts").mkdir(parents=True)
+    (folder / "own_names.py").write_text("NAME = 'sibling'")
+    (folder / "own_parts" / "__init__.py").touch()
+    (folder / "own_parts" / "levels.py").write_text("LEVEL = 0.25")
+    (folder / "unrelated.py").write_text("raise RuntimeError")
+    imports = "from own_names import NAME\nfrom own_parts.levels import LEVEL\n"
+    (folder / "job_flow.py").write_text(
+        imports + FLOW.replace('"slips"', "NAME").replace("Debounce()", "Debounce(LEVEL)")
+    )
+    job = created(folder / "job_flow.py", str(tmp_path / "out"))
+    rmtree(folder)
+    code = "from flows.run.cluster.job_folder import *; print(JobFolder(Path(sys.argv[1])).flow())"
+    command = [sys.executable, "-c", f"import sys; {code}", str(job.path)]
+    printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    assert printed.startswith("flow sibling\n")
+    assert "0.25" in printed
+    assert not (job.path / "flow" / "unrelated.py").exists()
 
 
 def test_snapshots_are_valid_for_all_functions_of_one_process(file: Path, tmp_path: Path) -> None:

@@ -1,0 +1,96 @@
+"""Pictures of the pages for the documentation, run by `make figures`.
+
+The live page shows the demo on the simulated rig in real time; `show` a session of the plan tiny, zoomed,
+with spans labelled by hand.
+"""
+
+import sys
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final, Literal, TypeAlias
+
+from PIL import Image
+from playwright.sync_api import Browser, Page, ViewportSize, expect
+
+from flows.cli.show import load
+from flows.lab.simulation import simulate
+from storage import Session
+from tests.benchmarks.bench_page import WARM, demo
+from tests.chaos.latency import real_time_priority
+from tests.connectors.web.browsing import LATE, ServedRecording, drag
+from tests.readability import chromium
+
+SESSION: Final = "plane-050-01"
+Scheme: TypeAlias = Literal["light", "dark"]
+LIVE: Final[tuple[tuple[str, int, int, Scheme, bool], ...]] = (  # width and height, px; True: while it slips
+    ("light", 1280, 1040, "light", True),
+    ("dark", 1280, 1040, "dark", False),
+    ("phone", 390, 844, "light", True),
+)
+LABELS: Final = ((0.02, 0.07, "t"), (0.27, 0.36, "s"), (0.36, 0.42, "u"), (0.62, 0.74, "s"))  # shares, key
+
+
+def caught(tab: Page, *, slips: bool, full: bool) -> bytes:
+    """Return a picture that was taken within one state; with slip, after its direction is known."""
+    state = f"#state[data-slip={str(slips).lower()}]"
+    while True:
+        tab.wait_for_selector(f"#state[data-slip={str(not slips).lower()}]")  # just when it changes
+        tab.wait_for_selector(state)
+        tab.wait_for_timeout(250)  # the numbers follow
+        png = tab.screenshot(full_page=full)
+        if tab.locator(state).count() and tab.locator("#direction").is_visible() == slips:
+            return png
+
+
+def live_pictures(browser: Browser, url: str, folder: Path) -> None:
+    """Write the pictures of the live page."""
+    for name, width, height, scheme, slips in LIVE:
+        context = browser.new_context(viewport=ViewportSize(width=width, height=height), color_scheme=scheme)
+        tab = context.new_page()
+        tab.goto(url)
+        tab.wait_for_timeout(1000 * (WARM if name == "light" else 2))
+        save(caught(tab, slips=slips, full=name == "phone"), folder / f"page-{name}.png")
+        context.close()
+
+
+def show_picture(browser: Browser, dataset: Path, folder: Path) -> None:
+    """Write the picture of a recorded session."""
+    simulate(dataset, "tiny", seed=0, jobs=1)
+    with ServedRecording(load(Session.open(dataset / "sessions" / SESSION))) as served:
+        tab = browser.new_page(viewport=ViewportSize(width=1280, height=1180), color_scheme="light")
+        tab.set_default_timeout(LATE)
+        tab.goto(served.url)
+        tab.get_by_role("combobox", name="Window").select_option(label="all")
+        expect(tab.locator("#axis")).to_contain_text("since the start")
+        drag(tab, tab.locator("#counts"), 0.25, 0.72)
+        expect(tab.locator("#unzoom")).to_be_visible()
+        tab.get_by_label("Your name").fill("Ada")
+        for begin, end, key in LABELS:
+            drag(tab, tab.locator("#bands"), begin, end)
+            tab.keyboard.press(key)
+        box = tab.locator("#scores").bounding_box()
+        assert box is not None
+        tab.mouse.click(box["x"] + 0.8 * box["width"], box["y"] + box["height"] / 2)
+        expect(tab.locator("#direction")).to_be_visible()
+        tab.wait_for_timeout(500)
+        save(tab.screenshot(full_page=True), folder / "show.png")
+
+
+def save(png: bytes, path: Path) -> None:
+    """Write a picture with 256 colours."""
+    with Image.open(BytesIO(png)) as image:
+        few = image.convert("RGB").quantize(256, kmeans=3, dither=Image.Dither.NONE)
+        few.save(path, optimize=True)
+
+
+def main(folder: Path) -> None:
+    """Write all pictures into a folder."""
+    with chromium() as browser, TemporaryDirectory() as scratch:
+        show_picture(browser, Path(scratch) / "tiny", folder)
+        with real_time_priority(), demo() as (_, url):
+            live_pictures(browser, url, folder)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
