@@ -60,6 +60,7 @@ class Align(Join[Zeroed, Motion, Sample]):
     _values: Reals = field(init=False, repr=False, compare=False)  # (n, 12) velocity and pose
     # start and stop of the motion kept in these arrays; `within`, longest distance from the newest, `how`
     _state: Times = field(init=False, repr=False, compare=False)
+    _free: int = field(default=0, init=False, repr=False)  # rows for which there certainly is room
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _touched: int = field(default=-END, init=False, repr=False)  # ns, newest touch
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
@@ -90,10 +91,11 @@ class Align(Join[Zeroed, Motion, Sample]):
         return self._match(rows, -END) if rows.time.size else Sample.empty()
 
     def _store(self, motion: Motion) -> None:
-        size = motion.time.size
-        if self._state.item(1) + size > self._stamps.size:
+        self._free -= motion.time.size
+        if self._free < 0:
             start, stop = self._state[:2].tolist()
-            self._resize(max(_ROWS, 2 * (stop - start) + size))
+            self._resize(max(_ROWS, 2 * (stop - start) + motion.time.size))
+            self._free -= motion.time.size
         values = motion.velocity, motion.pose
         self._newest = _keep(motion.time, *values, self._stamps, self._values, self._state, self._newest)
 
@@ -104,6 +106,7 @@ class Align(Join[Zeroed, Motion, Sample]):
         stamps[: stop - start], values[: stop - start] = self._stamps[start:stop], self._values[start:stop]
         self._stamps, self._values = stamps, values
         self._state[:2] = 0, stop - start
+        self._free = size - (stop - start)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without motion that is too old."""
@@ -117,8 +120,16 @@ class Align(Join[Zeroed, Motion, Sample]):
         size = rows.time.size
         velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
         _match(rows.time, self._stamps, self._values, self._state, oldest, velocity, pose, matched)
-        touch = rows.time, rows.counts, rows.temperature, rows.valid
-        return Sample(*touch, velocity, pose, matched, finger=rows.finger)
+        return Sample(  # without *, which takes 0.2 us
+            rows.time,
+            rows.counts,
+            rows.temperature,
+            rows.valid,
+            velocity,
+            pose,
+            matched,
+            finger=rows.finger,
+        )
 
 
 @row_loop

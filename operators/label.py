@@ -172,5 +172,15 @@ def _length(x: float, y: float, z: float) -> float:
 
 
 def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
-    values = rows.counts, rows.temperature, rows.valid, rows.velocity, rows.pose, rows.matched
-    return Labelled(rows.time, *values, speed, label, finger=rows.finger)
+    return Labelled(  # without *, which takes 0.2 us
+        rows.time,
+        rows.counts,
+        rows.temperature,
+        rows.valid,
+        rows.velocity,
+        rows.pose,
+        rows.matched,
+        speed,
+        label,
+        finger=rows.finger,
+    )

@@ -35,8 +35,9 @@ class LateRowFilter:
     def filter(self, batch: SomeBatch) -> SomeBatch:
         """Return the rows that are not late; rows with equal stamps keep their order of arrival."""
         time = batch.time
-        if time.item(0) >= self.newest and (time.size == 1 or batch.is_ordered()):
-            self.newest = time.item(-1)
+        first = time.item(0)
+        if first >= self.newest and (time.size == 1 or batch.is_ordered()):
+            self.newest = first if time.size == 1 else time.item(-1)
             return batch
         limit = np.maximum.accumulate(np.maximum(time, self.newest))  # (n,)
         kept = time >= limit  # (n,)
