@@ -205,6 +205,7 @@ class LiveRunner:
             async for batch in stream:
                 batches = {(node, batch.finger): batch}
                 waiting = None if self._pending else self._enqueue(self.compiled.push(batches))
+                reader.count(batch)
                 if waiting != []:  # rare: no await in the usual case, so no other source runs in between
                     await self._wait_for_room(batches, waiting)
                 if self._ending:

@@ -76,7 +76,6 @@ class SourceReader:
                                 text = f"{self.name} works again"
                                 warn("source_restarted", text, source=self.name, gap=gap)
                                 retry.reset()
-                            self._count(batch)
                             yield batch
                 except MISTAKES as error:
                     self.status.error = reason_of(error) + location(self._source, error)
@@ -126,7 +125,8 @@ class SourceReader:
         except BatchError as error:
             raise OperatorError(self._run.flow, self.name, f"yielded {error}") from error
 
-    def _count(self, batch: Batch) -> None:
+    def count(self, batch: Batch) -> None:
+        """Count the rows of a batch; call this after passing it on, so that counting delays no event."""
         status, in_time = self.status, self._filters[batch.finger]
         late, before = in_time.late, in_time.newest
         in_time.filter(batch)

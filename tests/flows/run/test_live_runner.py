@@ -76,6 +76,22 @@ def test_garbage_collections_ignore_older_objects_during_a_run_only() -> None:
     assert gc.get_freeze_count() == 0
 
 
+def test_rows_are_counted_after_their_delivery() -> None:
+    class Counting(TestSink):
+        async def open(self, run: Run) -> None:
+            await super().open(run)
+            (self.status,) = run.sources.values()
+
+        def take(self, batch: Batch) -> bool:
+            counted.append(self.status.rows)
+            return super().take(batch)
+
+    flow, counted = Flow("f"), list[int]()
+    flow.source(TestSource(Scores, scores(0, 3))).to(Counting())
+    execute(flow)
+    assert counted == [0, 1, 2]
+
+
 def test_a_missing_extra_is_an_error_before_anything_starts(hide_packages: Callable[..., None]) -> None:
     flow, sink = Flow("f"), TestSink()
     flow.source(TestSource(Scores, scores(0, 5))).to(sink)
