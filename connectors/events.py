@@ -276,7 +276,7 @@ def slip_texts(slip: Slip) -> list[str]:
 
 
 def clear_direction(event: Slip | Event) -> float | None:
-    """Return the direction to show to people, degrees; None if unknown or with a deviation above 45 degrees.
+    """Return the direction to display, degrees; None if unknown or with a deviation above 45 degrees.
 
     >>> [clear_direction(Slip(0, True, 0.9, None, 270, deviation)) for deviation in (45, 46)]
     [270, None]
@@ -291,7 +291,7 @@ def whole_degrees(angles: Reals) -> list[int | None]:
 
 
 def faults(batch: Faults) -> Iterator[tuple[int, Fault, bool]]:
-    """Yield time (ns), fault, and True for its begin or False for its end, for each row of a batch."""
+    """Yield time (ns), fault, and True for its beginning or False for its end, for each row of a batch."""
     rows = (batch.time.tolist(), batch.barometer.tolist(), batch.kind.tolist(), batch.active.tolist())
     for time, barometer, kind, active in zip(*rows, strict=True):
         yield time, Fault(barometer, FaultKind(kind).name.lower()), active

@@ -1,4 +1,4 @@
-"""Demonstration without hardware: a simulated rig, slip events, and a synchronized, labelled dataset."""
+"""Demonstration without hardware: a simulated rig, slip events, and a synchronised, labelled dataset."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Recording of synchronized, labelled samples of a fingertip that an arm drags over a surface."""
+"""Recording of synchronised, labelled samples of a fingertip that an arm drags over a surface."""
 
 from connectors import SimulatedRig
 from flows.graph import Flow, Stream

@@ -28,7 +28,7 @@ class Chain(Generic[AnyBatch]):
         return sum(map(len, self._batches))
 
     def append(self, batch: AnyBatch) -> None:
-        """Append a batch of at least one row, none older than the rows before."""
+        """Append a batch of at least one row, none older than the previous rows."""
         self._batches.append(batch)
 
     def take(self, before: int = END) -> AnyBatch:

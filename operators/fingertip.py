@@ -12,7 +12,7 @@ from operators.checks import check_above, check_between
 from operators.errors import FingertipError, InputError, ParameterError
 
 CELL_LIMIT: Final = 128  # cells of a fingertip
-NO_CELL: Final = -1  # empty place of a layout
+NO_CELL: Final = -1  # empty position of a layout
 RATE_TOLERANCE: Final = 0.1  # relative
 
 _FIELDS: Final = {"layout", "rate_hz", "unit", "resolution", "range"}
@@ -26,7 +26,7 @@ class Fingertip:
     1234 counts are 12.34 kPa.
 
     Args:
-        layout: Rows of cell numbers, the top row first; -1 is a place without a cell. Each cell from 0 on
+        layout: Rows of cell numbers, the top row first; -1 is a position without a cell. Each cell from 0 on
             occurs once.
         rate: Samples per second, Hz.
         unit: Unit of a reading; ``count`` for a converter without calibration.

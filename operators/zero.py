@@ -27,8 +27,8 @@ class Zero(Operator[Touch, Zeroed]):
         scans: Number of samples for the measurement.
 
     Raises:
-        ParameterError: if the baseline is out of range or `scans` is below 1; from `push`, if a baseline has
-            another number of cells than the fingertip.
+        ParameterError: if the baseline is out of range or `scans` is below 1; from `push`, if a baseline
+            does not have as many cells as the fingertip.
 
     >>> cells = np.full((1, 6), 700, np.int16)
     >>> touch = Touch(np.zeros(1, int), cells, cells, cells > 0)

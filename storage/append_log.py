@@ -11,7 +11,7 @@ CRC of the header, which covers the random nonce, and covers the frame's offset 
 before the frame (4), and the rest of the frame. Bytes of an older log, of a failed append or of a repeated
 block are therefore never read as records. All numbers are little-endian and unsigned.
 
-The caller decides when to `sync`, which may run in another thread than `append`. A log has no threads.
+The caller decides when to `sync`, which may run in a different thread from `append`. A log has no threads.
 """
 
 import os

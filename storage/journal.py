@@ -57,8 +57,8 @@ class NumberedRows(NamedTuple):
 class Journal:
     """Journal of a session that is being recorded. Only `add` never waits for the disk.
 
-    `add` may run in another thread than the rest. `append`, `sync` and a commit, which ends with `rotate`,
-    may run at the same time, each once.
+    `add` may run in a different thread from the rest. `append`, `sync` and a commit, which ends with
+    `rotate`, may run at the same time, each once.
 
     Args:
         folder: Folder of the session.

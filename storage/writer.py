@@ -141,7 +141,7 @@ class SessionWriter:
             raise ParameterError("Dataset", "batch", kind.__name__, reason)
         rows = len(batch.check())
         if rows and buffer is not None and buffer.cells != batch.cells:
-            must_be = f"{buffer.cells}, as in the rows before: record other fingertips in another session"
+            must_be = f"{buffer.cells}, as in the previous rows: record other fingertips in another session"
             raise ParameterError("Dataset", f"number of cells of a {kind.__name__}", batch.cells, must_be)
         if self._failed or (self._journal and self._journal.suspect):
             return True

@@ -34,6 +34,11 @@ AVOID: Final = {
     r"whoever|whosoever|whatsoever": "the user, the caller",
     r"is sound": "OK",
     r"is what it (is|says|was)": "name it",
+    r"an own|(?:its|their) begin": "one's own; beginning",
+    r"a MCAP": "an MCAP file",
+    r"(?:in|is|has|with) another [a-z]+ than": "a different ... from, a ... other than",
+    r"the one before|the ones before": "the previous one",
+    r"(?:synchron|general|random|standard|recogn)iz\w+": "-ise, as everywhere else",
     r"(?<!there )is no (?!longer|more|less|such|better|worse)[a-z]+": "is not a",
 }
 # Uses of these words that are correct: the text around the word, and why.
@@ -130,6 +135,12 @@ def test_the_help_of_an_option_states_its_effect() -> None:
 
 def test_avoided_words_are_found_and_allowed_uses_are_not() -> None:
     assert avoided("Rows that somebody told of, felt anew") == ["somebody", "told", "felt", "anew"]
+    assert avoided("an own file, in another order than a MCAP file") == [
+        "an own",
+        "in another order than",
+        "a MCAP",
+    ]
+    assert avoided("an MCAP file of one's own, at the beginning") == []
     assert avoided("The power law of friction; telling, household, lawn") == []
     source = 'def f():\n    """What it is."""\n    raise E("is told")  # nobody\n'
     assert [words for _, text in texts(source) if (words := avoided(text))] == [["nobody"], ["told"]]

@@ -31,7 +31,7 @@ def read_table(
         separator: Separator of a CSV file (default: detected).
         header: Names of the columns of a CSV file without such a line.
         lenient: Accept a CSV file whose last line is cut off.
-        topic: Topic of a MCAP file or bag with the fingertip (default: its only topic).
+        topic: Topic of an MCAP file or bag with the fingertip (default: its only topic).
         motion_topic: Topic with the motion, if it is another one.
 
     Raises:
@@ -48,7 +48,7 @@ def read_table(
     if is_bag(path):
         return read_bag(path, topic, motion_topic)
     if topic or motion_topic:
-        must_be = f"left out: {path.name} is neither a MCAP file nor a ROS 2 bag"
+        must_be = f"left out: {path.name} is neither an MCAP file nor a ROS 2 bag"
         raise ParameterError("import", "topic", topic or motion_topic, must_be)
     if path.suffix == ".parquet":
         from connectors.files.parquet_table import read_parquet

@@ -23,7 +23,7 @@ _BLOCK: Final = 1 << 20  # bytes read at once
 
 
 def read_mcap(path: Path, topic: str = "", motion_topic: str = "") -> TraceTable:
-    """Read a topic of a MCAP file, see `read_topic`.
+    """Read a topic of an MCAP file, see `read_topic`.
 
     Raises:
         InputError: if the library is not installed, the file cannot be read or is damaged, there is no such
@@ -50,7 +50,7 @@ def hash_file(path: Path) -> str:
 
 
 def mcap_messages(path: Path) -> Iterator[Message]:
-    """Yield the messages of a MCAP file.
+    """Yield the messages of an MCAP file.
 
     Raises:
         InputError: if the library is not installed, or the file cannot be read or is damaged.
@@ -91,7 +91,7 @@ def _unpacked(chunk: "Chunk") -> "Chunk":
     """Return a chunk without compression.
 
     Raises:
-        ValueError: if it unpacks to another size than it declares, or is too large.
+        ValueError: if it does not unpack to the size that it declares, or is too large.
     """
     size = chunk.uncompressed_size
     if size > RECORD_LIMIT:

@@ -77,7 +77,7 @@ class Position:
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
         """Set the newest number of each epoch that a rig keeps, the current epoch last.
 
-        A head that is older than the one before is ignored: it has a lower number of a known epoch, or the
+        A head that is older than the previous one is ignored: it has a lower number of a known epoch, or the
         known number of an earlier epoch. The gaps of epochs that are no longer kept are closed and reported
         as lost; the epochs stay known, so that an older head does not bring them back.
         """

@@ -11,7 +11,7 @@ from flows.cli.options import AsJson, KeepNew
 
 def adapt(
     model: Annotated[
-        str, typer.Argument(metavar="MODEL", help="File of tcn weights, or tcn or tcn_wide, which ship.")
+        str, typer.Argument(metavar="MODEL", help="File of tcn weights, or a shipped one: tcn, tcn_wide.")
     ],
     *,
     to: Annotated[
@@ -35,7 +35,7 @@ def adapt(
     first: Annotated[
         str | None,
         typer.Option(
-            metavar="TIME", help="Use the first TIME of each recording only, such as 30s (default: all)."
+            metavar="TIME", help="Use only the first TIME of each recording, such as 30s (default: all)."
         ),
     ] = None,
     keep_new: KeepNew = False,
@@ -44,9 +44,9 @@ def adapt(
     """Adapt a detector to your fingertip without labels.
 
     Record 30 s or more in which the finger rests for a second or longer between strokes: for example
-    `slipflow run record --for 30s`, stroking a surface by hand. Rest and strokes are found by the activity of
-    the counts. The time scale and the gain of the model are aligned with them, and its last layers learn from
-    them. This takes seconds. The result is a normal model: it runs live, in replays and as ONNX.
+    `slipflow run record --for 30s`, stroking a surface by hand. The activity of the counts separates rest
+    from strokes. The time scale and the gain of the model are aligned with it, and its last layers learn
+    from it. This takes seconds. The result is a normal model: it runs live, in replays and as ONNX.
 
     A third of the recording is held out to compare the new model with the old one. If the new one is not
     better, nothing is written and the exit code is 3.

@@ -36,13 +36,14 @@ def benchmark(
     model: Models = None,
     method: Methods = None,
     steps: Annotated[
-        int, typer.Option(min=1, help="Training steps of the tcn for each surface or object held out.")
+        int, typer.Option(min=1, help="Training steps of the tcn for each held-out surface or object.")
     ] = _STEPS,
     quick: Annotated[
         bool, typer.Option("--quick", help=f"Train for {_QUICK_STEPS} steps: a first impression.")
     ] = False,
     to: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder that the recipes were fetched into.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the recipes (default: that of `slipflow fetch`)."),
     ] = None,
     seed: Seed = 0,
     jobs: Jobs = None,
@@ -51,9 +52,9 @@ def benchmark(
 ) -> None:
     """Evaluate detectors on real recordings of unseen surfaces.
 
-    Holds out one surface or object (`group` of the sessions) after the other; one recording if a dataset has
-    fewer than two. zero-shot: detectors as they are. adapted: to 30 s without labels of what is judged.
-    few-shot: two labelled minutes of the others. in-domain: fitted to all others.
+    Holds out each surface or object (`group` of the sessions) in turn, or each recording if a dataset has
+    fewer than two groups. Regimes: zero-shot, detectors as they are; adapted, to 30 s of the held-out data
+    without labels; few-shot, trained on two labelled minutes of the rest; in-domain, on all of the rest.
 
     Reports balanced accuracy, AUC, calibration error, events per minute, missed slips and delay with
     intervals over recordings, next to majority, logistic and gradient-boosting baselines, and names what

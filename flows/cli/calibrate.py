@@ -24,7 +24,10 @@ def calibrate(
         ),
     ],
     false_alarms: Annotated[
-        str, typer.Option(metavar="RATE", help="Most false alarms per static time, such as 1/min or 6/h.")
+        str,
+        typer.Option(
+            metavar="RATE", help="Highest rate of false alarms, per static time, such as 1/min or 6/h."
+        ),
     ] = "1/min",
     confidence: Annotated[
         str, typer.Option(metavar="SHARE", help="Probability that the rate is kept, from 80% to 99.9%.")
@@ -49,7 +52,7 @@ def calibrate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Choose how often a false alarm may occur.
+    """Tune the debounce of a detector for a stated rate of false alarms.
 
     Chooses threshold, run length and release of the debounce such that false alarms are at most as frequent
     as RATE on data like the given recordings, with the given confidence. The model card records the settings,

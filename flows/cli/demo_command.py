@@ -9,12 +9,14 @@ import typer
 from flows.cli.event_log import Format, Log, with_json_console
 from flows.cli.execution import execute, separate_result
 from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
-from flows.cli.options import AsJson, Duration, Recordings, Seed
+from flows.cli.options import AsJson, Recordings, Seed
 
 
 def demo(
     *,
-    duration: Duration = "20s",
+    duration: Annotated[
+        str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
+    ] = "20s",
     out: Recordings = Path("recordings"),
     mqtt: Annotated[
         str | None,

@@ -25,20 +25,28 @@ def doctor(
     *,
     settings: Settings = None,
     bus: Annotated[
-        str | None, typer.Option(metavar="BUS", help="I2C bus of TakkTile fingertips: a number or a path.")
+        str | None,
+        typer.Option(
+            metavar="BUS", help="I2C bus of TakkTile fingertips: a number or a path (default: not checked)."
+        ),
     ] = None,
     rows: Rows = "0",
-    robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of a UR controller.")] = None,
-    gripper: Annotated[
-        str | None, typer.Option(metavar="HOST[:PORT]", help="Address of a Robotiq gripper.")
+    robot: Annotated[
+        str | None, typer.Option(metavar="HOST", help="Address of a UR controller (default: not checked).")
     ] = None,
-    mqtt: Annotated[str | None, typer.Option(metavar="URL", help="MQTT broker.")] = None,
+    gripper: Annotated[
+        str | None,
+        typer.Option(metavar="HOST[:PORT]", help="Address of a Robotiq gripper (default: not checked)."),
+    ] = None,
+    mqtt: Annotated[
+        str | None, typer.Option(metavar="URL", help="MQTT broker (default: not checked).")
+    ] = None,
     rig: Annotated[
         str, typer.Option(metavar="SITE/RIG", help="Rig whose rights on the broker are checked, with --mqtt.")
     ] = "lab/rig",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
     virtual: Annotated[
-        bool, typer.Option("--virtual", help="Check the devices of a virtual lab, which runs meanwhile.")
+        bool, typer.Option("--virtual", help="Check the devices of a virtual lab, which is started for this.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:

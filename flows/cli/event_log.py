@@ -32,8 +32,8 @@ Log = Annotated[
     Format,
     typer.Option(
         "--log",
-        help="Format of the log. json: print slips, failures, and the start and end of the run as one JSON"
-        " object per line.",
+        help="Format of the log: text, or json, which prints slips, failures, and the start and end of the"
+        " run as one JSON object per line.",
     ),
 ]
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from flows.lab.experiments.rivals import Method
     from flows.lab.experiments.study import Experiment, Trials
 
-app = command_group("Run the paper's robot experiments in simulation, closed loop.")
+app = command_group("Run the paper's robot experiments in closed loop, simulated.")
 
 Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
 Seed = Annotated[

@@ -68,7 +68,7 @@ def import_(
         str,
         typer.Option(
             metavar="LAYOUT",
-            help="Places of the cells: ROWSxCOLUMNS, numbered from the top left, such as 8x2; or the cell"
+            help="Positions of the cells: ROWSxCOLUMNS, numbered from the top left, such as 8x2; or the cell"
             " numbers of each row from the top, such as 5,4,3/0,1,2; -1: no cell (default: as on a TakkTile"
             " for six cells, else about square).",
         ),
@@ -117,7 +117,7 @@ def import_(
     ] = "",
     topic: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Topic of a MCAP file or ROS 2 bag (default: its only topic)."),
+        typer.Option(metavar="NAME", help="Topic of an MCAP file or ROS 2 bag (default: its only topic)."),
     ] = "",
     motion_topic: Annotated[
         str, typer.Option(metavar="NAME", help="Topic with the motion (default: that of the fingertip).")

@@ -19,7 +19,10 @@ Methods = Annotated[
     typer.Option("--method", metavar="NAME", help="Include this method only; repeatable (default: all)."),
 ]
 Duration = Annotated[
-    str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
+    str | None,
+    typer.Option(
+        "--for", metavar="TIME", help="Stop after this time, such as 30s or 5min (default: no limit)."
+    ),
 ]
 Target = Annotated[
     str,

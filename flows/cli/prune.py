@@ -19,12 +19,13 @@ def prune(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset.")],
     *,
     older_than: Annotated[
-        str | None, typer.Option(metavar="TIME", help="Delete sessions written before this time, as 30d.")
+        str | None, typer.Option(metavar="TIME", help="Delete sessions older than this, such as 30d.")
     ] = None,
     larger_than: Annotated[
         str | None,
         typer.Option(
-            metavar="SIZE", help="Delete the oldest sessions while the dataset is larger, as 200GB."
+            metavar="SIZE",
+            help="Delete the oldest sessions while the dataset is larger than this, such as 200GB.",
         ),
     ] = None,
     keep_unexported: Annotated[

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Labelled dataset with splits.")]
 Budget = Annotated[
-    float, typer.Option(min=0, help="Tune the debounce for this many false alarms per static minute.")
+    float, typer.Option(min=0, help="Tune the debounce for at most this many false alarms per static minute.")
 ]
 ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]
 

@@ -21,7 +21,10 @@ def run(
     duration: Duration = None,
     replay: Annotated[
         list[Path] | None,
-        typer.Option(metavar="PATH", help="Replay a session, all sessions of a dataset, or a CSV trace."),
+        typer.Option(
+            metavar="PATH",
+            help="Replay a session, all sessions of a dataset, or a trace: .csv, .parquet, .npz or .mcap.",
+        ),
     ] = None,
     more: Annotated[
         list[Path] | None, typer.Argument(metavar="PATH", help="Further recordings, with --replay.")

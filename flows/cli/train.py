@@ -44,7 +44,7 @@ def train(
         typer.Option(
             "--from",
             metavar="MODEL",
-            help="Train this tcn (a file, or tcn_wide, which ships) further with few labels: two minutes"
+            help="Continue training of this tcn (a file, or the shipped tcn_wide) on few labels: two minutes"
             " suffice.",
         ),
     ] = None,

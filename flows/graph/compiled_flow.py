@@ -178,7 +178,7 @@ class CompiledFlow:
 
         Raises:
             BatchError: if a source yields a fingertip that it does not declare.
-            OperatorError: if an operator fails or returns another type than it declares.
+            OperatorError: if an operator fails or returns a type that it does not declare.
         """
         values: dict[int, Batch] = {}
         deliveries: list[Delivery] = []

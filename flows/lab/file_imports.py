@@ -140,7 +140,7 @@ class FileImports:
             try:
                 await found.write()
             except EndpointError as error:
-                written = f"({counted(number, 'session')} written; go on with --skip-existing)"
+                written = f"({counted(number, 'session')} written; continue with --skip-existing)"
                 reason = f"{error.reason} {written}" if number else error.reason
                 raise EndpointError(error.endpoint, reason) from error
         return len(new)

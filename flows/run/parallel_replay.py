@@ -42,7 +42,7 @@ class Replays:
     Args:
         target: Flow, as `flows.graph.loading.load` takes it.
         settings: Parameters of the flow, as text.
-        recordings: Sessions or CSV traces; `recordings` finds those of datasets.
+        recordings: Sessions or traces; `recordings` finds those of datasets.
         session: Prefix of the session names; a number follows.
     """
 
@@ -125,7 +125,7 @@ class Replays:
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the sessions and CSV traces in `paths`; a dataset is replaced by all of its sessions, sorted.
+    """Return the sessions and traces in `paths`; a dataset is replaced by all of its sessions, sorted.
 
     Raises:
         InputError: if a dataset has no session.
@@ -137,7 +137,7 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
         elif names := session_names(path):
             found += [session_folder(path, name) for name in names]
         else:
-            raise InputError(str(path), "has no session: give a dataset, a session's folder, or a CSV trace")
+            raise InputError(str(path), "has no session: give a dataset, a session's folder, or a trace")
     return found
 
 

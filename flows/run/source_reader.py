@@ -58,8 +58,8 @@ class SourceReader:
         """Yield the batches of the source until it ends.
 
         Raises:
-            OperatorError: if a batch has another type or shape than the source declares, or the source raises
-                one of `MISTAKES`.
+            OperatorError: if a batch does not have the type or shape that the source declares, or the source
+                raises one of `MISTAKES`.
             SlipflowError: if the source raises one other than EndpointError.
         """
         retry = BackOff()

@@ -236,7 +236,7 @@ class _Packing:
         self.rows, self.weights, self.size = list[list[int]](), list[Floats](), size
 
     def add(self, layers: Sequence[CausalLayer]) -> None:
-        """Append layers of which each reads the outputs of the one before, and a row for the last outputs."""
+        """Append layers, each of which reads the outputs of the previous one, then a row for the outputs."""
         rounded = 0
         for layer in layers:
             taps, inputs, outputs = layer.kernel.shape

@@ -49,7 +49,7 @@ export class Labels {
     if (found) $("label-note").value = found.note;
   }
 
-  // Move the begin (0) or the end (1) of the selection to the selected time.
+  // Move the beginning (0) or the end (1) of the selection to the selected time.
   edge(which) {
     const t = this.page.instant(), [begin, end] = this.selected ?? [t, t];
     const moved = which ? [Math.min(begin, t), t] : [t, Math.max(end, t)];
@@ -60,7 +60,7 @@ export class Labels {
   mark(value) {
     const [begin, end] = this.selected ?? [0, 0], { finger } = this.page;
     if (end <= begin || finger === null) {
-      this.#say("Select a span first: drag over the bands, or press [ and ] at its begin and end.");
+      this.#say("Select a span first: drag over the bands, or press [ and ] at its beginning and end.");
       return;
     }
     const cut = this.spans.flatMap((span) => (span.finger !== finger || span.end <= begin || span.begin >= end ? [span] : [

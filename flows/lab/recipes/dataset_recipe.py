@@ -100,7 +100,7 @@ class DatasetRecipe:
         assumed: Assumptions of the recipe that the source does not confirm.
         rate: Samples per second, Hz.
         resolution: Units per stored count, where the counts have a unit.
-        layout: Places of the cells, as in ``slipflow import --layout``.
+        layout: Positions of the cells, as in ``slipflow import --layout``.
         range: Readings at the lowest and at the highest pressure, as in ``slipflow import --range``.
         zeroed: Counts are relative to the unloaded or resting fingertip.
         split: Unit that a benchmark holds out as a whole: every ``group``, or every ``recording``.

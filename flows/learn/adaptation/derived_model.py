@@ -87,7 +87,7 @@ def adapt_model(
     Raises:
         InputError: as `adapt`, or if the model is not a tcn or a recording cannot be read.
         ParameterError: if a parameter is out of range.
-        FingertipError: if the recordings have another fingertip than the model.
+        FingertipError: if the fingertip of the recordings differs from that of the model.
         OSError: if the model cannot be written.
     """
     tcn = _parent("adapt", model, out)
@@ -149,7 +149,7 @@ def fine_tune_model(
     Raises:
         InputError: as `fine_tune`, or if the model is not a tcn or a dataset cannot be read.
         ParameterError: if a parameter is out of range.
-        FingertipError: if the recordings have another fingertip than the model.
+        FingertipError: if the fingertip of the recordings differs from that of the model.
         OSError: if the model cannot be written.
     """
     check_choice("train", "target", target, TARGETS)

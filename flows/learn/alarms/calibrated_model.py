@@ -80,8 +80,8 @@ def calibrate_model(
     Raises:
         InputError: if the model has no file, the recordings cannot be read, are all left out or repeat each
             other, or a shipped model would replace another one in the current folder.
-        FingertipError: if the recordings have another fingertip than the model.
-        ParameterError: if `by` is unknown or `out` has another suffix than the model.
+        FingertipError: if the fingertip of the recordings differs from that of the model.
+        ParameterError: if `by` is unknown or the suffix of `out` differs from that of the model.
         TooLittleDataError: if there are too few static minutes.
         OSError: if the model cannot be written.
     """
@@ -159,7 +159,7 @@ def _entries_there(path: Path, source: Path, weights: bytes, *, chosen: bool) ->
     if files.read(path, LIMIT) == weights:
         return list(load_card(path).get(ALARMS, ()))
     if not chosen:
-        raise InputError(str(path), f"is another model than the shipped {source.stem}: give a file with -o")
+        raise InputError(str(path), f"is not the shipped {source.stem}: give a file with -o")
     return []
 
 

@@ -82,7 +82,7 @@ class EventMetrics:
     """Onsets of slip events, compared with the true slips.
 
     An onset from 50 ms before a slip to 150 ms after it detects the slip. Each slip needs an onset of its
-    own: a slip that begins while the one before is still reported is missed.
+    own: a slip that begins while the previous one is still reported is missed.
     """
 
     delays: Reals  # (detected,) ms from the start of each detected slip to its first onset

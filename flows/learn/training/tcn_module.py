@@ -21,9 +21,9 @@ class DenseTcn(Network):
     """Network that computes the logit of slip at every sample of a sequence.
 
     Features of a sample are asinh(x / position_scale) and asinh(dx / step_scale) of each barometer, dx the
-    step from the sample before: the signal matters from one count (noise) to 500 (saturation). Blocks of two
-    causal convolutions with batch norm and ReLU, and an identity skip if the widths agree; then dense layers.
-    Batch norm is folded into the exported weights.
+    step from the previous sample: the signal matters from one count (noise) to 500 (saturation). Blocks
+    of two causal convolutions with batch norm and ReLU, and an identity skip if the widths agree; then dense
+    layers. Batch norm is folded into the exported weights.
 
     Args:
         recipe: Size of the network.

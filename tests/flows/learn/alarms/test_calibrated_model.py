@@ -120,7 +120,7 @@ def test_calibrating_a_shipped_model_again_keeps_other_rates_and_replaces_no_oth
     assert [each["false_alarms_per_min"] for each in load_card(path)["alarms"]] == [12.0, 20.0]
     shutil.copy(shipped_path("tcn_wide"), path)
     other = path.read_bytes()
-    with pytest.raises(InputError, match="is another model than the shipped tcn: give a file with -o"):
+    with pytest.raises(InputError, match="is not the shipped tcn: give a file with -o"):
         calibrate_model("tcn", [tiny], 20.0, 0.95)
     assert path.read_bytes() == other
     assert len(load_card(calibrate_model("tcn", [tiny], 20.0, 0.95, out=path).path)["alarms"]) == 1
