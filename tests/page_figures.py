@@ -19,26 +19,28 @@ from storage import Session
 from tests.benchmarks.bench_page import WARM, demo
 from tests.chaos.latency import real_time_priority
 from tests.connectors.web.browsing import LATE, ServedRecording, drag
+from tests.connectors.web.test_browser import MOVE
 from tests.readability import chromium
 
 SESSION: Final = "plane-050-01"
+SELECTED: Final = 8300  # ms, in a slip of this session
 Scheme: TypeAlias = Literal["light", "dark"]
 LIVE: Final[tuple[tuple[str, int, int, Scheme, bool], ...]] = (  # width and height, px; True: while it slips
-    ("light", 1280, 1040, "light", True),
-    ("dark", 1280, 1040, "dark", False),
+    ("light", 1280, 860, "light", True),
+    ("dark", 1280, 860, "dark", False),
     ("phone", 390, 844, "light", True),
 )
 LABELS: Final = ((0.02, 0.07, "t"), (0.27, 0.36, "s"), (0.36, 0.42, "u"), (0.62, 0.74, "s"))  # shares, key
 
 
-def caught(tab: Page, *, slips: bool, full: bool) -> bytes:
+def caught(tab: Page, *, slips: bool) -> bytes:
     """Return a picture that was taken within one state; with slip, after its direction is known."""
     state = f"#state[data-slip={str(slips).lower()}]"
     while True:
         tab.wait_for_selector(f"#state[data-slip={str(not slips).lower()}]")  # just when it changes
         tab.wait_for_selector(state)
         tab.wait_for_timeout(250)  # the numbers follow
-        png = tab.screenshot(full_page=full)
+        png = tab.screenshot(full_page=True)
         if tab.locator(state).count() and tab.locator("#direction").is_visible() == slips:
             return png
 
@@ -50,28 +52,26 @@ def live_pictures(browser: Browser, url: str, folder: Path) -> None:
         tab = context.new_page()
         tab.goto(url)
         tab.wait_for_timeout(1000 * (WARM if name == "light" else 2))
-        save(caught(tab, slips=slips, full=name == "phone"), folder / f"page-{name}.png")
+        save(caught(tab, slips=slips), folder / f"page-{name}.png")
         context.close()
 
 
 def show_picture(browser: Browser, dataset: Path, folder: Path) -> None:
     """Write the picture of a recorded session."""
-    simulate(dataset, "tiny", seed=0, jobs=1)
     with ServedRecording(load(Session.open(dataset / "sessions" / SESSION))) as served:
         tab = browser.new_page(viewport=ViewportSize(width=1280, height=1180), color_scheme="light")
         tab.set_default_timeout(LATE)
         tab.goto(served.url)
         tab.get_by_role("combobox", name="Window").select_option(label="all")
         expect(tab.locator("#axis")).to_contain_text("since the start")
-        drag(tab, tab.locator("#counts"), 0.25, 0.72)
+        drag(tab, tab.locator("#counts"), 0.25, 0.85)
         expect(tab.locator("#unzoom")).to_be_visible()
         tab.get_by_label("Your name").fill("Ada")
         for begin, end, key in LABELS:
             drag(tab, tab.locator("#bands"), begin, end)
             tab.keyboard.press(key)
-        box = tab.locator("#scores").bounding_box()
-        assert box is not None
-        tab.mouse.click(box["x"] + 0.8 * box["width"], box["y"] + box["height"] / 2)
+        tab.locator("#instant").evaluate(MOVE, SELECTED)
+        tab.mouse.move(5, 5)  # no hairline
         expect(tab.locator("#direction")).to_be_visible()
         tab.wait_for_timeout(500)
         save(tab.screenshot(full_page=True), folder / "show.png")
@@ -86,10 +86,12 @@ def save(png: bytes, path: Path) -> None:
 
 def main(folder: Path) -> None:
     """Write all pictures into a folder."""
-    with chromium() as browser, TemporaryDirectory() as scratch:
-        show_picture(browser, Path(scratch) / "tiny", folder)
-        with real_time_priority(), demo() as (_, url):
-            live_pictures(browser, url, folder)
+    with TemporaryDirectory() as scratch:
+        dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0, jobs=1).out
+        with chromium() as browser:  # no other event loop can run in this thread
+            show_picture(browser, dataset, folder)
+            with real_time_priority(), demo() as (_, url):
+                live_pictures(browser, url, folder)
 
 
 if __name__ == "__main__":

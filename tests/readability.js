@@ -104,7 +104,7 @@
 
   // --- colour keys ---
   for (const key of document.querySelectorAll(".pad .key")) {
-    const ground = under(key), ratio = contrast(paint(ground, getComputedStyle(key).borderTopColor, opacity(key)), ground);
+    const ground = under(key), ratio = contrast(paint(ground, getComputedStyle(key).color, opacity(key)), ground);
     if (shown(key) && ratio < 3) faults.push(`contrast ${ratio.toFixed(2)} of the colour key: ${short(key.parentElement.textContent)}`);
   }
   return faults;
