@@ -55,6 +55,7 @@ def benchmark(
     Holds out each surface or object (`group` of the sessions) in turn, or each recording if a dataset has
     fewer than two groups. Regimes: zero-shot, detectors as they are; adapted, to 30 s of the held-out data
     without labels; few-shot, trained on two labelled minutes of the rest; in-domain, on all of the rest.
+    Samples are converted to the rate of each detector. Exits 2 if none can be evaluated on a dataset.
 
     Reports balanced accuracy, AUC, calibration error, events per minute, missed slips and delay with
     intervals over recordings, next to majority, logistic and gradient-boosting baselines, and names what
@@ -69,6 +70,7 @@ def benchmark(
     from flows.learn.benchmark.benchmark_study import benchmark as run_benchmark
     from flows.learn.benchmark.entrants import REGIMES, Course
     from flows.learn.training.recipe import REAL_TOUCH, Recipe
+    from operators.errors import InputError
 
     datasets = _datasets(recipes or [], to)
     prepare_report(out)
@@ -101,6 +103,8 @@ def benchmark(
     command = f"slipflow benchmark {given}{options}{method_options(models, names)}"
     report = benchmark_report(found, f"{command} --steps {steps} --seed {seed}")
     write_report(report, out, "benchmark", as_json=as_json)
+    if lacking := [each.data.name for each in found.datasets if not each.results]:
+        raise InputError(", ".join(lacking), "no detector could be evaluated, for the reasons above")
 
 
 def _datasets(given: list[str], folder: Path | None) -> dict[str, Path]:

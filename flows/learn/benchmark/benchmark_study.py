@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
+from math import isclose
 from pathlib import Path
 from typing import TypeAlias
 
@@ -23,6 +24,7 @@ from flows.run.processes import one_thread, process_map
 from operators.checks import check_choice
 from operators.errors import SlipflowError
 from operators.extras import require_extra
+from operators.fingertip import RATE_TOLERANCE
 
 Log: TypeAlias = Callable[[str], object]
 Progress: TypeAlias = Callable[[int, int, str], object]  # parts done, all parts, part that was done
@@ -80,6 +82,8 @@ def benchmark(
 ) -> Benchmark:
     """Evaluate detectors on datasets.
 
+    A detector that was made for another rate is judged on samples converted to its rate.
+
     Args:
         datasets: Folders by name.
         course: Settings of the fits.
@@ -104,7 +108,7 @@ def benchmark(
     for name in names:
         check_choice("benchmark", "method", name, sorted({each.name for each in every}))
     chosen = [each for each in every if not names or each.name in {*names, *given}]
-    loaded = {name: load_folds(path, name) for name, path in datasets.items()}
+    loaded = {name: _at_rates(path, name, chosen) for name, path in datasets.items()}
     units = {name: _units(data, chosen, course) for name, data in loaded.items()}
     costs = _Costs(sum(unit.entrant.cost for each in units.values() for unit in each), progress)
     results = list[DatasetResult]()
@@ -119,6 +123,31 @@ def benchmark(
     return Benchmark(tuple(results), tuple(each for each in REGIMES if each in regimes), course)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Loaded:
+    """Dataset at the rates of its entrants."""
+
+    own: BenchmarkData  # at its own rate, 100 Hz at least
+    by_entrant: Mapping[str, BenchmarkData]  # by title
+
+
+def _at_rates(path: Path, name: str, chosen: Sequence[Entrant]) -> _Loaded:
+    """Read a dataset once for each rate at which entrants are judged."""
+    own = load_folds(path, name)
+    found, by_entrant = [own], dict[str, BenchmarkData]()
+    for entrant in chosen:
+        rate = entrant.rate(own.fingertip)
+        near = (each for each in found if isclose(each.fingertip.rate, rate, rel_tol=RATE_TOLERANCE))
+        if (data := next(near, None)) is None:
+            found.append(data := load_folds(path, name, rate))
+        by_entrant[entrant.title] = data
+    notes = list(own.notes)
+    for data in found[1:]:
+        names = dict.fromkeys(each.name for each in chosen if by_entrant[each.title] is data)
+        notes.append(f"{', '.join(names)}: at {data.fingertip.rate:g} Hz, converted by Resample")
+    return _Loaded(replace(own, notes=tuple(notes)), by_entrant)
+
+
 @dataclass(frozen=True, slots=True)
 class _Unit:
     """One fit, and the recordings to judge."""
@@ -130,9 +159,11 @@ class _Unit:
     course: Course
 
 
-def _units(data: BenchmarkData, chosen: Sequence[Entrant], course: Course) -> list[_Unit]:
+def _units(loaded: _Loaded, chosen: Sequence[Entrant], course: Course) -> list[_Unit]:
     units = list[_Unit]()
-    for entrant, fold in product(chosen, data.folds):
+    for entrant, place in product(chosen, range(len(loaded.own.folds))):
+        data = loaded.by_entrant[entrant.title]
+        fold = data.folds[place]
         for draw in range(entrant.draws):
             own = without_labels(data, fold, SECONDS, draw) if entrant.regime == "adapted" else fold
             test = [data.recordings[place] for place in own.test]
@@ -179,7 +210,7 @@ def _judge(unit: _Unit) -> _Found:
 
 
 def _result(
-    data: BenchmarkData,
+    loaded: _Loaded,
     chosen: Sequence[Entrant],
     found: Sequence[tuple[_Unit, _Found]],
     digest: str,
@@ -187,6 +218,7 @@ def _result(
     """Return the results on a dataset, by regime, the best balanced accuracy first."""
     results, missing = list[EntrantResult](), dict[str, str]()
     for entrant in chosen:
+        data = loaded.by_entrant[entrant.title]
         judged: list[list[Judged]] = [[] for _ in data.recordings]
         for unit, answers in found:
             if unit.entrant is not entrant:
@@ -205,7 +237,7 @@ def _result(
         for each in chosen
         if each.method and each.method.card and not lists_recordings(each.method.card)
     ]
-    return DatasetResult(data, tuple(results), missing, tuple(unchecked))
+    return DatasetResult(loaded.own, tuple(results), missing, tuple(unchecked))
 
 
 def _entrant_result(

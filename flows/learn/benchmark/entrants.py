@@ -1,7 +1,7 @@
 """Entrants of the benchmark: what each regime makes of the training recordings of a fold."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
@@ -20,10 +20,12 @@ from flows.learn.evaluation.methods import SHIPPED, Method
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, windows
 from flows.learn.training.recipe import Recipe
-from operators import Debounce
+from operators import Debounce, Score
 from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd, Tcn
-from operators.errors import InputError
+from operators.detectors.weights import ForOneFingertip
+from operators.errors import FingertipError, InputError
+from operators.fingertip import Fingertip
 
 Regime: TypeAlias = Literal["zero-shot", "adapted", "few-shot", "in-domain"]
 REGIMES: Final[tuple[Regime, ...]] = get_args(Regime)
@@ -71,6 +73,21 @@ class Entrant:
     def title(self) -> str:
         """Name with the regime."""
         return f"{self.regime} {self.name}"
+
+    def rate(self, given: Fingertip) -> float:
+        """Return the rate (Hz) at which it is judged: that of its detector, if the rest of `given` fits."""
+        if self.method is None:
+            return given.rate
+        detector, rate = self.method.detector, given.rate
+        if isinstance(detector, Psd):
+            rate = detector.rate
+        elif isinstance(detector, ForOneFingertip):
+            rate = detector.fingertip.rate
+        try:
+            Score(detector).output_fingertip(replace(given, rate=rate))
+        except FingertipError:
+            return given.rate
+        return rate
 
 
 @dataclass(frozen=True)

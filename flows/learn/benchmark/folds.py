@@ -19,7 +19,7 @@ from operators.batch import UNKNOWN
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, Fingertip
 
-RATE: Final = 100.0  # Hz, at which detectors are judged
+RATE: Final = 100.0  # Hz, lowest rate of fits: the windows of slower samples would last for seconds
 ADAPTED_DRAWS: Final = 3  # recordings of a fold that detectors adapt to, one after the other
 _MOST: Final = 8  # folds by recording
 _TURN: Final = 5  # every fifth recording of a fold's training validates
@@ -72,26 +72,23 @@ class BenchmarkData:
         return 100 * float(np.concatenate([each.slip for each in self.recordings]).mean())
 
 
-def load_folds(dataset: Path, name: str = "") -> BenchmarkData:
+def load_folds(dataset: Path, name: str = "", rate: float | None = None) -> BenchmarkData:
     """Read a dataset and split it by group, or by recording if it has fewer than two groups.
-
-    Samples at another rate are converted to 100 Hz.
 
     Args:
         dataset: Folder of the dataset.
         name: Name on the page (default: that of the folder).
+        rate: Rate to which samples of another rate are converted, Hz; None: their own, 100 Hz at least.
 
     Raises:
         InputError: if it cannot be read, has one recording or lacks slip or static.
         FingertipError: if its recordings have different fingertips.
     """
-    recorded = load(dataset)
-    rate = common_fingertip(recorded).rate
-    notes = list[str]()
-    recordings = recorded
-    if not isclose(rate, RATE, rel_tol=RATE_TOLERANCE):
+    recordings = load(dataset, rate)
+    given, notes = common_fingertip(recordings).rate, list[str]()
+    if rate is None and given < RATE and not isclose(given, RATE, rel_tol=RATE_TOLERANCE):
         recordings = load(dataset, RATE)
-        notes.append(f"Resample converted the samples from {rate:.0f} to {RATE:g} Hz")
+        notes.append(f"Resample converted the samples from {given:.0f} to {RATE:g} Hz")
     if by_hand := hand_label_summary(recordings):
         notes.append(by_hand[0].upper() + by_hand[1:])
     slip = np.concatenate([each.slip for each in recordings])

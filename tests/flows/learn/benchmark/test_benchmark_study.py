@@ -9,7 +9,7 @@ import pytest
 
 from flows.learn.adaptation.adapted import Adapted
 from flows.learn.adaptation.alignment import Alignment
-from flows.learn.benchmark import entrants
+from flows.learn.benchmark import entrants, folds
 from flows.learn.benchmark.benchmark_report import benchmark_report
 from flows.learn.benchmark.benchmark_study import Benchmark, EntrantResult, benchmark
 from flows.learn.benchmark.entrants import Course, Regime
@@ -19,7 +19,7 @@ from flows.learn.training import dense_training
 from flows.learn.training.recipe import Recipe
 from operators.detectors import Tcn
 from operators.errors import ParameterError
-from operators.fingertip import Fingertip, grid
+from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_weights, save_weights
 from storage.models import load_card, save_card, shipped
 from tests.readability import report_faults
@@ -130,6 +130,55 @@ def test_detectors_for_another_fingertip_are_listed_with_the_operator_that_conve
     assert any("no zero-shot tcn" in line for line in logged)
     titles = {each.entrant.title for each in dataset.results}
     assert titles == {"in-domain logistic", "in-domain tcn"}  # any number of cells
+
+
+def test_a_detector_of_another_rate_is_judged_on_samples_converted_to_it(
+    surfaces: list[LabelledRecording],
+    monkeypatch: pytest.MonkeyPatch,
+    course: Course,
+    tmp_path: Path,
+) -> None:
+    ours = shipped("tcn")
+    assert ours is not None
+    fast = replace(TAKKTILE, rate=200.0)
+    path = tmp_path / "fast.safetensors"
+    save_weights(path, load_weights(ours)[0], {"detector": "tcn"})
+    save_card(path, {"fingertip": fast.describe()})
+
+    def at(rate: float | None) -> list[LabelledRecording]:
+        rows = np.repeat(np.arange(700), 2) if rate in {None, 200.0} else np.arange(700)
+        return [
+            replace(
+                each,
+                counts=each.counts[rows],
+                label=each.label[rows],
+                fingertip=replace(TAKKTILE, rate=rate or 200.0),
+            )
+            for each in surfaces
+        ]
+
+    read: list[float | None] = []
+
+    def load(_: Path, rate: float | None = None) -> list[LabelledRecording]:
+        read.append(rate)
+        return at(rate)
+
+    monkeypatch.setattr(folds, "load", load)
+    regimes, names = ["zero-shot", "in-domain"], ["tcn", "psd", "logistic"]
+    found = benchmark({"strokes": tmp_path}, course, regimes=regimes, models=[path], names=names, jobs=1)
+    assert read == [None, 100.0]
+    [dataset] = found.datasets
+    assert not dataset.missing
+    assert dataset.data.fingertip.rate == 200
+    assert dataset.data.notes == ("tcn, psd: at 100 Hz, converted by Resample",)
+    monkeypatch.setattr(folds, "load", lambda _, __=None: at(100.0))
+    slow = benchmark({"strokes": tmp_path}, course, regimes=["zero-shot"], names=["tcn", "psd"], jobs=1)
+    for title in ("zero-shot tcn", "zero-shot psd"):
+        assert of(found, title).figures == of(slow, title).figures
+    for title in ("zero-shot fast", "in-domain logistic"):
+        assert np.isfinite(of(found, title).figures.balanced.value)
+    report = benchmark_report(found, "slipflow benchmark strokes")
+    assert "at 100 Hz, converted by Resample" in report.sections[0].text
 
 
 def test_a_model_that_saw_a_judged_recording_is_named_and_not_the_best(
