@@ -297,10 +297,11 @@ class Scores(Batch):
 
 @batch_type
 class Assessed(Scores):
-    """Scores with the doubt about the input and the direction of sliding, from a detector that has both.
+    """Scores with the direction of sliding and the doubt about the input, from a detector that has both.
 
     The direction is that in which the fingertip slides over the object, in the fingertip's plane,
-    anticlockwise from x; the object slides under it in the opposite one. It is meaningless without slip.
+    anticlockwise from x; the object slides under it in the opposite direction. It is meaningless without
+    slip.
     """
 
     # (n,) distance of the input from the training data, relative to the limit: above 1 doubtful; NaN unknown

@@ -15,6 +15,8 @@ CELL_LIMIT: Final = 128  # cells of a fingertip
 NO_CELL: Final = -1  # empty position of a layout
 RATE_TOLERANCE: Final = 0.1  # relative
 
+# By `Fingertip.falls`, for errors about data of the other direction.
+_DIRECTIONS: Final = {True: ", falling as pressure rises", False: ", rising with pressure", None: ""}
 _FIELDS: Final = {"layout", "rate_hz", "unit", "resolution", "range"}
 
 
@@ -146,8 +148,8 @@ class Fingertip:
         turned = None not in {self.falls, given.falls} and self.falls is not given.falls
         scaled = unit != other or turned
         if scaled:
-            needs.append(unit + (", falling as pressure rises" if turned and self.falls else ""))
-            has.append(other + (", falling as pressure rises" if turned and given.falls else ""))
+            needs.append(unit + (_DIRECTIONS[self.falls] if turned else ""))
+            has.append(other + (_DIRECTIONS[given.falls] if turned else ""))
         if cells or scaled:
             groups = f"groups=({self.cells} groups of cells)" if cells else ""
             gain = (

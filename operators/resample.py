@@ -17,8 +17,8 @@ _FASTEST = 1e6  # Hz
 class Resample(Operator[Touch, Touch]):
     """Convert touch to a constant rate: each output row is the mean of the input over the period before it.
 
-    Between two input rows the signal is a straight line. The mean over a period keeps frequencies above the
-    new rate out (a moving average; at the old rate they would fold back), and the same rule raises a rate.
+    Between two input rows the signal is a straight line. The mean over a period (a moving average)
+    suppresses frequencies that would alias at the new rate; the same rule increases a rate.
     Output times are multiples of the period since 1970, whatever the start. A row follows as soon as an input
     row at or after its time arrives.
 

@@ -2,11 +2,11 @@
 
 The sessions at hand are the population. Each draw calibrates on sessions drawn from it with replacement, as
 if they had been recorded, and the setting is judged by its rate in the whole population, which is known
-exactly; or the calibration has no session of one surface, and the rate on that surface judges. Where a draw
-has more static minutes than the population, as 20 and 60 of the 11.5 of the strokes, sessions repeat in it:
-it then contains fewer different sessions than a calibration of that length would.
+exactly; or the calibration has no session of one surface, and the setting is judged by its rate on that
+surface. Where a draw has more static minutes than the population (20 and 60; the strokes have 11.5), sessions
+repeat in it: it then contains fewer different sessions than a calibration of that length would.
 
-The fixed order of settings was chosen on the simulated datasets wide-40 to wide-42; judge on others.
+The fixed order of settings was chosen on the simulated datasets wide-40 to wide-42; evaluate on others.
 """
 
 import argparse

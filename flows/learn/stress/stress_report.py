@@ -94,7 +94,7 @@ def events(of: Stress, key: str) -> Section:
         key.replace("_", "-"),
         f"{measure.text}: {first} from {quantity(nominal)} at nominal to {quantity(worst[field])} "
         f"({FIELDS[field].text})",
-        "Of debounced events, by the label. The table gives the worst value along each field.",
+        "Debounced events against the label. The table gives the worst value along each field.",
         [Table(["field", *of.names], rows)],
         lambda: stress_figure.panels(of, measure),
         terminal=False,
