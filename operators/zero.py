@@ -81,11 +81,12 @@ class Zero(Operator[Touch, Zeroed]):
     def _release(self) -> Zeroed:
         held = self._held.take()
         first = held[: self.scans]
-        known = np.any(first.valid, axis=0)  # (cells,)
+        number = first.valid.sum(axis=0)  # (cells,) valid readings
+        known, cells = number > 0, np.arange(len(number))
+        ordered = np.sort(np.where(first.valid, first.counts, _RANGE.max), axis=0)  # the valid ones first
+        median = np.mean([ordered[(number - 1) // 2, cells], ordered[number // 2, cells]], axis=0)
         self._known = None if np.all(known) else known
-        self._offset = np.zeros((1, len(known)), np.int16)
-        for cell in np.flatnonzero(known):
-            self._offset[0, cell] = np.rint(np.median(first.counts[first.valid[:, cell], cell]))
+        self._offset = np.where(known, np.rint(median), 0).astype(np.int16)[None]
         return self._subtract(held, self._offset)
 
     def _subtract(self, batch: Touch, offset: Counts) -> Zeroed:
