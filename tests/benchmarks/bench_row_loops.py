@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Align, Debounce, DeviceClock, Health, Label, WatchClock, ms
+from operators import Align, Debounce, DeviceClock, Follow, Health, Label, Pool, Resample, WatchClock, ms
 from operators.operator import Step
 from tests.benchmarks.machine import commit, machine
 from tests.operators.plain_loops import use_plain_loops
@@ -26,6 +26,9 @@ STEPS: tuple[Step, ...] = (
     Health(),
     DeviceClock(),
     WatchClock(),
+    Follow(scans=30),
+    Resample(),
+    Pool(gain=0.25),
 )
 SIZES = 1, 100  # rows of a batch
 
