@@ -36,7 +36,7 @@ class Purpose(NamedTuple):
     text: str
 
 
-# not in the cards: a card is written by a training, which does not know what its model is for
+# not in the cards: a card is written by a training, and not specific to a task
 PURPOSES: Final[Mapping[str, Purpose]] = MappingProxyType(
     {
         "tcn": Purpose("strokes", "default for a fingertip that slides over a surface; label: arm speed"),

@@ -51,7 +51,7 @@ class LabLoop(asyncio.SelectorEventLoop):
     """Event loop whose time advances with the host's, by at most `STEP` per iteration in addition to waits.
 
     After a stall of the host the loop is late, but its tasks, the emulated devices and their clients are late
-    together: none sees a jump in time.
+    together: none has a jump in time.
     """
 
     def __init__(self) -> None:

@@ -25,7 +25,7 @@ def read_bag(path: Path, topic: str = "", motion_topic: str = "") -> TraceTable:
     """Read a topic of a ROS 2 bag, see `read_topic`.
 
     The files of a bag are read in the order of the numbers in their names. Messages without a definition in
-    the bag have that of the newest ROS 2 release that rosbags knows.
+    the bag have that of the newest ROS 2 release that rosbags supports.
 
     Args:
         path: Folder of the bag, or a .db3 file.
