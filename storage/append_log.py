@@ -134,7 +134,7 @@ class LogReader:
         if len(head) == _HEAD.size:
             magic, _, length = _HEAD.unpack(head)
             if magic[:-1] == _MAGIC and magic != _MAGIC + bytes([VERSION]):
-                reason = f"has log version {magic[-1]}, this slipflow reads version {VERSION}"
+                reason = f"has log version {magic[-1]}; this slipflow reads version {VERSION}"
                 raise InputError(str(self.path), f"{reason}: read it with the slipflow that wrote it")
             if magic[:-1] == _MAGIC and length <= min(LIMIT, self._size - _HEAD.size - _CRC):
                 rest = files.read_at(self._file, length + _CRC, _HEAD.size)

@@ -215,7 +215,7 @@ def _is_json(description: Description) -> bool:
 
 def _check_version(path: Path, about: Description) -> None:
     if about.get("version") != VERSION:
-        reason = f"has version {about.get('version')!r}, this slipflow reads version {VERSION}"
+        reason = f"has version {about.get('version')!r}; this slipflow reads version {VERSION}"
         raise InputError(str(path), f"{reason}: read it with the slipflow that wrote it, or record it again")
 
 

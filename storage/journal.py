@@ -355,7 +355,7 @@ def _kinds(content: bytes, where: str, session: str, number: int) -> dict[int, t
     except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise InputError(where, f"has an invalid description{_MOVE}: {error!r}") from error
     if version != VERSION:
-        reason = f"has version {version!r}, this slipflow reads version {VERSION}"
+        reason = f"has version {version!r}; this slipflow reads version {VERSION}"
         raise InputError(where, f"{reason}: recover it with the software named in session.json")
     if own != (session, number):
         raise InputError(where, f"is segment {own[1]!r} of session {own[0]!r}; move it back there")

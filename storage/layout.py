@@ -245,7 +245,7 @@ def check_links(folder: Path) -> None:
         for name in (*folders, *names):
             path = os.path.join(base, name)  # noqa: PTH118 - twice as fast as Path
             if os.path.islink(path):  # noqa: PTH114 - false if access is denied
-                raise InputError(path, "is a link, a session has none: replace it by the files")
+                raise InputError(path, "is a link; a session must have none: replace it by the files")
 
 
 def inside(folder: Path, path: Path) -> Path:

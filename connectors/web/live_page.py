@@ -102,7 +102,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
         await server.open({})
         await server.close()
         other = self._port is None and not server.url.endswith(f":{PAGE_PORT}")
-        text = "is in use: a page takes any free port unless one is given" if other else "is free"
+        text = "is in use: a page uses a free port unless one is given" if other else "is free"
         yield Finding(self.destination, f"its port {text}", "note" if other else "good")
 
     async def open(self, run: Run) -> None:

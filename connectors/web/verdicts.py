@@ -23,7 +23,7 @@ LIMITS: Final = (
     f"Rate: good within {100 * RATE_TOLERANCE:.0f} % of the declared rate. "
     f"Latency: age of the newest row; good up to {LATE // ms} ms or {PERIODS} periods, late up to "
     f"{VERY_LATE // ms} ms. Lost: samples missing at the declared rate or dropped because they came after "
-    f"newer ones; the verdict is on the last {LOST_FOR // s} s: few lost below {100 * LOSING:.0f} %. "
+    f"newer ones; judged over the last {LOST_FOR // s} s, few lost below {100 * LOSING:.0f} %. "
     "Queue: batches, and events that the broker has not acknowledged; "
     f"good up to {FILLING}, filling up to {BACKLOG}."
 )

@@ -196,7 +196,7 @@ def test_another_version_is_refused(log: AppendLog) -> None:
     content = bytearray(log.path.read_bytes())
     content[7] += 1
     log.path.write_bytes(content)
-    with pytest.raises(InputError, match="has log version 2, this slipflow reads version 1"):
+    with pytest.raises(InputError, match="has log version 2; this slipflow reads version 1"):
         LogReader(log.path)
 
 

@@ -263,7 +263,7 @@ def test_a_folder_of_sessions_that_leads_elsewhere_is_refused(tmp_path: Path) ->
 def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "dataset.json").write_text('{"version": 1}')
     with pytest.raises(
-        InputError, match=r"dataset\.json: has version 1, this slipflow reads version 2: read it with"
+        InputError, match=r"dataset\.json: has version 1; this slipflow reads version 2: read it with"
     ):
         record(Dataset(tmp_path), new_run(), [])
     assert [path.name for path in tmp_path.iterdir()] == ["dataset.json"]

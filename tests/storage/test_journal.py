@@ -217,7 +217,7 @@ def test_after_a_restart_only_the_given_rows_are_journalled(written: Journal, tm
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [
-    ({"version": 3}, "has version 3, this slipflow reads version 5: recover it with the software named in"),
+    ({"version": 3}, "has version 3; this slipflow reads version 5: recover it with the software named in"),
     ({"session": "two"}, "is segment 3 of session 'two'; move it back there"),
     ({"segment": 4}, "is segment 4 of session 'one'"),
     ({"kinds": [{"batch": "Touch", "columns": []}]}, "has Touch rows with unknown columns"),

@@ -73,7 +73,7 @@ def test_a_journal_of_another_slipflow_is_refused_and_nothing_is_changed(
 ) -> None:
     before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
     monkeypatch.setattr("storage.journal.VERSION", 7)
-    with pytest.raises(InputError, match=r"\.wal: has version 5, this slipflow reads version 7"):
+    with pytest.raises(InputError, match=r"\.wal: has version 5; this slipflow reads version 7"):
         recover(left)
     assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
 

@@ -104,7 +104,7 @@ def test_a_folder_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
     [
         ("{", "is not valid JSON"),
         ("[]", "is not a JSON object"),
-        ('{"version": 9, "session": "one"}', "has version 9, this slipflow reads version 2"),
+        ('{"version": 9, "session": "one"}', "has version 9; this slipflow reads version 2"),
         ('{"version": 2}', 'has no "session"'),
     ],
 )
@@ -160,7 +160,7 @@ def test_a_part_that_is_a_link_is_refused(folder: Path, tmp_path: Path) -> None:
     path = folder / "touch/part-000000.parquet"
     path.rename(tmp_path / "elsewhere.parquet")
     path.symlink_to(tmp_path / "elsewhere.parquet")
-    with pytest.raises(InputError, match=r"part-000000\.parquet: is a link, a session has none"):
+    with pytest.raises(InputError, match=r"part-000000\.parquet: is a link; a session must have none"):
         Session.open(folder).frame("touch")
 
 

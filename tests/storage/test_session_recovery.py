@@ -252,7 +252,7 @@ def test_a_link_is_refused_and_nothing_is_changed(left: Path, tmp_path: Path, na
     (left / "MANIFEST.json.tmp").write_text("half")
     (left / name).symlink_to(mine if "." not in name else mine / Path(name).name)
     for use in (recover, Session.open):
-        with pytest.raises(InputError, match="is a link, a session has none"):
+        with pytest.raises(InputError, match="is a link; a session must have none"):
             use(left)
     found = verify(left)
     assert (found.code, "is a link" in found.findings[-1].text) == (1, True)
@@ -266,7 +266,7 @@ def test_a_link_to_another_table_or_a_loop_is_refused(left: Path, link: str, tar
     before = (left / "touch/part-000000.parquet").read_bytes()
     (left / link).symlink_to(target)
     for use in (recover, Session.open):
-        with pytest.raises(InputError, match="is a link, a session has none"):
+        with pytest.raises(InputError, match="is a link; a session must have none"):
             use(left)
     assert verify(left).code == 1
     assert (left / "touch/part-000000.parquet").read_bytes() == before

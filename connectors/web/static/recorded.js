@@ -72,7 +72,7 @@ export function recorded(view, about) {
     view.events.show((t) => elapsed(t), (t) => go(t + 1000));
     const slips = found.filter((event) => event.onset).length;
     write($("events-count"), slips ? `${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}` : "");
-    remark = own ? about.about : `Slip events: found now at threshold ${threshold}. Reset shows the first ones again.`;
+    remark = own ? about.about : `Slip events: found now at threshold ${threshold}. Reset shows the original ones again.`;
     overview.draw();
     refresh();
   });

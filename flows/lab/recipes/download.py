@@ -154,7 +154,7 @@ class Download:
             found = _sha256(rest)
             unlink(rest)
             if again or not begin:  # else an old partial file may be the reason
-                reason = f"has the sha256 {found}, the recipe says {file.sha256}: the source was changed"
+                reason = f"has the sha256 {found}, but the recipe says {file.sha256}: the source was changed"
                 raise EndpointError(self._url(file), f"{reason}, or altered on its way; nothing was kept")
             again = True
         sync(rest)
@@ -228,7 +228,7 @@ class Download:
     def _check_size(self, file: SourceFile, response: "ClientResponse", begin: int) -> None:
         length = response.content_length
         if length is not None and begin + length != file.bytes and "Content-Encoding" not in response.headers:
-            reason = f"has {begin + length} bytes, the recipe says {file.bytes}: the source was changed"
+            reason = f"has {begin + length} bytes, but the recipe says {file.bytes}: the source was changed"
             raise EndpointError(self._url(file), reason)
 
     def _url(self, file: SourceFile) -> str:

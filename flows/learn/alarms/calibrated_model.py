@@ -104,7 +104,9 @@ def calibrate_model(
         sessions += [folders[recording.name] for recording in used]
         data.append(_identity(each, [folders[name] for name in dict.fromkeys(one.name for one in used)]))
     if not recordings:
-        raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
+        raise InputError(
+            "calibrate", "no recordings are left: give recordings that the model has not learned from"
+        )
     _check_distinct(recordings)
     log(f"scoring {counted(len(recordings), 'recording')}")
     units = [one.group or one.surface for one in recordings] if by == UNITS[1] else sessions

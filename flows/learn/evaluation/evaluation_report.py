@@ -51,7 +51,7 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
         f"{counted(len(of.results), 'method')} on the {of.split} split of {of.dataset}: "
         f"{counted(of.recordings, 'recording')}, {of.minutes:.1f} minutes, {counted(of.samples, 'sample')} "
         f"at {of.sampling.rate:g} Hz, split by recording. Baselines were fitted to recordings that are not "
-        "judged."
+        "evaluated."
         + (f" {of.by_hand[0].upper()}{of.by_hand[1:]}; all others by arm speed." if of.by_hand else "")
         + "".join(f" Leak: {leak.finding}." for leak in of.leaks)
     )

@@ -135,7 +135,8 @@ def _fitted(name: str, training: Sequence[LabelledRecording]) -> Method:
     slip = labels(training, hop) if training else np.empty(0, np.bool_)
     if slip.all() or not slip.any():
         raise InputError(
-            name, "no train split with slip and static is left to fit it to: judged recordings do not count"
+            name,
+            "no train split with slip and static is left to fit it to: evaluated recordings do not count",
         )
 
     def seen(length: int) -> Counts:

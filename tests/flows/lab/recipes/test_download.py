@@ -127,7 +127,7 @@ def test_a_connection_that_is_always_cut_at_the_same_byte_ends_the_download(tmp_
 def test_a_wrong_checksum_is_an_error_and_nothing_is_kept(tmp_path: Path) -> None:
     with serve(FILES) as server:
         server.files["data/one.csv"] = b"x" * len(ONE)
-        with pytest.raises(EndpointError, match=r"has the sha256 [0-9a-f]{64}, the recipe says"):
+        with pytest.raises(EndpointError, match=r"has the sha256 [0-9a-f]{64}, but the recipe says"):
             load(server, tmp_path)
     assert content(tmp_path) == {}
 
@@ -146,7 +146,7 @@ def test_a_wrong_file_in_pieces_is_downloaded_twice_at_most(tmp_path: Path) -> N
 def test_another_size_is_an_error_before_the_file_is_read(size: int, tmp_path: Path) -> None:
     with serve(FILES) as server:
         server.files["data/one.csv"] = b"x" * size
-        with pytest.raises(EndpointError, match=f"has {size} bytes, the recipe says {len(ONE)}"):
+        with pytest.raises(EndpointError, match=f"has {size} bytes, but the recipe says {len(ONE)}"):
             load(server, tmp_path)
     assert content(tmp_path) == {}
 

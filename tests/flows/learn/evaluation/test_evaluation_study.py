@@ -107,7 +107,7 @@ def test_with_all_recordings_judged_nothing_is_fitted_or_tuned(tiny: Path) -> No
     found = evaluate(tiny, names=["psd", "logistic", "tcn"], split="all", log=logged.append)
     assert [result.method.name for result in found.results] == ["tcn"]
     assert set(found.missing) == {"psd", "logistic"}
-    assert "judged recordings do not count" in found.missing["psd"]
+    assert "evaluated recordings do not count" in found.missing["psd"]
 
 
 def test_a_judged_split_does_not_tune_the_debounce(tiny: Path) -> None:
