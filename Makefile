@@ -48,9 +48,8 @@ check:  ## format, lint, types, import contracts
 	@deploy/prepare test
 	.venv/bin/ruff format --check
 	.venv/bin/ruff check
-	.venv/bin/mypy
-	.venv/bin/pyright
 	.venv/bin/lint-imports --no-logo
+	.venv/bin/mypy & mypy=$$!; .venv/bin/pyright && wait $$mypy || { wait $$mypy; exit 1; }
 
 docs: export NO_MKDOCS_2_WARNING=1
 docs:  ## build the documentation site into build/site; warnings are errors
