@@ -154,8 +154,9 @@ def _motion(session: Session) -> tuple[Times, Singles]:
 
 def _nearest(since: Times, rate: int) -> _GridRows:
     """Return the nearest sample to each grid point, for samples at `since` ns after the grid's begin."""
-    ticks = (2 * since * rate + s) // (2 * s)  # (n,) nearest grid point
-    distance = np.abs(since - ticks * s // rate)
+    seconds, rest = np.divmod(since, s)  # separately, as since * rate can exceed 64 bits
+    ticks, distance = np.divmod(2 * rest * rate + s, 2 * s)  # (n,) nearest grid point within the second
+    ticks, distance = ticks + seconds * rate, np.abs(distance - s)
     order = np.lexsort((distance, ticks))
     first = np.flatnonzero(np.diff(ticks[order], prepend=ticks[order[0]] - 1))
     return _GridRows(ticks[order[first]], order[first])

@@ -22,14 +22,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from shutil import copytree
+from shutil import copy2, copytree
 from typing import Any, Final
 
 import numpy as np
 
 from operators.batch import EVERY, Episodes, concat
 from operators.checks import check_at_least
-from operators.errors import InputError, ParameterError
+from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
 from storage.description import describe_dataset
 from storage.exports.grid import Contents, find_contents, to_frames
 from storage.exports.lerobot_features import features, frame_tasks, values
@@ -77,8 +77,8 @@ def export(
 ) -> Exported:
     """Write sessions with the same fingertips as one LeRobot dataset.
 
-    The velocity and the pose of the arm are included if every session has them. One session at a time is in
-    memory.
+    The velocity and the pose of the arm are included if every session has them. One session, then one
+    feature of all frames, is in memory.
 
     Args:
         sessions: Sessions to write, ordered by split and name; those without a split are for training.
@@ -170,7 +170,15 @@ def _copy(session: Session, root: Path) -> None:
         raise InputError(str(session.folder), "is being recorded: export it when the recording ends")
     root.mkdir(exist_ok=True)
     describe_dataset(root)
-    copytree(session.folder, session_folder(root, session.name))
+    copytree(session.folder, session_folder(root, session.name), copy_function=_copy_file)
+
+
+def _copy_file(source: str, target: str) -> None:
+    """Copy a file; raise at once, where `copytree` would go on and collect the errors of all files."""
+    try:
+        copy2(source, target)
+    except OSError as error:
+        raise EndpointError(target, f"cannot be written: {os_error_reason(error)}") from error
 
 
 def _common_contents(sessions: Sequence[Session]) -> Contents:

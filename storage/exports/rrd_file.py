@@ -20,9 +20,9 @@ from operators.batch import (
     Faults,
     Labelled,
     Motion,
+    Scores,
     Slips,
     Touch,
-    Zeroed,
 )
 from operators.detectors import Detector
 from operators.errors import EndpointError
@@ -111,11 +111,14 @@ class _Recording:
             yield self._scalars(
                 f"/touch/{finger}", batch, counts, tuple(f"barometer {cell}" for cell in range(batch.cells))
             )
-            if score is None:
-                continue
-            scores = score.push(batch if isinstance(batch, Zeroed) else zero.push(batch))
-            if len(scores):
-                yield self._scalars(f"/probability/{finger}", scores, scores.probability, ("slip",))
+            if score is not None:
+                yield from self._probability(score.push(zero.push(batch)))
+        if score is not None:
+            yield from self._probability(score.push(zero.flush()))
+
+    def _probability(self, scores: Scores) -> Iterator[tuple[str, int]]:
+        if len(scores):
+            yield self._scalars(f"/probability/{scores.finger}", scores, scores.probability, ("slip",))
 
     def _scalars(
         self, entity: str, batch: Batch, values: np.ndarray[Any, Any], names: tuple[str, ...]

@@ -113,3 +113,9 @@ def test_late_rows_are_sorted(tmp_path: Path) -> None:
 def test_a_session_without_samples_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="has no samples, which frames are made of"):
         find_contents(record(tmp_path, [new_batch(Touch)]))
+
+
+def test_a_session_may_begin_before_its_clock_was_set(tmp_path: Path) -> None:
+    times = np.array([0, 10, 20, 2_000_000_000_000, 2_000_000_000_010]) * ms
+    cut = to_frames(record(tmp_path, [new_samples(times)]), 100, MOVED)
+    assert [each.time.tolist() for each in cut.stretches] == [times[:3].tolist(), times[3:].tolist()]

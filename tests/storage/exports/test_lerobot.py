@@ -1,5 +1,6 @@
 """Sessions as a LeRobot dataset, read back by its documented layout alone."""
 
+import errno
 import hashlib
 import json
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ import pytest
 from operators.batch import EVERY, Labelled, Motion, columns, concat, ms
 from operators.errors import EndpointError, InputError, ParameterError
 from storage import Session, verify
+from storage.exports import lerobot
 from storage.exports.lerobot import export
 from tests.storage.made import new_episodes, new_samples, record
 
@@ -246,4 +248,21 @@ def test_a_session_that_is_being_recorded_is_not_copied(tmp_path: Path) -> None:
     (session.folder / "journal").mkdir()
     with pytest.raises(InputError, match="is being recorded"):
         export([session], tmp_path / "out", native=True)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_full_disk_ends_a_copy_at_its_first_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    copied = list[tuple[str, ...]]()
+
+    def fail(*files: str) -> None:
+        copied.append(files)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(lerobot, "copy2", fail)
+    session = record(tmp_path, [new_samples(np.arange(60) * 10 * ms)])
+    with pytest.raises(
+        EndpointError, match=r"^\S+: cannot be written: No space left on device; free some space"
+    ):
+        export([session], tmp_path / "out", native=True)
+    assert len(copied) == 1
     assert not (tmp_path / "out").exists()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from operators.batch import Faults, Labelled, Motion, Slips, Touch, Zeroed, s
+from operators.detectors import Psd
 from operators.errors import EndpointError, InputError
 from operators.score import Score
 from operators.zero import Zero
@@ -80,13 +81,12 @@ def test_the_probability_is_the_detectors_output(tmp_path: Path) -> None:
 
 @pytest.mark.rerun
 def test_slips_and_faults_are_lines_of_text(tmp_path: Path) -> None:
-    time = np.array([s, 2 * s])
-    time = np.append(time, 3 * s)
+    time = np.array([s, 2 * s, 3 * s])
     turned, deviation = np.array([-np.pi / 2, np.nan, 0.0]), np.array([0.2, np.nan, 1.0])
     states, shares = np.array([1, 0, 1], np.int8), np.array([0.93, 0.1, 0.9])
     slips = Slips(time, states, time, shares, direction=turned, deviation=deviation, finger=2)
     cells, kinds = np.array([3, 3], np.int8), np.array([1, 1], np.int8)
-    faults = Faults(time, cells, kinds, np.array([True, False]), finger=0)
+    faults = Faults(time[:2], cells, kinds, np.array([True, False]), finger=0)
     path = tmp_path / "one.rrd"
     export(record(tmp_path, [slips, faults]), path)
     found = read(path)
@@ -124,7 +124,7 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(
     check = rrd_file.check_complete
     with monkeypatch.context() as patched:
         patched.setattr(rrd_file, "check_complete", torn)
-        with pytest.raises(EndpointError, match="not written whole"):
+        with pytest.raises(EndpointError, match="is incomplete: is the disk full"):
             export(session, path)
     last = max(session.folder.glob("touch/*.parquet"))
     last.write_bytes(last.read_bytes()[:-1])
@@ -145,3 +145,11 @@ def test_a_missing_library_is_an_error_with_the_fix(
     with pytest.raises(InputError, match=r"needs rerun-sdk: in the clone, pip install -e '\.\[rerun\]'$"):
         export(session, tmp_path / "one.rrd")
     assert not (tmp_path / "one.rrd").exists()
+
+
+@pytest.mark.rerun
+def test_a_session_shorter_than_the_baseline_has_probabilities(tmp_path: Path) -> None:
+    touch = new_batch(Touch, 60, start=s)
+    touch.valid[:] = True
+    found = export(record(tmp_path, [touch]), tmp_path / "one.rrd", Psd())
+    assert found == {"/touch/0": 60, "/probability/0": 36}
