@@ -11,6 +11,7 @@ import numpy as np
 
 from operators.batch import EVERY, Clocks, Motion, Reals, Times, s
 from operators.chain import END
+from operators.checks import check_at_least
 from operators.envelope import DEVICE, SLOPE, Envelope, envelope, host_time, starts_epoch
 from operators.operator import Operator
 from operators.row_loop import row_loop
@@ -52,7 +53,7 @@ class DeviceClock(Operator[Motion, Motion]):
     _newest: int = field(default=-END, init=False, repr=False)  # ns, of the output
 
     def __post_init__(self) -> None:
-        self._envelope = envelope(self.window, self.drift, self.jump)
+        self._envelope = envelope("DeviceClock", self.window, self.drift, self.jump)
 
     def process(self, batch: Motion) -> Motion:
         """Return the rows with host times."""
@@ -101,7 +102,8 @@ class WatchClock(Operator[Motion, Clocks]):
     _finger: int = field(default=EVERY, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._envelope = envelope(self.window, self.drift, self.jump)
+        check_at_least("WatchClock", "every", self.every, 1, "ns")
+        self._envelope = envelope("WatchClock", self.window, self.drift, self.jump)
         self._open = np.array([0, 0, 0, 0, -END])
 
     def process(self, batch: Motion) -> Clocks:

@@ -34,7 +34,7 @@ _WINDOW, _JUMP, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEA
 _DRIFT, OFFSET, SLOPE, _LOWERED, _LEAST = range(5)
 
 
-def envelope(window: int, drift: float, jump: int) -> Envelope:
+def envelope(owner: str, window: int, drift: float, jump: int) -> Envelope:
     """Return the initial state of the running envelope of a stream.
 
     Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
@@ -44,6 +44,7 @@ def envelope(window: int, drift: float, jump: int) -> Envelope:
     on the interval between two rows, or after five windows without rows.
 
     Args:
+        owner: Operator that has the parameters, for errors.
         window: Length, ns of device time.
         drift: Largest drift, s/s.
         jump: Largest disagreement on an interval, ns.
@@ -51,9 +52,9 @@ def envelope(window: int, drift: float, jump: int) -> Envelope:
     Raises:
         ParameterError: if a parameter is invalid.
     """
-    check_at_least("DeviceClock", "window", window, BLOCKS, "ns")
-    check_at_least("DeviceClock", "drift", drift, 0, "s/s")
-    check_at_least("DeviceClock", "jump", jump, 0, "ns")
+    check_at_least(owner, "window", window, BLOCKS, "ns")
+    check_at_least(owner, "drift", drift, 0, "s/s")
+    check_at_least(owner, "jump", jump, 0, "ns")
     integers, reals = np.zeros(11, np.int64), np.zeros(5)
     integers[_WINDOW], integers[_JUMP], integers[EPOCH], reals[_DRIFT] = window, jump, -1, drift
     return integers, reals, np.zeros((2, BLOCKS))

@@ -108,7 +108,9 @@ class GripController(Operator[Scores, Commands]):
         if self._given_up:
             return math.nan
         since, self._before = time - self._before, time
-        elapsed = since / s if since <= _LONGEST else 0.0
+        if since > _LONGEST:  # a gap: nothing is known about it
+            since = 0
+        elapsed = since / s
         settled = time - self._begun >= self.settle
         self._run = self._run + 1 if settled and probability >= self.threshold else 0
         registered = self._run >= self.consecutive
@@ -137,7 +139,8 @@ class GripController(Operator[Scores, Commands]):
 class StepGrip(GripController):
     """Raise the grip force by a step per registered slip, as in the paper.
 
-    A lasting slip is registered again after `consecutive` more decisions. The force never decreases.
+    A lasting slip is registered again after `consecutive` more decisions. The force never decreases, except
+    that the controller gives up if `consecutive` is 1; else each new count restarts the time to that.
 
     Args:
         step: Force step, N; the paper does not state its value.

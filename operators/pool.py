@@ -57,18 +57,23 @@ class Pool(Operator[Touch, Touch]):
 
         Raises:
             FingertipError: if it has not all the cells that the groups name.
+            ParameterError: if the layout is invalid, or has another number of cells.
         """
         if self._needed > given.cells:
             fix = "name other cells in groups"
             raise FingertipError("Pool", f"{self._needed} cells", f"{given.cells} cells", fix)
         low, high = (nearest_count(self.gain * end) for end in given.range or (0, 0))
-        return replace(
+        made = replace(
             given,
             layout=self.layout or (_layout(len(self.groups)) if self.groups else given.layout),
             unit=self.unit or given.unit,
             resolution=1.0 if self.unit else given.resolution / abs(self.gain),
             range=None if low == high else (low, high),
         )
+        cells = len(self.groups) or given.cells
+        if made.cells != cells:
+            raise ParameterError("Pool", "layout", self.layout, f"of {cells} cells, as the output")
+        return made
 
     def process(self, batch: Touch) -> Touch:
         """Return the pooled rows.

@@ -10,6 +10,7 @@ from operators.chain import Chain
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
+from operators.row_loop import nearest_count, row_loop
 
 _RANGE: Final = np.iinfo(np.int16)
 
@@ -20,7 +21,8 @@ class Zero(Operator[Touch, Zeroed]):
 
     Without a given baseline, it is measured as in TakkTile's own code: the median of a cell's valid counts
     in the first `scans` samples, rounded half to even. These samples are delayed until it is known. A cell
-    without valid counts has no baseline and stays invalid. Zeroed input passes unchanged.
+    without valid counts has no baseline and stays invalid. Differences beyond 16 bits are limited to them.
+    Zeroed input passes unchanged.
 
     Args:
         baseline: Raw counts of each cell, or one value for all cells; None: measure.
@@ -91,4 +93,14 @@ class Zero(Operator[Touch, Zeroed]):
 
     def _subtract(self, batch: Touch, offset: Counts) -> Zeroed:
         valid = batch.valid if self._known is None else batch.valid & self._known
-        return Zeroed(batch.time, batch.counts - offset, batch.temperature, valid, finger=batch.finger)
+        counts = np.empty(batch.counts.shape, np.int16)
+        _subtract(batch.counts, offset[0], counts)
+        return Zeroed(batch.time, counts, batch.temperature, valid, finger=batch.finger)
+
+
+@row_loop
+def _subtract(counts: Counts, /, offset: Counts, zeroed: Counts) -> None:
+    """Write the differences (n, cells), limited to 16 bits: a difference that wraps would turn its sign."""
+    for row in range(len(counts)):
+        for cell in range(len(offset)):
+            zeroed[row, cell] = nearest_count(float(counts[row, cell]) - float(offset[cell]))

@@ -6,7 +6,6 @@ import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Reals
 from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
-from operators.errors import InputError
 
 BINS: Final = 51  # bins of a spectrum, 0 to 50 Hz
 PIXELS: Final = (5, 4, 3, 0, 1, 2)  # cell of each pixel of the image, row by row
@@ -50,10 +49,6 @@ class FrequencyCnn(ForOneFingertip):
 
     def __init__(self, weights: Weights) -> None:
         check_weights(type(self).__name__, weights, shapes())
-        if not (weights["std"] > 0).all():
-            raise InputError(
-                f"{type(self).__name__} weights", f"std is {weights['std'].min()}, must be above 0"
-            )
         self._mean, self._std = weights["mean"], weights["std"]
         conv0, conv1, *self._dense = (
             (_flat(weights[f"{layer}/kernel"]), weights[f"{layer}/bias"].astype(np.float32))

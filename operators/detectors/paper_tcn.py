@@ -32,7 +32,7 @@ class PaperTcn(ForOneFingertip):
             training. `shapes` lists them.
 
     Raises:
-        InputError: if an array is missing, has a wrong shape, or is not finite.
+        InputError: if an array is missing, has a wrong shape or is not finite, or a ``std`` is not above 0.
 
     References:
         "Under Pressure" (2021), Table I.

@@ -36,7 +36,7 @@ class ForOneFingertip:
 
 
 def check_weights(owner: str, weights: Weights, shapes: Shapes) -> None:
-    """Check that all arrays in `shapes` exist, have these shapes and are finite.
+    """Check that all arrays in `shapes` exist, have these shapes and are finite, and ``std`` is above 0.
 
     Raises:
         InputError: naming the first invalid array.
@@ -53,3 +53,5 @@ def check_weights(owner: str, weights: Weights, shapes: Shapes) -> None:
             raise InputError(f"{owner} weights", f"{name} has shape {array.shape}, must be {shape}")
         if not np.isfinite(array).all():
             raise InputError(f"{owner} weights", f"{name} is not finite")
+        if name == "std" and not (array > 0).all():
+            raise InputError(f"{owner} weights", f"{name} is {array.min()}, must be above 0")

@@ -169,7 +169,8 @@ class _Spread:
 
 def _paper_tcn() -> PaperTcn:
     rng = np.random.default_rng(0)
-    return PaperTcn({name: rng.normal(size=shape) + 1 for name, shape in paper_tcn.shapes().items()})
+    weights = {name: rng.normal(size=shape) + 1 for name, shape in paper_tcn.shapes().items()}
+    return PaperTcn(weights | {"std": np.ones(6)})
 
 
 def _frequency_cnn(kind: type[FrequencyCnn]) -> FrequencyCnn:

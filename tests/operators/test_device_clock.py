@@ -205,5 +205,7 @@ def test_the_reports_agree_with_the_host_times() -> None:
 )
 def test_values_that_cannot_be_are_refused(name: str, value: float) -> None:
     for kind in (DeviceClock, WatchClock):
-        with pytest.raises(ParameterError, match=name):
+        with pytest.raises(ParameterError, match=f"^{kind.__name__}: {name} is"):
             kind(**{name: value})  # type: ignore[arg-type]  # wrong on purpose
+    with pytest.raises(ParameterError, match="WatchClock: every is 0"):
+        WatchClock(every=0)

@@ -9,7 +9,7 @@ from operators.envelope import BLOCKS, EPOCH, PAUSE, SLOPE, envelope, host_time,
 
 class _Clock:
     def __init__(self, window: int = 6 * s, drift: float = 1e-3, jump: int = 100 * ms) -> None:
-        self.state = envelope(window, drift, jump)
+        self.state = envelope("DeviceClock", window, drift, jump)
 
     def host_time(self, device: int, arrival: int) -> int:
         return host_time(device, arrival, self.state)

@@ -94,3 +94,7 @@ def test_the_number_of_cells_comes_from_the_batch() -> None:
     assert (Zero(scans=2).push(touch).counts == 0).all()
     with pytest.raises(ParameterError, match=r"^Zero: baseline is \(1, 2\), must be one count, or 4"):
         Zero((1, 2)).push(touch)
+
+
+def test_a_difference_beyond_16_bits_is_limited_and_keeps_its_sign() -> None:
+    assert Zero(-20_000).push(_touch([32_000, -32_000])).counts[:, 0].tolist() == [32_767, -12_000]
