@@ -22,7 +22,7 @@ PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
 Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
 _OF_THE_PATH: Final = {EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM}  # errors, not of the disk
-_NO_MEMORY: Final = "cannot be read: there is not enough memory"
+NO_MEMORY: Final = "cannot be read: there is not enough memory"
 _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
 
 
@@ -205,7 +205,7 @@ def read(path: Path, limit: int = LIMIT) -> bytes:
     except OSError as error:
         raise read_error(path, error) from error
     except MemoryError as error:
-        raise EndpointError(str(path), _NO_MEMORY) from error
+        raise EndpointError(str(path), NO_MEMORY) from error
     if size > limit:
         raise InputError(str(path), f"is larger than {limit // MiB} MiB, the limit for such a file")
     return data
@@ -227,7 +227,7 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     try:
         content: object = json.loads(read(path, limit), parse_constant=_reject_number)
     except MemoryError as error:
-        raise EndpointError(str(path), _NO_MEMORY) from error
+        raise EndpointError(str(path), NO_MEMORY) from error
     except (ValueError, RecursionError) as error:
         raise InputError(str(path), f"is not valid JSON: {error}; correct it or restore a copy") from error
     if not isinstance(content, dict):
@@ -264,12 +264,12 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-def sync_tree(folder: Path) -> None:
-    """Make all files in a folder durable, then all names in it."""
-    paths = [folder, *folder.rglob("*")]
+def sync_tree(path: Path) -> None:
+    """Make a file durable; or all files in a folder, then all names in it."""
+    paths = [path, *path.rglob("*")]
     with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:
-        list(pool.map(sync, (path for path in paths if not path.is_dir())))
-        list(pool.map(sync, (path for path in paths if path.is_dir())))
+        list(pool.map(sync, (each for each in paths if not each.is_dir())))
+        list(pool.map(sync, (each for each in paths if each.is_dir())))
 
 
 @contextmanager
@@ -311,8 +311,7 @@ def _partial(path: Path, make: Callable[..., None]) -> Generator[Path]:
             raise EndpointError(str(scratch), reason) from None
         try:
             yield scratch
-            for each in (scratch, *scratch.rglob("*")):
-                sync(each)
+            sync_tree(scratch)
             scratch.rename(path)
             sync(path.parent)
         except BaseException:

@@ -19,7 +19,7 @@ from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
 from storage import files
-from storage.layout import LABELS, files_of
+from storage.layout import FINGER_MAX, LABELS, files_of
 from storage.lock import lock
 
 FORMAT: Final = 1
@@ -53,7 +53,7 @@ class LabelSpan:
             object.__setattr__(self, name, int(getattr(self, name)))  # of numpy, which is not JSON
         if not -_TIME_LIMIT <= self.begin < self.end < _TIME_LIMIT:
             raise ParameterError(_OWNER, "end", self.end, f"after begin, {self.begin} ns")
-        if not EVERY <= self.finger < 2**15:
+        if not EVERY <= self.finger <= FINGER_MAX:
             raise ParameterError(_OWNER, "finger", self.finger, "the number of a fingertip")
         check_choice(_OWNER, "value", self.value, VALUES)
         for name, text in (("author", self.author), ("note", self.note)):

@@ -45,7 +45,7 @@ from operators.batch import (
     Zeroed,
     columns,
 )
-from operators.errors import InputError, ParameterError, os_error_reason
+from operators.errors import InputError, ParameterError
 from storage.files import read_error
 
 DATASET: Final = "dataset.json"
@@ -56,6 +56,7 @@ JOURNAL: Final = "journal"
 DAMAGED: Final = "damaged"
 LABELS: Final = "labels"
 EXPORTED: Final = "exported.json"
+FINGER_MAX: Final = 2**15 - 1  # largest number of a fingertip, which is stored in 16 bits
 
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
 _SEGMENT: Final = re.compile(r"[0-9]{6,12}\.wal")
@@ -109,6 +110,35 @@ TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
 )
 
 
+def is_table_file(path: str) -> bool:
+    """Return true if a path within the folder of a session is that of a table's file.
+
+    >>> is_table_file("touch/part-000012.parquet"), is_table_file("touch/part-000012 (copy).parquet")
+    (True, False)
+    """
+    return any(table.has(path) and path == table.file(part_number(path)) for table in TABLES)
+
+
+def part_number(path: str) -> int:
+    """Return the number of a table's file by its path, 0 for a single-file table.
+
+    >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
+    (12, 0)
+    """
+    stem = path.rpartition("-")[2].partition(".")[0]
+    return int(stem) if stem.isdecimal() else 0
+
+
+def table_files(folder: Path, table: Table) -> list[str]:
+    """Return the paths of a table's files within the folder of a session, in order; others are ignored.
+
+    Raises:
+        SlipflowError: as `files_of`.
+    """
+    found = (path.relative_to(folder).as_posix() for path in files_of(folder, table.pattern))
+    return sorted(filter(is_table_file, found), key=part_number)
+
+
 def session_folder(root: Path, session: str) -> Path:
     """Return the folder of a session, which is always inside the dataset.
 
@@ -145,24 +175,26 @@ def session_names(root: Path) -> list[str]:
     """Return the names of the sessions of a dataset, sorted; include folders without read permission.
 
     Raises:
-        InputError: if the folder of the sessions cannot be read, or is a file.
+        SlipflowError: as `files_of`, or if the folder of the sessions is a file.
     """
-    return sorted(path.name for path in _session_folders(root) if may_exist(path / SESSION))
+    return [path.name for path in _session_folders(root) if may_exist(path / SESSION)]
 
 
 def names_without_description(root: Path) -> list[str]:
     """Return the names of the session folders that have data but no session.json, sorted.
 
     Raises:
-        InputError: if the folder of the sessions cannot be read, or is a file.
+        SlipflowError: as `files_of`, or if the folder of the sessions is a file.
     """
-    return sorted(path.name for path in _session_folders(root) if lacks_description(path))
+    return [path.name for path in _session_folders(root) if lacks_description(path)]
 
 
 def lacks_description(folder: Path) -> bool:
     """Return true if a folder has the files of a session, but no session.json."""
-    patterns = (MANIFEST, "journal/*.wal", *(table.pattern for table in TABLES))
-    return not may_exist(folder / SESSION) and any(files_of(folder, each) for each in patterns)
+    if may_exist(folder / SESSION):
+        return False
+    patterns = MANIFEST, f"{JOURNAL}/*.wal"
+    return any(files_of(folder, each) for each in patterns) or any(table_files(folder, t) for t in TABLES)
 
 
 def may_exist(path: Path) -> bool:
@@ -194,15 +226,9 @@ def files_of(folder: Path, pattern: str) -> list[Path]:
 
 
 def _session_folders(root: Path) -> list[Path]:
-    folder = root / SESSIONS
-    try:
-        return [*folder.iterdir()]
-    except PermissionError as error:
-        raise InputError(str(folder), f"cannot be read: {os_error_reason(error)}") from error
-    except OSError:
-        if folder.is_file():
-            raise InputError(str(folder), "is a file, must be the folder of the sessions") from None
-        return []
+    if (root / SESSIONS).is_file():
+        raise InputError(str(root / SESSIONS), "is a file, must be the folder of the sessions")
+    return files_of(root, f"{SESSIONS}/*")
 
 
 def segments(folder: Path) -> dict[int, Path]:

@@ -14,13 +14,10 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import files
 from storage.description import recorders
-from storage.layout import MANIFEST, TABLES, may_exist
+from storage.layout import MANIFEST, TABLES, is_table_file, may_exist, part_number
 
 VERSION: Final = 2
 
-_FILE: Final = re.compile(
-    "|".join(rf"{t.name}/part-\d{{6,}}\.parquet" if t.parted else re.escape(t.file(0)) for t in TABLES)
-)
 _FIX: Final = "slipflow recover rewrites the manifest"
 _SHA256: Final = re.compile("[0-9a-f]{64}")
 _TIME_LIMIT: Final = 2**63  # ns; every time is below
@@ -86,16 +83,6 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     return listed
 
 
-def part_number(path: str) -> int:
-    """Return the number of a part by its path, 0 for a single-file table.
-
-    >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
-    (12, 0)
-    """
-    stem = path.rpartition("-")[2].partition(".")[0]
-    return int(stem) if stem.isdigit() else 0
-
-
 def missing_parts(paths: Iterable[str]) -> list[str]:
     """Return the parts whose numbers are missing before the last of each table.
 
@@ -137,6 +124,6 @@ def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - any JSON
     empty = not part.rows and not part.first and not part.last and "/" not in part.path  # a single-file table
     if (part.rows < 1 and not empty) or not times or not _SHA256.fullmatch(part.sha256):
         raise InputError(where, f"has invalid rows, times or sha256; {_FIX}")
-    if not _FILE.fullmatch(part.path):
+    if not is_table_file(part.path):
         raise InputError(where, f"{part.path!r} is not a file of a session; {_FIX}")
     return part

@@ -95,6 +95,8 @@ class _Reader:
             raise ValueError(f"unexpected type {kind} in a footer or page header")
         size = 8 if kind == _DOUBLE else self._varint()
         self.at += size
+        if self.at > len(self.data):  # else a long list of values beyond the end would be read
+            raise IndexError
         return self.data[self.at - size : self.at]
 
     def _byte(self) -> int:

@@ -14,7 +14,7 @@ from storage.arrow import pa, pq
 from storage.layout import Table
 from storage.manifest import Part
 from storage.parquet_pages import declared_sizes
-from storage.schema import fitted, flat, schema
+from storage.schema import fields_of, fitted, flat, schema
 
 UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
 
@@ -111,14 +111,14 @@ def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.
         table: pa.Table = file.read(expected.names, use_threads=False)
         table.validate(full=True)
     except MemoryError as error:
-        raise EndpointError(str(path), "cannot be read: there is not enough memory") from error
+        raise EndpointError(str(path), files.NO_MEMORY) from error
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
         raise InputError(str(path), f"is damaged or not a Parquet file: {reason}; restore a copy") from error
     if len(table) != file.metadata.num_rows:
         reason = f"is damaged: it has {len(table)} of its {file.metadata.num_rows} rows; restore a copy"
         raise InputError(str(path), reason)
-    for field in _fields(expected):
+    for field in fields_of(expected):
         column = table[field.name]
         if not field.nullable and (column.null_count or flat(column).null_count):
             raise InputError(str(path), f"column {field.name!r} has nulls, must have none")
@@ -142,7 +142,7 @@ def without_copies(folder: Path, paths: Iterable[str], listed: Mapping[str, Part
 def _encodings(schema: pa.Schema) -> dict[str, str]:
     """Return the Parquet encoding of each column by its path in the file."""
     encodings: dict[str, str] = {}
-    for field in _fields(schema):
+    for field in fields_of(schema):
         nested = pa.types.is_fixed_size_list(field.type)
         path = f"{field.name}.list.element" if nested else field.name
         kind = field.type.value_type if nested else field.type
@@ -161,7 +161,7 @@ def _check_size(path: Path, data: bytes, expected: pa.Schema) -> None:
         ValueError: if the file is malformed.
     """
     rows, unpacked, values = declared_sizes(data)
-    row = sum(_row_size(field.type) for field in _fields(expected))
+    row = sum(_row_size(field.type) for field in fields_of(expected))
     if max(unpacked, values, rows * row) > UNPACKED_LIMIT:
         reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
         raise InputError(str(path), reason)
@@ -175,8 +175,8 @@ def _row_size(kind: Any) -> int:  # noqa: ANN401 - a type with the attributes of
 
 
 def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
-    columns = {field.name: field for field in _fields(found)}
-    for field in _fields(expected):
+    columns = {field.name: field for field in fields_of(found)}
+    for field in fields_of(expected):
         other = columns.get(field.name)
         if other is None:
             raise InputError(str(path), f"has no column {field.name!r}; it has {', '.join(columns)}")
@@ -190,10 +190,6 @@ def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
 def _with_any_index(kind: Any) -> Any:  # noqa: ANN401 - a type with the attributes of its class
     """Return a type; if it is a dictionary, with one index type: pyarrow 16, Flink's, reads int32 for all."""
     return pa.dictionary(pa.int32(), kind.value_type) if pa.types.is_dictionary(kind) else kind
-
-
-def _fields(schema: pa.Schema) -> list[pa.Field[Any]]:
-    return list(schema)
 
 
 def _unit(field: pa.Field[Any]) -> str:

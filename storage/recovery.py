@@ -28,18 +28,13 @@ from storage.layout import (
     check_links,
     files_of,
     may_exist,
+    part_number,
     segments,
     single_log,
+    table_files,
 )
 from storage.lock import lock
-from storage.manifest import (
-    Part,
-    missing_parts,
-    missing_rows,
-    part_number,
-    read_manifest,
-    write_manifest,
-)
+from storage.manifest import Part, missing_parts, missing_rows, read_manifest, write_manifest
 from storage.parts import commit_part, inspect_part, read_part
 from storage.schema import batch_type, schema, to_arrow
 
@@ -87,10 +82,10 @@ def recover(folder: str | Path) -> Recovery:
     """
     folder = Path(folder)
     check_links(folder)
-    about = read_session(folder)
+    read_session(folder)  # before the lock: an invalid session is an InputError
     try:
         with _exclusive(folder):
-            return Repair(folder, about).finish()
+            return Repair(folder, read_session(folder)).finish()  # as a concurrent recovery has left it
     except OSError as error:
         reason = f"cannot be recovered: {os_error_reason(error)}"
         raise EndpointError(str(error.filename or folder), reason) from error
@@ -191,14 +186,14 @@ class Repair:
     def _find_parts(self, table: Table) -> list[Part]:
         """Return the listed parts of a table and the unlisted complete ones."""
         parts = self._listed_of(table)
-        existing = {
-            path.relative_to(self._folder).as_posix() for path in files_of(self._folder, table.pattern)
-        }
-        for path in sorted(existing - {part.path for part in parts}, key=part_number):
+        existing = table_files(self._folder, table)
+        for path in existing:
+            if path in self._listed:
+                continue
             try:
                 part = inspect_part(self._folder, path, table)
             except InputError as error:
-                self._add_unreadable(table, path, error, last=path == max(existing, key=part_number))
+                self._add_unreadable(table, path, error, last=path == existing[-1])
                 continue
             if original := next((each.path for each in parts if each.sha256 == part.sha256), None):
                 self._aside.append(self._folder / path)

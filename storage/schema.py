@@ -36,8 +36,8 @@ def fitted(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
     """Return an expected schema with as many cells as a file has, without optional columns that it lacks."""
     kind = _KINDS.get((expected.metadata or {}).get(b"batch", b"").decode())
     optional = {name for name, each in columns(kind).items() if each.optional} if kind else set[str]()
-    kept = [each for each in _as_list(expected) if each.name not in optional - {*found.names}]
-    for field in _as_list(found):
+    kept = [each for each in fields_of(expected) if each.name not in optional - {*found.names}]
+    for field in fields_of(found):
         if field.name in _PER_CELL and pa.types.is_fixed_size_list(field.type):
             kept = [_resized(each, int(field.type.list_size)) for each in kept]
             break
@@ -128,6 +128,11 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     }
 
 
+def fields_of(schema: pa.Schema) -> list[pa.Field[Any]]:
+    """Return the fields of a schema."""
+    return list(schema)
+
+
 def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:
     """Return the values of a column in one array; FixedSizeLists are flattened."""
     array: Any = column.combine_chunks()
@@ -162,10 +167,6 @@ def _resized(field: pa.Field[Any], cells: int) -> pa.Field[Any]:
 
 def _width(rows: pa.Table, name: str) -> int:
     return int(cast("Any", rows).schema.field(name).type.list_size)
-
-
-def _as_list(schema: pa.Schema) -> list[pa.Field[Any]]:
-    return list(schema)
 
 
 def _array(values: NDArray[Any], names: Sequence[str]) -> pa.Array[Any]:

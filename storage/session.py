@@ -25,11 +25,12 @@ from storage.layout import (
     TABLES,
     Table,
     check_links,
-    files_of,
     inside,
     may_exist,
+    part_number,
     session_folder,
     session_names,
+    table_files,
 )
 from storage.lock import locked
 from storage.manifest import Part, read_manifest
@@ -264,11 +265,11 @@ class Session:
         """Return the files of a table, including missing ones that are listed."""
         listed = {path for path in self.listed if table.has(path)}
         if may_exist(self.folder / JOURNAL):  # the journal may still have the rows of unlisted files
-            return sorted(listed, key=_numbered)
-        existing = {path.relative_to(self.folder).as_posix() for path in files_of(self.folder, table.pattern)}
+            return sorted(listed, key=part_number)
+        existing = table_files(self.folder, table)
         paths = [table.file(number) for number in range(len(existing))]
         if self.listed:
-            paths = sorted(existing | listed, key=_numbered)
+            paths = sorted({*existing, *listed}, key=part_number)
         if set(paths) <= listed:
             return paths
         return without_copies(self.folder, paths, self.listed)
@@ -285,11 +286,6 @@ def _recover(folder: Path) -> None:
     except EndpointError as error:
         if not locked(folder):  # it is not being recorded
             _warn(folder, str(error))
-
-
-def _numbered(path: str) -> tuple[int, str]:
-    """Return a sort key that orders parts by number; long numbers have more digits."""
-    return len(path), path
 
 
 @cache

@@ -21,7 +21,9 @@ from storage.layout import (
     TABLES,
     Table,
     check_links,
+    files_of,
     inside,
+    is_table_file,
     lacks_description,
     may_exist,
     names_without_description,
@@ -295,8 +297,16 @@ class _SessionCheck:
             self._add("lossy" if text in repair.cut else "lost", text)
         for text in (*repair.done, *(f"{path} is not in the manifest" for path in repair.adopted)):
             self._add("repairable", f"{text}: slipflow recover repairs this")
+        self._check_names()
+
+    def _check_names(self) -> None:
+        """Note files that are not part of the session."""
         for path in scratch_files(self.folder):
             self._add("note", f"{path.name} was left over: slipflow recover deletes it")
+        for table in TABLES:
+            for path in files_of(self.folder, table.pattern):
+                if not is_table_file(path.relative_to(self.folder).as_posix()):
+                    self._add("note", f"{path}: is not read: its name is not that of a part")
 
 
 def _table(path: str) -> Table:

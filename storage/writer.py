@@ -17,7 +17,7 @@ from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
 from storage.journal import APPEND_AT, Journal, NumberedRows
-from storage.layout import SESSIONS, TABLE_OF, TABLES, TOUCH, Table, new_session_folder
+from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, TOUCH, Table, new_session_folder
 from storage.lock import lock
 from storage.manifest import Part, write_manifest
 from storage.parts import commit_part
@@ -133,8 +133,9 @@ class SessionWriter:
         if table is None:
             known = ", ".join(each.__name__ for each in TABLE_OF)
             raise ParameterError("Dataset", "batch", kind.__name__, f"one of {known}")
-        if not table.finger and batch.finger != EVERY:
-            raise ParameterError("Dataset", f"finger of a {kind.__name__}", batch.finger, f"EVERY ({EVERY})")
+        if not EVERY <= batch.finger <= (FINGER_MAX if table.finger else EVERY):
+            must_be = f"from {EVERY} to {FINGER_MAX}" if table.finger else f"EVERY ({EVERY})"
+            raise ParameterError("Dataset", f"finger of a {kind.__name__}", batch.finger, must_be)
         buffer = self._buffers.get(table.name)
         if buffer is not None and buffer.kind is not kind:
             reason = f"{buffer.kind.__name__}: a session has either raw or zeroed counts"

@@ -60,7 +60,7 @@ def new_batch(
     seed: int = 0,
     cells: int = BAROMETERS,
 ) -> AnyBatch:
-    """NumberedRows 10 ms apart whose other columns are random bits: every NaN and every extreme occurs."""
+    """Rows 10 ms apart whose other columns are random bits: every NaN and every extreme occurs."""
     random = np.random.default_rng(seed)
     values: list[Any] = [start + np.arange(rows) * 10 * ms]
     for column in list(columns(kind).values())[1:]:

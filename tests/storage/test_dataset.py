@@ -205,6 +205,11 @@ async def test_a_batch_without_a_table_is_refused_and_not_stored(tmp_path: Path)
         (new_batch(Sample), ParameterError, "batch is 'Sample', must be one of Touch, .*Labelled"),
         (new_batch(Scores), ParameterError, "batch is 'Scores', must be one of"),
         (aside, ParameterError, "finger of a Motion is 2, must be EVERY"),
+        (
+            new_batch(Touch, finger=2**15),
+            ParameterError,
+            "finger of a Touch is 32768, must be from -1 to 32767",
+        ),
         (broken, BatchError, r"Touch\.counts: is float64"),
     ]
     dataset = Dataset(tmp_path)

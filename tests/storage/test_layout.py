@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from operators.batch import columns
-from operators.errors import InputError, ParameterError
+from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
 from storage.layout import (
     TABLE_OF,
     TABLES,
@@ -109,18 +109,19 @@ def test_a_file_is_missing_only_if_the_system_says_so(
     assert may_exist(tmp_path / "missing")
 
 
-def test_sessions_that_may_not_be_looked_for_are_an_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("number", "kind"), [(errno.EACCES, InputError), (errno.EIO, EndpointError)])
+def test_sessions_that_cannot_be_looked_for_are_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, kind: type[SlipflowError]
 ) -> None:
     (tmp_path / "sessions").mkdir()
 
     def listdir(path: str | Path) -> list[str]:
-        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        raise OSError(number, os.strerror(number), str(path))
 
     monkeypatch.setattr(os, "listdir", listdir)
     monkeypatch.setattr(os, "scandir", listdir)
     for names in (session_names, names_without_description):
-        with pytest.raises(InputError, match="sessions: cannot be read: Permission denied; grant this user"):
+        with pytest.raises(kind, match=f"sessions: cannot be read: {os.strerror(number)}; "):
             names(tmp_path)
 
 

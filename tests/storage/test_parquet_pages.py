@@ -120,3 +120,9 @@ def test_a_page_that_unpacks_to_two_gigabytes_counts_with_all_of_them() -> None:
 def test_malformed_files_are_reported(data: bytes) -> None:
     with pytest.raises(ValueError, match=r"Parquet footer|malformed|negative|do not end|64 bits"):
         declared_sizes(data)
+
+
+def test_a_list_that_is_longer_than_the_file_is_not_read_on() -> None:
+    footer = bytes([4 << 4 | 9, 15 << 4 | 7, *[0xFF] * 7, 0x7F])  # field 4: a list of 2**56 - 1 doubles
+    with pytest.raises(ValueError, match="malformed footer"):
+        declared_sizes(b"PAR1" + footer + len(footer).to_bytes(4, "little") + b"PAR1")

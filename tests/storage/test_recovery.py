@@ -7,13 +7,20 @@ from typing import Any, cast
 import pytest
 
 from operators.errors import EndpointError, InputError
-from storage import Dataset, Session, files, recover, verify
+from storage import Dataset, Session, files, recover, recovery, verify
+from storage.description import read_session
 from storage.lock import lock
 from storage.manifest import read_manifest
 from tests.storage.disk_steps import observed
 from tests.storage.made import leave, new_run, rows, side_by_side
 
 BATCHES = side_by_side(5)
+RECOVERED: dict[str, Any] = {
+    "rows": {"touch": 10, "motion": 5, "samples": 5, "slips": 25},
+    "adopted": [],
+    "lost": [],
+    "cut": [],
+}
 
 
 @pytest.fixture
@@ -23,7 +30,7 @@ def left(tmp_path: Path) -> Path:
 
 def test_rows_of_the_journal_become_listed_parts(left: Path) -> None:
     done = recover(left)
-    assert done.rows == {"touch": 10, "motion": 5, "samples": 5, "slips": 25}
+    assert done.rows == RECOVERED["rows"]
     assert (done.adopted, done.lost, done.complete) == ((), (), True)
     assert rows(left, BATCHES) == [25] * 5
     assert {path.relative_to(left).as_posix() for path in left.rglob("*.parquet")} == set(read_manifest(left))
@@ -132,3 +139,17 @@ def test_two_that_recover_at_once_both_see_all(left: Path) -> None:
         return await asyncio.gather(*(asyncio.to_thread(rows, left, BATCHES) for _ in range(4)))
 
     assert asyncio.run(both()) == [[25] * 5] * 4
+
+
+def test_a_recovery_that_waited_for_another_reports_no_loss(
+    left: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_then_wait(folder: Path) -> Any:  # noqa: ANN401 - as the function that it replaces
+        about = read_session(folder)
+        monkeypatch.setattr(recovery, "read_session", read_session)
+        recover(folder)
+        return about
+
+    monkeypatch.setattr(recovery, "read_session", read_then_wait)
+    assert not recover(left).changed
+    assert (Session.open(left).about["recovered"], verify(left).worst) == (RECOVERED, "repaired")

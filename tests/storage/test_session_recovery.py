@@ -335,3 +335,18 @@ def test_slips_that_may_have_been_lost_are_not_said_to_be_none(tmp_path: Path) -
     single_log(folder).unlink()
     assert "single.wal: is missing" in " ".join(recover(folder).lost)
     assert Session.open(folder).tables == ("touch",)
+
+
+@pytest.mark.parametrize("name", ["part-000000 (copy)", "part-old", "part-\u00b2", "part-1", "part-0000001"])
+def test_a_file_with_a_name_that_no_part_has_is_no_part(left: Path, name: str) -> None:
+    recover(left)
+    some = read_part(left / "touch/part-000000.parquet", schema(TOUCH)).slice(0, 5)
+    write_part(left / f"touch/{name}.parquet", some)
+    assert rows(left, BATCHES) == [25] * 5
+    assert (
+        f"touch/{name}.parquet: is not read: its name is not that of a part" in verify(left).findings[-1].text
+    )
+    assert not recover(left).changed
+    (left / "MANIFEST.json").unlink()
+    assert len(recover(left).adopted) == 10
+    assert rows(left, BATCHES) == [25] * 5
