@@ -1,34 +1,34 @@
 # Each target sets up what it needs.
 .PHONY: demo test test-slow test-lerobot test-cluster cluster chaos faults scene scene-fit check docs figures release-check bench models detector-pages clean
 
-demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
+demo:  ## run the demo without hardware: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
 	.venv/bin/slipflow demo --for 20s --out recordings
 
-test: check  ## everything that must hold: static checks, then the tests
+test: check  ## run the static checks, then the tests
 	.venv/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not rerun and not cluster"
 
-test-slow:  ## the tests that take longer than a minute, or need half a gigabyte more
+test-slow:  ## run the tests that take longer than a minute, or need half a gigabyte more
 	@deploy/prepare test
 	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[rerun]'
 	.venv/bin/python -m pytest -m "slow or rerun"
 
 test-lerobot: LEROBOT = $(CURDIR)/.venv/lerobot
-test-lerobot:  ## LeRobot's own loader reads an export: 180 MB more
+test-lerobot:  ## read an export with LeRobot's own loader: 180 MB more
 	@deploy/prepare test
 	test -d $(LEROBOT) || .venv/bin/python -m venv $(LEROBOT)
 	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement tests/lerobot.txt
 	.venv/bin/python -c 'import site; print(*site.getsitepackages())' >$$(echo $(LEROBOT)/lib/python3*/site-packages)/base.pth
 	LEROBOT_PYTHON=$(LEROBOT)/bin/python .venv/bin/python -m pytest tests/test_docs_lerobot.py
 
-cluster:  ## a Flink cluster on this machine, reached only from here; deploy/cluster stop ends it
+cluster:  ## start a Flink cluster that only this machine can reach; deploy/cluster stop ends it
 	@deploy/cluster
 
-test-cluster:  ## jobs on a real Flink cluster, which is killed in parts: about five minutes
+test-cluster:  ## run jobs on a real Flink cluster and kill parts of it: about five minutes
 	@deploy/prepare test
 	.venv/bin/python -m pytest -m cluster
 
-chaos:  ## break what can be broken while it records and publishes; prints each promise: about an hour
+chaos:  ## test crash safety: kills, power cuts, full disks, outages; prints a table: about an hour
 	@deploy/prepare test
 	.venv/bin/python -m tests.chaos.run
 
@@ -36,15 +36,15 @@ faults:  ## simulate the whole system under drawn faults until stopped; prints s
 	@deploy/prepare test
 	.venv/bin/python -m tests.faults
 
-scene:  ## measure how real the simulated scene is, for docs/explanations/scene.md; judge=FILE trace=FILE: real data
+scene:  ## measure the realism of the simulated scene, for docs/explanations/scene.md; judge=FILE trace=FILE: real data
 	@deploy/prepare test
 	.venv/bin/python -m tests.scene $(if $(judge),--judge $(judge)) $(if $(trace),--trace $(trace))
 
-scene-fit:  ## fit the constants of the scene to real figures, half an hour on two cores; judge=FILE trace=FILE
+scene-fit:  ## fit the constants of the scene to real data, half an hour on two cores; judge=FILE trace=FILE
 	@deploy/prepare test
 	.venv/bin/python -m tests.scene.scene_fit --judge $(judge) --trace $(trace)
 
-check:  ## format, lint, types, import contracts
+check:  ## check format, lint, types and import contracts
 	@deploy/prepare test
 	.venv/bin/ruff format --check
 	.venv/bin/ruff check
@@ -57,7 +57,7 @@ docs:  ## build the documentation site into build/site; warnings are errors
 	.venv/bin/python -m tests.reference_pages
 	.venv/bin/mkdocs build --quiet
 
-figures:  ## take the pictures of the live page and of show in docs/figures again, on an idle machine
+figures:  ## retake the screenshots of the live page and of show in docs/figures, on an idle machine
 	@deploy/prepare test
 	.venv/bin/python -m tests.page_figures docs/figures
 
@@ -65,7 +65,7 @@ release-check:  ## build wheel and sdist into dist, compare their files with git
 	@deploy/prepare test
 	.venv/bin/python -m tests.release_check
 
-bench:  ## measure; prints tables
+bench:  ## run the benchmarks and print their tables
 	@deploy/prepare test
 	.venv/bin/python tests/benchmarks/bench_engine.py
 	.venv/bin/python tests/benchmarks/bench_row_loops.py
@@ -96,7 +96,7 @@ models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
 models: DATA := $(addprefix models/,paper-0 wide-3 wide-4 wide-5 wide-6 wide-7 wide-8 slow-3 slow-4 slow-5)
 models: PAPER := train models/paper-0 --resume --method
-models:  ## train what ships in storage/trained and what its pages compare: two to three hours on two cores; resumes; trace=FILE: scores on a real trace
+models:  ## train the models in storage/trained and those that its pages compare: two to three hours on two cores; resumes; trace=FILE: scores on a real trace
 	@deploy/prepare test
 	mkdir -p models
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
@@ -118,7 +118,7 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn-seed?.safetensors)
 
-detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour; strokes=DATASET: benchmark and alarms too
+detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark and alarms too
 	slipflow evaluate models/paper-0 --out models/pages
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages
@@ -130,5 +130,5 @@ detector-pages:  ## print the pages of docs/explanations/detectors again, after 
 	    --case strokes tcn_wide $(strokes) --case adapted models/adapted.safetensors $(strokes) --out models/pages)
 	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
 
-clean:  ## forget everything that was set up or built
+clean:  ## delete everything that was set up or built
 	rm -rf .venv .cluster dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
