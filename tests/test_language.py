@@ -56,7 +56,7 @@ WEB: Final = sorted(
     for path in (ROOT / "connectors" / "web" / "static").iterdir()
     if path.suffix in (".js", ".html", ".css")
 )
-PAGES: Final = sorted([ROOT / "README.md", ROOT / "ARCHITECTURE.md", *(ROOT / "docs").rglob("*.md")])
+PAGES: Final = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 
 
 def docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
