@@ -141,7 +141,8 @@ def evaluate(
         for method in chosen:
             log(f"evaluating {method.name}")
             results.append(evaluator.result(method))
-    leaks = [*split_leaks([everything]), *leaks]
+    if split != "all":  # else nothing was fitted
+        leaks = [*split_leaks([everything]), *leaks]
     for result in results:
         leaks += constant_leaks(result.method.name, result.confusion.counts)
     for leak in leaks:
