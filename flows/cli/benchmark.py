@@ -3,6 +3,7 @@
 import sys
 from contextlib import suppress
 from pathlib import Path
+from shlex import quote
 from time import perf_counter
 from typing import Annotated
 
@@ -31,6 +32,14 @@ def benchmark(
         typer.Option(
             metavar="NAME",
             help="Only this regime: zero-shot, adapted, few-shot, in-domain; repeatable (default: all).",
+        ),
+    ] = None,
+    group: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Only recordings of this surface or object (`group` of the sessions); repeatable (default:"
+            " all).",
         ),
     ] = None,
     model: Models = None,
@@ -94,11 +103,13 @@ def benchmark(
             regimes=regimes,
             models=models,
             names=names,
+            groups=group or [],
             jobs=jobs,
             log=note,
             progress=progress,
         )
     options = "".join(f" --regime {each}" for each in regime or [])
+    options += "".join(f" --group {quote(each)}" for each in group or [])
     given = " ".join(recipes or datasets)
     command = f"slipflow benchmark {given}{options}{method_options(models, names)}"
     report = benchmark_report(found, f"{command} --steps {steps} --seed {seed}")

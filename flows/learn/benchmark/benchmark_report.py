@@ -154,7 +154,9 @@ def _calibration(of: EntrantResult) -> list[Value]:
 
 
 def _note(of: EntrantResult) -> str:
-    return ", ".join(dict.fromkeys(["leak: " + leak.kind for leak in of.leaks])) or of.entrant.origin
+    """Return the leaks, or the origin and what did not happen."""
+    leaks = dict.fromkeys("leak: " + leak.kind for leak in of.leaks)
+    return "; ".join([*(leaks or [of.entrant.origin]), *of.notes])
 
 
 def _mean(of: EntrantResult) -> float:
@@ -196,7 +198,7 @@ def _result_facts(of: EntrantResult) -> dict[str, Any]:
     }
     by_fold = {name: _known(value) for name, value in of.by_fold.items()}
     about = {"regime": of.entrant.regime, "detector": of.entrant.name, "draws": of.entrant.draws}
-    return {**about, **estimates, "balanced_by_fold": by_fold}
+    return {**about, "notes": list(of.notes), **estimates, "balanced_by_fold": by_fold}
 
 
 def _known(value: float) -> float | None:

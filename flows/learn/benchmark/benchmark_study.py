@@ -1,5 +1,6 @@
 """`slipflow benchmark`: every detector on real surfaces, objects or recordings that it never saw."""
 
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -10,7 +11,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from flows.learn.benchmark.entrants import MAJORITY, REGIMES, SECONDS, Course, Entrant, Regime, entrants
+from flows.learn.benchmark.entrants import (
+    MAJORITY,
+    MINUTES,
+    REGIMES,
+    SECONDS,
+    Course,
+    Entrant,
+    Regime,
+    entrants,
+)
 from flows.learn.benchmark.folds import BenchmarkData, Fold, load_folds, without_labels
 from flows.learn.evaluation.event_metrics import DECISION
 from flows.learn.evaluation.intervals import Figures, Judged, figures
@@ -38,6 +48,7 @@ class EntrantResult:
     figures: Figures
     by_fold: Mapping[str, float]  # balanced accuracy, %, on the recordings of each fold
     leaks: tuple[Leak, ...]
+    notes: tuple[str, ...] = ()  # what did not happen, such as "kept: too short"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +87,7 @@ def benchmark(
     regimes: Collection[str] = REGIMES,
     models: Sequence[Path] = (),
     names: Collection[str] = (),
+    groups: Collection[str] = (),
     jobs: int | None = None,
     log: Log = lambda _: None,
     progress: Progress = lambda _done, _all, _part: None,
@@ -90,6 +102,7 @@ def benchmark(
         regimes: Some of `REGIMES`: what detectors may learn from.
         models: Files of weights to evaluate zero-shot as well.
         names: Only these detectors, and those of `models`; empty: all.
+        groups: Only recordings of these surfaces or objects; empty: all.
         jobs: Number of processes; None: one per core.
         log: Receives leaks, and reasons for what is missing.
         progress: Called after each fit.
@@ -108,7 +121,7 @@ def benchmark(
     for name in names:
         check_choice("benchmark", "method", name, sorted({each.name for each in every}))
     chosen = [each for each in every if not names or each.name in {*names, *given}]
-    loaded = {name: _at_rates(path, name, chosen) for name, path in datasets.items()}
+    loaded = {name: _at_rates(path, name, groups, chosen) for name, path in datasets.items()}
     units = {name: _units(data, chosen, course) for name, data in loaded.items()}
     costs = _Costs(sum(unit.entrant.cost for each in units.values() for unit in each), progress)
     results = list[DatasetResult]()
@@ -131,15 +144,15 @@ class _Loaded:
     by_entrant: Mapping[str, BenchmarkData]  # by title
 
 
-def _at_rates(path: Path, name: str, chosen: Sequence[Entrant]) -> _Loaded:
+def _at_rates(path: Path, name: str, groups: Collection[str], chosen: Sequence[Entrant]) -> _Loaded:
     """Read a dataset once for each rate at which entrants are judged."""
-    own = load_folds(path, name)
+    own = load_folds(path, name, groups=groups)
     found, by_entrant = [own], dict[str, BenchmarkData]()
     for entrant in chosen:
         rate = entrant.rate(own.fingertip)
         near = (each for each in found if isclose(each.fingertip.rate, rate, rel_tol=RATE_TOLERANCE))
         if (data := next(near, None)) is None:
-            found.append(data := load_folds(path, name, rate))
+            found.append(data := load_folds(path, name, rate, groups))
         by_entrant[entrant.title] = data
     notes = list(own.notes)
     for data in found[1:]:
@@ -171,7 +184,15 @@ def _units(loaded: _Loaded, chosen: Sequence[Entrant], course: Course) -> list[_
     return units
 
 
-_Found: TypeAlias = Sequence[Judged] | str  # answers on each recording, or the reason why there are none
+@dataclass(frozen=True, slots=True)
+class _Answers:
+    """Answers on each recording, and what the fit did not do."""
+
+    judged: Sequence[Judged]
+    note: str
+
+
+_Found: TypeAlias = _Answers | str  # the reason why there are none
 
 
 @dataclass
@@ -203,8 +224,9 @@ def _run(units: Sequence[_Unit], jobs: int | None, costs: _Costs) -> list[tuple[
 @one_thread()
 def _judge(unit: _Unit) -> _Found:
     try:
-        detector, debounce = unit.entrant.fit(unit.fold, unit.course, unit.draw)
-        return [Judged.of(each, probabilities(detector, each), debounce) for each in unit.test]
+        fit = unit.entrant.fit(unit.fold, unit.course, unit.draw)
+        judged = [Judged.of(each, probabilities(fit.detector, each), fit.debounce) for each in unit.test]
+        return _Answers(judged, fit.note)
     except SlipflowError as error:  # such as a detector for another fingertip
         return str(error)
 
@@ -220,16 +242,20 @@ def _result(
     for entrant in chosen:
         data = loaded.by_entrant[entrant.title]
         judged: list[list[Judged]] = [[] for _ in data.recordings]
+        kept, fits = Counter[str](), 0
         for unit, answers in found:
             if unit.entrant is not entrant:
                 continue
             if isinstance(answers, str):
                 missing[entrant.title] = answers
                 continue
-            for place, each in zip(unit.fold.test, answers, strict=True):
+            kept[answers.note], fits = kept[answers.note] + 1, fits + 1
+            for place, each in zip(unit.fold.test, answers.judged, strict=True):
                 judged[place].append(each)
         if entrant.title not in missing:
-            results.append(_entrant_result(data, entrant, judged, digest))
+            notes = [f"{note} ({count} of {fits} fits)" for note, count in kept.items() if note]
+            result = _entrant_result(data, entrant, judged, digest)
+            results.append(replace(result, notes=(*_few_minutes(data, entrant), *notes)))
     order = {regime: place for place, regime in enumerate(REGIMES)}
     results.sort(key=lambda each: (order[each.entrant.regime], -each.figures.balanced.value))
     unchecked = [
@@ -254,6 +280,14 @@ def _entrant_result(
         for fold in data.folds
     }
     return EntrantResult(entrant, figures(judged), by_fold, tuple(leaks))
+
+
+def _few_minutes(data: BenchmarkData, entrant: Entrant) -> list[str]:
+    """Return a note if some fold has fewer labelled minutes than the few-shot regime takes."""
+    sampling = data.recordings[0].sampling
+    least = min(sampling.minutes(sum(map(len, fold.train))) for fold in data.folds)
+    short = entrant.regime == "few-shot" and least < MINUTES
+    return [f"{least:.1f} min available"] if short else []
 
 
 def _confusion(judged: Sequence[Judged]) -> Confusion:

@@ -4,11 +4,11 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal, TypeAlias, get_args
+from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from flows.learn.adaptation.adapted import adapt
+from flows.learn.adaptation.adapted import SHORTEST, adapt
 from flows.learn.adaptation.derived_model import adapted_debounce
 from flows.learn.adaptation.fine_tuning import fine_tune
 from flows.learn.benchmark.fold_training import trained_tcn
@@ -41,6 +41,7 @@ FEW_DRAWS: Final = 3  # of the labelled minutes
 MAJORITY: Final = "majority"
 DEFAULT: Final = "tcn"  # shipped detector that is trained on the folds
 WIDE: Final = "tcn_wide"  # shipped detector for other fingertips than the TakkTile
+NOT_BETTER: Final = "kept: not better"
 _HOP: Final = 2  # samples at 100 Hz between the windows that baselines are fitted to
 
 
@@ -53,7 +54,14 @@ class Course:
     seed: int = 0
 
 
-Fitted: TypeAlias = tuple[Detector, Debounce]
+class Fitted(NamedTuple):
+    """Detector of a fold."""
+
+    detector: Detector
+    debounce: Debounce
+    note: str = ""  # what did not happen
+
+
 Fit: TypeAlias = Callable[[Fold, Course, int], Fitted]  # the last: number of the draw
 
 
@@ -141,11 +149,12 @@ def _paper_rule(fold: Fold) -> Debounce:
 
 
 def _as_it_is(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
-    return method.detector, method.debounce or _paper_rule(fold)
+    return Fitted(method.detector, method.debounce or _paper_rule(fold))
 
 
 def _majority(fold: Fold, _course: Course, _draw: int) -> Fitted:
-    return Majority(bool(labels(fold.train, 1).mean() > 0.5)), _paper_rule(fold)  # noqa: PLR2004 - the larger part
+    larger = bool(labels(fold.train, 1).mean() > 0.5)  # noqa: PLR2004 - the larger part
+    return Fitted(Majority(larger), _paper_rule(fold))
 
 
 def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
@@ -155,9 +164,9 @@ def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
     first = [each.piece(slice(len(each) * 2 // 3)) for each in found]
     rest = [each.piece(slice(len(each) * 2 // 3, None)) for each in found]
     try:
-        return detector, tuned_on(rest, _fitted(name, first))
+        return Fitted(detector, tuned_on(rest, _fitted(name, first)))
     except InputError:  # the pieces are too short
-        return detector, _paper_rule(fold)
+        return Fitted(detector, _paper_rule(fold))
 
 
 def _adapted(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
@@ -166,9 +175,13 @@ def _adapted(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
     old = method.debounce or _paper_rule(fold)
     try:
         found = adapt(method.detector, fold.train)
-    except InputError:  # the recording is too short, or has no strokes
-        return method.detector, old
-    return (found.tcn, adapted_debounce(found, fold.train)) if found.better else (method.detector, old)
+    except InputError:
+        seconds = sum(len(each) / each.fingertip.rate for each in fold.train)
+        reason = "too short" if seconds < SHORTEST else "no rest or no strokes"
+        return Fitted(method.detector, old, f"kept: {reason}")
+    if not found.better:
+        return Fitted(method.detector, old, NOT_BETTER)
+    return Fitted(found.tcn, adapted_debounce(found, fold.train))
 
 
 def _tuned(method: Method, fold: Fold, course: Course, draw: int) -> Fitted:
@@ -177,8 +190,8 @@ def _tuned(method: Method, fold: Fold, course: Course, draw: int) -> Fitted:
     recordings = labelled_minutes(fold, MINUTES, _draw_seed(course, draw))
     found = fine_tune(method.detector, recordings, seed=course.seed)
     if not found.better:
-        return method.detector, method.debounce or _paper_rule(fold)
-    return found.tcn, tuned_on(recordings, found.tcn)
+        return Fitted(method.detector, method.debounce or _paper_rule(fold), NOT_BETTER)
+    return Fitted(found.tcn, tuned_on(recordings, found.tcn))
 
 
 def _draw_seed(course: Course, draw: int) -> int:
@@ -189,11 +202,11 @@ def _all(name: str, fold: Fold, _course: Course, _draw: int) -> Fitted:
     """Fit to the recordings that the network is fitted to; its validation recordings tune the debounce."""
     fit, validation = fold.parts()
     detector = _fitted(name, fit)
-    return detector, tuned_on(validation, detector)
+    return Fitted(detector, tuned_on(validation, detector))
 
 
 def _tcn(fold: Fold, course: Course, _draw: int) -> Fitted:
-    return trained_tcn(fold, course.recipe, course.models)
+    return Fitted(*trained_tcn(fold, course.recipe, course.models))
 
 
 def _fitted(name: str, recordings: Sequence[LabelledRecording]) -> Detector:

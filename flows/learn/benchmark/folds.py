@@ -1,6 +1,6 @@
 """Recordings of a dataset and their folds: each surface, object or recording is judged once, unseen."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
@@ -72,22 +72,25 @@ class BenchmarkData:
         return 100 * float(np.concatenate([each.slip for each in self.recordings]).mean())
 
 
-def load_folds(dataset: Path, name: str = "", rate: float | None = None) -> BenchmarkData:
+def load_folds(
+    dataset: Path, name: str = "", rate: float | None = None, groups: Collection[str] = ()
+) -> BenchmarkData:
     """Read a dataset and split it by group, or by recording if it has fewer than two groups.
 
     Args:
         dataset: Folder of the dataset.
         name: Name on the page (default: that of the folder).
         rate: Rate to which samples of another rate are converted, Hz; None: their own, 100 Hz at least.
+        groups: Only the recordings of these groups (default: all).
 
     Raises:
-        InputError: if it cannot be read, has one recording or lacks slip or static.
+        InputError: if it cannot be read, lacks a group, slip or static, or has one recording.
         FingertipError: if its recordings have different fingertips.
     """
-    recordings = load(dataset, rate)
+    recordings = _of_groups(dataset, load(dataset, rate), groups)
     given, notes = common_fingertip(recordings).rate, list[str]()
     if rate is None and given < RATE and not isclose(given, RATE, rel_tol=RATE_TOLERANCE):
-        recordings = load(dataset, RATE)
+        recordings = _of_groups(dataset, load(dataset, RATE), groups)
         notes.append(f"Resample converted the samples from {given:.0f} to {RATE:g} Hz")
     if by_hand := hand_label_summary(recordings):
         notes.append(by_hand[0].upper() + by_hand[1:])
@@ -154,6 +157,16 @@ def without_labels(data: BenchmarkData, fold: Fold, seconds: float, draw: int) -
         source, judged = fold.train[draw % len(fold.train)], fold.test
     start = source.piece(slice(round(seconds * source.sampling.rate)))
     return Fold(fold.name, (replace(start, label=np.full_like(start.label, UNKNOWN)),), judged)
+
+
+def _of_groups(
+    dataset: Path, recordings: list[LabelledRecording], groups: Collection[str]
+) -> list[LabelledRecording]:
+    known = {each.group for each in recordings} - {""}
+    if missing := sorted({*groups} - known):
+        there = ", ".join(sorted(known)) or "none"
+        raise InputError(str(dataset), f"has no recordings of {', '.join(missing)}; its groups: {there}")
+    return [each for each in recordings if not groups or each.group in groups]
 
 
 def _turns(recordings: Sequence[LabelledRecording]) -> list[str]:

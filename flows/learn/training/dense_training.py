@@ -77,7 +77,9 @@ class _DenseTask(TrainingTask):
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
         if not slip or not static:
             reason = f"recordings of {recipe.crop} samples or more, with slip and static among them"
-            raise ParameterError("train_dense", "train", f"{slip} slip, {static} static samples", reason)
+            longest = max(map(len, train), default=0)
+            given = f"up to {longest} samples each, {slip} slip and {static} static in those long enough"
+            raise ParameterError("train_dense", "train", given, reason)
         if not validation:
             raise ParameterError("train_dense", "validation", 0, "at least 1 recording")
         weight = np.select([label == SLIP, label == STATIC], [0.5 / slip, 0.5 / static]) * len(label)

@@ -18,7 +18,7 @@ from flows.learn.leaks.leak import SEEN, seen_recordings
 from flows.learn.training import dense_training
 from flows.learn.training.recipe import Recipe
 from operators.detectors import Tcn
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_weights, save_weights
 from storage.models import load_card, save_card, shipped
@@ -229,15 +229,46 @@ def test_adaptation_sees_no_labels_and_keeps_the_old_detector_unless_it_is_bette
     assert {int(code) for each in seen for code in each.label} == {-1}
     before, after = of(found, "zero-shot tcn").figures, of(found, "adapted tcn").figures
     assert after.balanced.value == pytest.approx(before.balanced.value, abs=1e-9)  # each is judged twice
+    assert of(found, "adapted tcn").notes == ("kept: not better (9 of 9 fits)",)
 
 
-def test_a_recording_that_cannot_be_adapted_to_leaves_the_old_detector(
+@pytest.mark.parametrize(("repeats", "reason"), [(1, "too short"), (4, "no rest or no strokes")])
+def test_a_recording_that_cannot_be_adapted_to_leaves_the_old_detector_and_the_page_says_why(
+    surfaces: list[LabelledRecording], having: Having, course: Course, repeats: int, reason: str
+) -> None:
+    constant = [  # 7 s, or 28 s of which the same second repeats
+        replace(
+            each,
+            counts=each.counts if repeats == 1 else np.tile(each.counts[:100], (7 * repeats, 1)),
+            label=np.tile(each.label, repeats),
+        )
+        for each in surfaces
+    ]
+    found = benchmark({"strokes": having(constant)}, course, regimes=["adapted"], names=["tcn"], jobs=1)
+    assert found.datasets[0].missing == {}
+    note = f"kept: {reason} (9 of 9 fits)"
+    assert of(found, "adapted tcn").notes == (note,)
+    report = benchmark_report(found, "slipflow benchmark strokes")
+    assert f"; {note} |" in report.markdown("benchmark")
+    assert report.json()["datasets"]["strokes"]["results"][0]["notes"] == [note]
+
+
+def test_the_page_says_how_many_labelled_minutes_there_are_for_few_shots(
     surfaces: list[LabelledRecording], having: Having, course: Course
 ) -> None:
-    data = {"strokes": having(surfaces)}  # 7 s are too short
-    found = benchmark(data, course, regimes=["adapted"], names=["tcn"], jobs=1)
-    assert found.datasets[0].missing == {}
-    assert of(found, "adapted tcn").figures.balanced.value > 50
+    data = {"strokes": having(surfaces)}
+    found = benchmark(data, course, regimes=["few-shot", "in-domain"], names=["logistic"], jobs=1)
+    assert of(found, "few-shot logistic").notes == ("0.7 min available",)
+    assert of(found, "in-domain logistic").notes == ()
+
+
+def test_a_group_can_be_left_out(surfaces: list[LabelledRecording], having: Having, course: Course) -> None:
+    data, names = {"strokes": having(surfaces)}, ["majority"]
+    found = benchmark(data, course, regimes=["in-domain"], names=names, groups=["wool", "wood"], jobs=1)
+    assert of(found, "in-domain majority").by_fold.keys() == {"wood", "wool"}
+    assert {each.group for each in found.datasets[0].data.recordings} == {"wood", "wool"}
+    with pytest.raises(InputError, match="has no recordings of oak; its groups: steel, wood, wool"):
+        benchmark(data, course, regimes=["in-domain"], names=names, groups=["oak"], jobs=1)
 
 
 def test_the_page_gives_the_share_of_the_gap_that_adaptation_closes(
