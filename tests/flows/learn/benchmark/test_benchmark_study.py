@@ -171,7 +171,12 @@ def test_a_detector_of_another_rate_is_judged_on_samples_converted_to_it(
     assert not dataset.missing
     assert dataset.data.fingertip.rate == 200
     assert dataset.data.notes == ("tcn, psd: at 100 Hz, converted by Resample",)
-    monkeypatch.setattr(folds, "load", lambda _, __=None: at(100.0))
+    slow_surfaces = at(100.0)
+
+    def load_slow(_: Path, _rate: float | None = None) -> list[LabelledRecording]:
+        return slow_surfaces
+
+    monkeypatch.setattr(folds, "load", load_slow)
     slow = benchmark({"strokes": tmp_path}, course, regimes=["zero-shot"], names=["tcn", "psd"], jobs=1)
     for title in ("zero-shot tcn", "zero-shot psd"):
         assert of(found, title).figures == of(slow, title).figures

@@ -50,7 +50,11 @@ def test_every_detector_and_the_default_by_other_libraries_is_a_point(found: Cha
 
 def test_detectors_for_other_fingertips_are_missing(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     fast = [replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in load(tiny)]
-    monkeypatch.setattr(module, "load", lambda _: fast)
+
+    def loading(_: Path) -> list[LabelledRecording]:
+        return fast
+
+    monkeypatch.setattr(module, "load", loading)
     found = chart(tiny, names=["tcn", "psd"], span=1e-4)
     [point] = found.points
     assert point.name == "psd"
