@@ -28,9 +28,11 @@ def scored(seed: int, samples: int = 3000) -> Scored:
     random = np.random.default_rng(seed)
     label = np.repeat(random.choice([0, 1, 1, 0, -1], samples // 20), random.integers(3, 60, samples // 20))
     label = label[:samples].astype(np.int8)
+    label[:120] = 0  # nothing at the end of the warm-up, which is half a sample later at twice the rate
     counts = np.cumsum(random.normal(0, 1 + 9 * (label == 1), (6, len(label))), axis=1).T
     logit = 6.0 * np.roll(label == 1, 2) - 3 + random.normal(0, 1.5, len(label))
     logit[random.random(len(label)) < 0.01] = np.nan
+    logit[:120] = -3.0
     recording = LabelledRecording(counts.astype(np.int16), label, "plane", name=str(seed), sliding=label)
     return recording, 1 / (1 + np.exp(-logit))
 
