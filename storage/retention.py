@@ -94,17 +94,24 @@ def prune(
     return found
 
 
-def mark_exported(folder: Path, to: str, out: Path) -> None:
-    """Mark a session as exported to the format `to` and the path `out`.
+def mark_exported(folder: Path, to: str, out: Path, began: int) -> None:
+    """Mark a session as exported.
+
+    Args:
+        folder: Folder of the session.
+        to: Format of the export.
+        out: Path of the export.
+        began: Time at which the export began, ns since 1970 UTC: labels written since then are not in it.
 
     Raises:
         OSError: if the mark cannot be written.
     """
     files.put_json(folder / EXPORTED, {"to": to, "out": str(out.absolute())})
+    os.utime(folder / EXPORTED, ns=(began, began))
 
 
 def is_exported(folder: Path) -> bool:
-    """Return True if a session was exported after its last change or label."""
+    """Return True if an export of a session began after its last change or label."""
     if not may_exist(folder / EXPORTED):
         return False
     changed = [folder / SESSION, *files_of(folder, f"{LABELS}/*.json")]

@@ -1,6 +1,7 @@
 """The command `slipflow export`."""
 
 import json
+import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -84,22 +85,23 @@ def export(
     if native and to != "lerobot":
         raise typer.BadParameter(f"--native requires --to lerobot: omit it with --to {to}")
     sessions = _sessions(dataset)
+    began = time.time_ns()  # after a recovery, which changes session.json
     if to == "lerobot":
         found, text = _lerobot(sessions, out, rate, task, native=native)
     else:
         found, text = _files(sessions, out, to, detector)
     for session in sessions:
-        _mark(session, to, out)
+        _mark(session, to, out, began)
     typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
 
 
-def _mark(session: "Session", to: str, out: Path) -> None:
+def _mark(session: "Session", to: str, out: Path, began: int) -> None:
     """Mark a session as exported, for `slipflow prune --keep-unexported`; it may be on a read-only disk."""
     from operators.errors import os_error_reason
     from storage.retention import mark_exported
 
     try:
-        mark_exported(session.folder, to, out)
+        mark_exported(session.folder, to, out, began)
     except OSError as error:
         note(f"{session.folder}: cannot be marked as exported: {os_error_reason(error)}")
 

@@ -73,8 +73,7 @@ def test_a_dry_run_deletes_nothing_and_says_the_same(tmp_path: Path) -> None:
 def test_only_sessions_exported_after_their_last_change_are_deleted_on_request(tmp_path: Path) -> None:
     root = dataset(tmp_path, exported=9, never=8, labelled=7, recovered=6)
     for name in ("exported", "labelled", "recovered"):
-        mark_exported(root / "sessions" / name, "lerobot", tmp_path / "out")
-        os.utime(root / "sessions" / name / "exported.json", ns=(NOW - 3 * DAY, NOW - 3 * DAY))
+        mark_exported(root / "sessions" / name, "lerobot", tmp_path / "out", NOW - 3 * DAY)
     labelled = Session.open(root / "sessions" / "labelled")
     labelled.write_hand_labels([LabelSpan(0, ms, 0, "slip")], based_on=0)
     os.utime(labelled.folder / "labels" / "000001.json", ns=(NOW - 2 * DAY, NOW - 2 * DAY))
