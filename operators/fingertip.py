@@ -125,7 +125,7 @@ class Fingertip:
             limits = None if ends is None else (int(ends[0]), int(ends[1]))
             rate, resolution = float(about["rate_hz"]), float(about["resolution"])
             return cls(layout, rate, str(about["unit"]), resolution, limits)
-        except (TypeError, ValueError, LookupError, ParameterError) as error:
+        except (TypeError, ValueError, ArithmeticError, LookupError, ParameterError) as error:
             raise InputError(where, f'has an invalid "fingertip": {error}') from error
 
     def check_fits(self, owner: str, given: "Fingertip", *, any_cells: bool = False) -> None:

@@ -9,7 +9,7 @@ from storage.journal import NumberedRows
 
 
 class Buffer:
-    """Rows in packed columns: 27 bytes per slip event, and at most an eighth more of spare capacity.
+    """Rows in packed columns: 51 bytes per slip event, and at most an eighth more of spare capacity.
 
     Attributes:
         kind: Type of all batches of this session.

@@ -301,6 +301,7 @@ def partial_folder(path: Path) -> Generator[Path]:
 @contextmanager
 def _partial(path: Path, make: Callable[..., None]) -> Generator[Path]:
     """Make `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it."""
+    path = path.resolve() if path.is_symlink() else path  # a folder cannot be renamed to a link
     scratch = path.with_name(path.name + PARTIAL)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,15 +1,16 @@
 """Parquet files of a LeRobot dataset, and their statistics."""
 
+from __future__ import annotations  # they name classes of pyarrow
+
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Self, cast
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from storage.arrow import pa, pq
 from storage.schema import flat
 
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -135,7 +136,7 @@ def _arrow(feature: Mapping[str, Any]) -> pa.DataType:
     return element
 
 
-def _array(values: NDArray[Any], kind: pa.DataType) -> "pa.Array[Any]":
+def _array(values: NDArray[Any], kind: pa.DataType) -> pa.Array[Any]:
     flattened: pa.Array[Any] = pa.array(values.reshape(-1))
     if pa.types.is_fixed_size_list(kind):
         flattened = cast("Any", pa.FixedSizeListArray).from_arrays(flattened, values.shape[1])

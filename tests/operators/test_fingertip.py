@@ -18,7 +18,10 @@ def test_a_description_in_json_is_read_back(fingertip: Fingertip) -> None:
     assert Fingertip.read(json.loads(json.dumps(fingertip.describe())), "card") == fingertip
 
 
-@pytest.mark.parametrize("wrong", [None, {}, {"layout": 3}, {"layout": [[0, 0]]}, {"rate_hz": "fast"}])
+@pytest.mark.parametrize(
+    "wrong",
+    [None, {}, {"layout": 3}, {"layout": [[0, 0]]}, {"rate_hz": "fast"}, {"range": [float("inf"), 0]}],
+)
 def test_an_invalid_description_names_the_file(wrong: dict[str, object] | None) -> None:
     content = wrong if not wrong else {**TAKKTILE.describe(), **wrong}
     with pytest.raises(InputError, match=r'^session\.json: has an invalid "fingertip"'):
