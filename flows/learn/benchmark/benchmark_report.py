@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from flows.learn.benchmark import benchmark_figures as drawn
 from flows.learn.benchmark.benchmark_study import Benchmark, DatasetResult, EntrantResult
-from flows.learn.benchmark.entrants import DEFAULT, MEANING, MINUTES, REGIMES
+from flows.learn.benchmark.entrants import DEFAULT, MEANING, MINUTES
 from flows.learn.evaluation.figures_table import FIGURES_DECIMALS, FIGURES_HEAD, figures_cells
 from flows.learn.evaluation.intervals import DRAWS
 from flows.learn.evaluation.sample_metrics import percent
@@ -118,19 +118,18 @@ def _folds(of: DatasetResult) -> Section:
 
 
 def _gap(of: DatasetResult) -> list[Table]:
-    """Return the share of the gap between zero-shot and in-domain that the default detector closes."""
-    found = {each.entrant.regime: each.by_fold for each in of.results if each.entrant.name == DEFAULT}
-    if not {"zero-shot", "in-domain"} <= found.keys():
+    """Return the share of the gap to the in-domain default detector that adapted detectors close."""
+    found = {(each.entrant.regime, each.entrant.name): each.by_fold for each in of.results}
+    if (high := found.get(("in-domain", DEFAULT))) is None:
         return []
     names = [fold.name for fold in of.data.folds]
-    low, high = found["zero-shot"], found["in-domain"]
     rows: list[list[Value]] = [
-        [regime, *(percent(found[regime][name] - low[name], high[name] - low[name]) for name in names)]
-        for regime in REGIMES
-        if regime in found and regime not in {"zero-shot", "in-domain"}
+        [regime, name, *(percent(own[fold] - low[fold], high[fold] - low[fold]) for fold in names)]
+        for (regime, name), own in found.items()
+        if regime in {"adapted", "few-shot"} and (low := found.get(("zero-shot", name)))
     ]
     caption = f"gap between zero-shot and in-domain {DEFAULT} that is closed, %"
-    return [Table(["regime", *names], rows, caption, dict.fromkeys(names, 0))] if rows else []
+    return [Table(["regime", "detector", *names], rows, caption, dict.fromkeys(names, 0))] if rows else []
 
 
 def _headline(of: DatasetResult) -> str:

@@ -291,7 +291,7 @@ def test_the_page_gives_the_share_of_the_gap_that_adaptation_closes(
     )
     report = benchmark_report(replace(found, datasets=(replace(dataset, results=results),)), "x")
     [section] = [each for each in report.sections if each.name == "strokes-folds"]
-    assert section.tables[1].rows == [["adapted", 50.0, 50.0, 50.0]]
+    assert section.tables[1].rows == [["adapted", "tcn", 50.0, 50.0, 50.0]]
 
 
 def test_the_page_has_every_figure_and_its_interval_and_is_readable(
