@@ -139,8 +139,8 @@ class GripController(Operator[Scores, Commands]):
 class StepGrip(GripController):
     """Raise the grip force by a step per registered slip, as in the paper.
 
-    A lasting slip is registered again after `consecutive` more decisions. The force never decreases, except
-    that the controller gives up if `consecutive` is 1; else each new count restarts the time to that.
+    A lasting slip is registered again after `consecutive` more decisions. The force never decreases: only
+    with `consecutive` 1 can the controller give up, else each of these counts restarts the time until then.
 
     Args:
         step: Force step, N; the paper does not state its value.
