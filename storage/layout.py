@@ -258,10 +258,15 @@ def single_log(folder: Path) -> Path:
 def check_links(folder: Path) -> None:
     """Check that the folder of a session contains no link, which could lead out of it or to another table.
 
+    The folder itself may be a link, but below ``sessions`` only one that stays in the dataset.
+
     Raises:
         InputError: if it does, or may not be read.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
+    sessions = folder.absolute().parent
+    if sessions.name == SESSIONS:
+        inside(sessions.parent, sessions / folder.name)
 
     def fail(error: OSError) -> None:
         if not isinstance(error, FileNotFoundError):  # a recorder deletes its journal meanwhile

@@ -66,11 +66,13 @@ def prune(
         Each session that a limit applies to, oldest first.
 
     Raises:
-        InputError: if `root` is not a dataset.
+        InputError: if `root` is not a dataset, or has a link that leads out of it.
         EndpointError: if a session cannot be deleted.
     """
     root = Path(root)
     read_dataset(root)
+    if (root / _DELETED).is_symlink():
+        raise InputError(str(root / _DELETED), "is a link, must be a folder: delete the link")
     if not dry_run:
         rmtree(root / _DELETED, ignore_errors=True)  # of a prune that was killed
     folders = [session_folder(root, name) for name in session_names(root)]

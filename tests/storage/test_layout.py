@@ -10,6 +10,7 @@ from operators.errors import EndpointError, InputError, ParameterError, Slipflow
 from storage.layout import (
     TABLE_OF,
     TABLES,
+    check_links,
     inside,
     may_exist,
     names_without_description,
@@ -51,6 +52,22 @@ def test_a_link_within_the_dataset_is_fine(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "b").symlink_to(tmp_path / "a")
     assert inside(tmp_path, tmp_path / "b") == tmp_path / "b"
+
+
+@pytest.mark.parametrize("linked", ["sessions/x", "sessions"])
+def test_a_session_given_by_its_folder_is_inside_the_dataset_too(tmp_path: Path, linked: str) -> None:
+    (tmp_path / "elsewhere/x").mkdir(parents=True)
+    (tmp_path / "data/sessions").mkdir(parents=True)
+    (tmp_path / "mine").symlink_to(tmp_path / "elsewhere")
+    check_links(tmp_path / "mine/x")
+    check_links(tmp_path / "mine")  # a link of the user's own
+    if linked == "sessions":
+        (tmp_path / "data/sessions").rmdir()
+        (tmp_path / "data/sessions").symlink_to(tmp_path / "elsewhere")
+    else:
+        (tmp_path / "data/sessions/x").symlink_to(tmp_path / "elsewhere/x")
+    with pytest.raises(InputError, match=r"x: is a link that leads out of .*data: replace it by the files"):
+        check_links(tmp_path / "data/sessions/x")
 
 
 def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:

@@ -124,6 +124,17 @@ def test_a_killed_replay_and_unreadable_sessions_are_kept(tmp_path: Path) -> Non
     assert len(session_names(root)) == 4
 
 
+@pytest.mark.parametrize("dry_run", [False, True])
+def test_a_link_in_the_place_of_the_deleted_sessions_is_refused(tmp_path: Path, *, dry_run: bool) -> None:
+    root = dataset(tmp_path / "data", old=31)
+    (tmp_path / "elsewhere").mkdir()
+    (root / ".deleted").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match=r"\.deleted: is a link, must be a folder: delete the link"):
+        prune(root, now=NOW, older_than=30 * DAY, dry_run=dry_run)
+    assert session_names(root) == ["old"]
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
 def test_a_folder_that_is_no_dataset_is_refused(tmp_path: Path) -> None:
     (tmp_path / "sessions" / "one").mkdir(parents=True)
     (tmp_path / "sessions" / "one" / "session.json").write_text("{}")
