@@ -17,12 +17,15 @@ from operators.errors import EndpointError, InputError, os_error_reason
 MiB: Final = 1 << 20  # bytes
 SCRATCH: Final = ".tmp"  # suffix of a file that is not complete
 LIMIT: Final = 512 * MiB  # bytes of a file that is read as a whole
+JSON_LIMIT: Final = 8 * MiB  # bytes of a description
+LIST_LIMIT: Final = 64 * MiB  # bytes of a list in JSON, such as a manifest: 30 h of three tables have 1 MiB
 PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 
 CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
 Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
 _OF_THE_PATH: Final = {EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM}  # errors, not of the disk
 NO_MEMORY: Final = "cannot be read: there is not enough memory"
+_VALUES_LIMIT: Final = 2_000_000  # of a JSON file; each takes up to 120 bytes of memory
 _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
 
 
@@ -217,15 +220,19 @@ def read_error(path: str | Path, error: OSError) -> InputError | EndpointError:
     return kind(str(path), f"cannot be read: {os_error_reason(error)}")
 
 
-def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
+def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """Return the object in a JSON file.
 
     Raises:
-        InputError: if there is no such file, it may not be read, or it is not a JSON object.
+        InputError: if there is no such file, it may not be read, it is not a JSON object, it is larger than
+            `limit` bytes, or it has more than 2,000,000 values.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
+    data = read(path, limit)
+    if sum(map(data.count, (b",", b"[", b"{"))) > _VALUES_LIMIT:  # at least one for each value but the first
+        raise InputError(str(path), f"has more than {_VALUES_LIMIT:,} values, the limit for such a file")
     try:
-        content: object = json.loads(read(path, limit), parse_constant=_reject_number)
+        content: object = json.loads(data, parse_constant=_reject_number)
     except MemoryError as error:
         raise EndpointError(str(path), NO_MEMORY) from error
     except (ValueError, RecursionError) as error:
@@ -237,13 +244,13 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     return cast("dict[str, Any]", content)
 
 
-def read_checked(path: Path) -> dict[str, Any]:
+def read_checked(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """Return the object in a JSON file without its checksum, which it may lack.
 
     Raises:
         InputError: if the file cannot be read, is not a JSON object, or does not match its checksum.
     """
-    content = read_json(path)
+    content = read_json(path, limit)
     rest = dict(content)
     last, check = rest.popitem() if rest else ("", None)
     if check == hash_json(rest):

@@ -114,7 +114,7 @@ def read_hand_labels(folder: Path, version: int | None = None) -> HandLabels:
         known = ", ".join(map(str, versions)) or "none"
         raise InputError(str(folder), f"has no version {number} of hand labels; it has {known}")
     path = versions[number]
-    content = files.read_checked(path)
+    content = files.read_checked(path, files.LIST_LIMIT)
     if content.get("format") != FORMAT or content.get("version") != number:
         raise InputError(str(path), f'must have "format": {FORMAT} and "version": {number}; restore a copy')
     try:

@@ -69,7 +69,7 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     path = folder / MANIFEST
     if not may_exist(path):
         return {}
-    content = files.read_json(path)
+    content = files.read_json(path, files.LIST_LIMIT)
     version = content.get("version")
     if version != VERSION or not isinstance(content.get("parts"), list):
         reason = f'must have "version": {VERSION} and a list "parts"; {_FIX}'
