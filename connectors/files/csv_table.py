@@ -38,7 +38,7 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
     if len(content) > trace_table.LIMIT:
-        reason = f"is larger than {trace_table.LIMIT >> 20} MiB; cut it into several traces"
+        reason = f"is larger than {trace_table.LIMIT >> 20} MiB, the limit: split it into several files"
         raise InputError(str(path), reason)
     return content
 
@@ -75,6 +75,9 @@ def read_csv(
     notes = [] if sign == "," else [f"separator {_name(sign)}"]
     if sign == " ":
         content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
+    lines = content.count(b"\n") + 1
+    size = (content.count(sign.encode()) + lines) * trace_table.VALUE_SIZE
+    trace_table.check_size(where, size, lines, "lines, each with the line of names")
     if header:
         content = sign.join(f'"{name}"' for name in header).encode() + b"\n" + content
         above -= 1  # that line
@@ -85,7 +88,8 @@ def read_csv(
         raise InputError(where, reason)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     numbers = np.flatnonzero(filled.to_numpy()) + above + 2  # (n,) line numbers
-    frame = frame.filter(filled)
+    if not filled.all():
+        frame = frame.filter(filled)
     if sign != "," and frame.select(pl.any_horizontal(pl.all().str.contains(_DECIMAL_COMMA)).any()).item():
         notes.append("decimal comma")
         point = pl.all().str.replace(",", ".", literal=True)
@@ -145,9 +149,8 @@ def _unzipped(where: str, content: bytes) -> bytes:
     except (OSError, EOFError, ValueError) as error:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
     if len(unpacked) > trace_table.LIMIT:
-        raise InputError(
-            where, f"unpacks to more than {trace_table.LIMIT >> 20} MiB; cut it into several traces"
-        )
+        rows = unpacked.count(b"\n")  # in the first part of the file
+        trace_table.check_size(where, len(unpacked), rows, "lines, each with the line of names")
     return unpacked
 
 
@@ -180,11 +183,15 @@ def _frame(where: str, content: bytes, sign: str, above: int, named_by: str) -> 
             reason = f"has more fields than {named_by} has names; a {_name(sign)} in a value needs quotes"
             raise InputError(f"{where}, line {line + above}", reason) from None
         raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
-    torn = frame.select(pl.any_horizontal(pl.all().str.contains("\n", literal=True))).to_series()
-    for row in torn.arg_true()[:1]:  # an unpaired quotation mark
+    torn = [column.str.contains("\n", literal=True).arg_true()[:1] for column in frame]
+    if rows := [row for each in torn for row in each]:  # an unpaired quotation mark
         reason = "has a quoted field that spans lines: close its quotation mark"
-        raise InputError(f"{where}, line {row + above + 2}", reason)
-    return frame.select(pl.all().str.strip_chars())
+        raise InputError(f"{where}, line {min(rows) + above + 2}", reason)
+    columns = frame.get_columns()
+    del frame
+    for number in range(len(columns)):  # one by one, as each needs as much memory again
+        columns[number] = columns[number].str.strip_chars()
+    return pl.DataFrame(columns)
 
 
 def _cut_off(line: bytes, sign: str, width: int) -> bool:

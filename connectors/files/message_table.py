@@ -92,7 +92,8 @@ def _table(messages: Recorded, where: str, topic: str, sha256: str) -> TraceTabl
         frames.append(pl.DataFrame(columns))
         values += len(names) * len(chunk)
         if values * _VALUE_SIZE > trace_table.LIMIT or len(names) > COLUMN_LIMIT:
-            raise InputError(place, f"has more than {trace_table.LIMIT >> 20} MiB of values: cut it")
+            limit = f"has more than {trace_table.LIMIT >> 20} MiB of values, the limit"
+            raise InputError(place, f"{limit}: split the recording into several files")
     if not frames:
         raise _no_topic(where, seen, f"there is no {topic}")
     frame = pl.concat(frames, how="diagonal_relaxed")

@@ -37,9 +37,8 @@ def read_npz(path: Path) -> TraceTable:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             size = sum(info.file_size for info in archive.infolist())
             if size > trace_table.LIMIT:
-                raise InputError(
-                    where, f"unpacks to more than {trace_table.LIMIT >> 20} MiB; cut it into several traces"
-                )
+                limit = f"unpacks to more than {trace_table.LIMIT >> 20} MiB, the limit"
+                raise InputError(where, f"{limit}: split its arrays into several files")
             arrays = {info.filename.removesuffix(".npy"): _read(archive, info) for info in archive.infolist()}
     except (
         ValueError,

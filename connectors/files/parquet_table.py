@@ -3,18 +3,16 @@
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, cast
 
 import polars as pl
 
 from connectors.files import trace_table
 from connectors.files.csv_table import read_bytes
-from connectors.files.trace_table import TraceTable
+from connectors.files.trace_table import VALUE_SIZE, TraceTable
 from operators.errors import InputError
 from storage.arrow import pa, pq
 from storage.parquet_pages import declared_sizes
-
-VALUE_SIZE: Final = 8  # bytes of an unpacked value
 
 
 def read_parquet(path: Path) -> TraceTable:
@@ -25,10 +23,8 @@ def read_parquet(path: Path) -> TraceTable:
     """
     where, content = str(path), read_bytes(path)
     try:
-        _, unpacked, values = declared_sizes(content)
-        if max(unpacked, values * VALUE_SIZE) > trace_table.LIMIT:
-            limit = f"unpacks to more than {trace_table.LIMIT >> 20} MiB"
-            raise InputError(where, f"{limit}; cut it into several traces")
+        rows, unpacked, values = declared_sizes(content)
+        trace_table.check_size(where, max(unpacked, values * VALUE_SIZE), rows)
         names, series, left_out = _columns(content)
     except (ValueError, OSError, pa.ArrowException, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")

@@ -11,7 +11,8 @@ from connectors.files.column_map import TIME, UNITS, Header
 from operators.batch import Codes, Flags, Reals, Times
 from operators.errors import InputError
 
-LIMIT: Final = 1 << 30  # bytes of a file, and of its unpacked columns
+LIMIT: Final = 1 << 29  # bytes of a file, and of its unpacked columns; reading takes up to five times as many
+VALUE_SIZE: Final = 8  # bytes of an unpacked value
 
 Values: TypeAlias = "NDArray[Any] | Sequence[object] | pl.Series"
 
@@ -202,6 +203,23 @@ class TraceTable:
             number = row if self._numbers is None else self._numbers[row]
             where = f"{self.where}, {self._place} {number}, column {name}"
             raise InputError(where, f"is {text:.40}, must be {must_be}")
+
+
+def check_size(where: str, size: int, rows: int, unit: str = "rows") -> None:
+    """Check the size of unpacked columns.
+
+    Args:
+        where: Name of the table in messages.
+        size: Size, bytes; `VALUE_SIZE` for each value.
+        rows: Number of rows, to state how many are allowed.
+        unit: Word for rows in messages.
+
+    Raises:
+        InputError: if it exceeds `LIMIT`.
+    """
+    if size > LIMIT:
+        reason = f"unpacks to more than {LIMIT >> 20} MiB, the limit ({VALUE_SIZE} bytes for each value)"
+        raise InputError(where, f"{reason}: split it into files of at most {rows * LIMIT // size:,} {unit}")
 
 
 def _series(where: str, name: str, values: Values) -> pl.Series:

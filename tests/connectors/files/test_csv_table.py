@@ -93,6 +93,24 @@ def test_a_file_without_names_gets_them(write: Write) -> None:
         read_csv(path, header=NAMES[:2])
 
 
+@pytest.mark.parametrize(("separator", "line"), [("", b",,1\n"), ("space", b"1 2  3\n")])
+def test_a_file_of_many_values_is_refused_before_they_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, separator: str, line: bytes
+) -> None:
+    monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
+    path = tmp_path / "trace.csv"
+    content = b"t,p0,p1\n".replace(b",", b"," if line[:1] == b"," else b" ")
+    path.write_bytes(content + line * 43_000)
+    assert len(read_csv(path, separator)) == 43_000
+    path.write_bytes(content + line * 44_000)
+    assert path.stat().st_size < 1 << 19
+    found = (
+        r"more than 1 MiB, the limit \(8 bytes for each value\): split it into files of at most 43,69\d lines"
+    )
+    with pytest.raises(InputError, match=found):
+        read_csv(path, separator)
+
+
 def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "trace.csv.gz"
     path.write_bytes(gzip.compress(b"t,p0,p1\n1,2,3\n"))
@@ -100,7 +118,9 @@ def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
     path.write_bytes(gzip.compress(b"t,p0,p1\n" + b"1,2,3\n" * (1 << 18)))
     assert path.stat().st_size < 1 << 14
-    with pytest.raises(InputError, match="unpacks to more than 1 MiB"):
+    with pytest.raises(
+        InputError, match=r"more than 1 MiB, the limit .* at most 17\d,\d{3} lines, each with"
+    ):
         read_csv(path)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(InputError, match="is a damaged gzip file"):

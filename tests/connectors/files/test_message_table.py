@@ -157,7 +157,7 @@ def test_the_topics_are_listed_if_the_choice_is_open_or_wrong(tmp_path: Path) ->
         read_table(path, topic="/c")
     with pytest.raises(InputError, match="has no messages"):
         read_table(write_json(tmp_path / "b.mcap", []))
-    with pytest.raises(ParameterError, match=r"a.csv is neither a MCAP file nor a ROS 2 bag"):
+    with pytest.raises(ParameterError, match=r"a.csv is neither an MCAP file nor a ROS 2 bag"):
         read_table(tmp_path / "a.csv", topic="/a")
 
 

@@ -346,7 +346,7 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
 def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
     path = write(HEADER, "0,1,2,3,4,5,6", "\n" * (1 << 20))
-    with pytest.raises(InputError, match=r"is larger than 1 MiB; cut it into several traces$"):
+    with pytest.raises(InputError, match=r"is larger than 1 MiB, the limit: split it into several files$"):
         Trace(path)
 
 
