@@ -1,9 +1,10 @@
 import math
+from contextlib import suppress
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -47,6 +48,7 @@ def test_the_settings_are_nested_from_strict_to_sensitive() -> None:
 
 
 @settings(max_examples=5, deadline=None)
+@example(seed=95, rate=0.5, confidence=0.95)
 @given(
     seed=st.integers(0, 1000),
     rate=st.sampled_from([0.5, 1.0, 3.0]),
@@ -55,11 +57,13 @@ def test_the_settings_are_nested_from_strict_to_sensitive() -> None:
 def test_the_rate_of_the_chosen_setting_holds_with_the_confidence(
     seed: int, rate: float, confidence: float
 ) -> None:
-    random, draws = np.random.default_rng(seed), 200
-    chosen = [calibrated(nested(random, 40, 0.5), rate, confidence).setting for _ in range(draws)]
-    wrong = np.mean(RATES[chosen] > rate)
+    random, draws, chosen = np.random.default_rng(seed), 200, list[int]()
+    for _ in range(draws):
+        with suppress(TooLittleDataError):  # chance alarms of the strictest setting: no setting, no promise
+            chosen.append(calibrated(nested(random, 40, 0.5), rate, confidence).setting)
     error = 1 - confidence
-    assert wrong <= error + 3 * math.sqrt(error * confidence / draws)
+    assert len(chosen) > 0.95 * draws
+    assert np.count_nonzero(RATES[chosen] > rate) <= draws * error + 3 * math.sqrt(draws * error * confidence)
     assert np.median(RATES[chosen]) > rate / 4
 
 
