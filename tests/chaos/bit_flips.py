@@ -24,7 +24,7 @@ OTHERS = "silent errors: Arrow IPC 666 and 2 crashes, plain Parquet 908"
 def flips(scale: Scale) -> Promise:
     """Flip bits in each kind of file of a session and of a model."""
     random = np.random.default_rng(scale.seed)
-    count = 100 if scale.short else 1000
+    count = 100 if scale.short else 1600
     outcomes = Counter[str]()
     first_wrong = ""
     with scratch(memory=True) as folder:
