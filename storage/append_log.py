@@ -255,11 +255,13 @@ class AppendLog:
             while left:
                 written = files.write_at(self._file, left, offset)
                 left, offset = left[written:], offset + written
-        except BaseException:
+        except BaseException as error:
             self.broken = True
             with suppress(OSError):
                 files.truncate(self._file, self.end)
                 self.broken = False
+            if isinstance(error, OSError):
+                error.filename = str(self.path)
             raise
         self.end, self._crc = self.end + len(data), crc
         return offsets
@@ -282,8 +284,8 @@ class AppendLog:
             if end > self._synced and self._file >= 0:
                 try:
                     files.fsync(self._file)
-                except OSError:
-                    self.suspect = True
+                except OSError as error:
+                    self.suspect, error.filename = True, str(self.path)
                     raise
                 self._synced = end
 

@@ -11,6 +11,7 @@ from operators.checks import check_at_least, check_between
 from operators.errors import EndpointError
 from operators.ports import Clock, Finding, Run, Sink
 from storage import arrow
+from storage.background_task import BackgroundTask
 from storage.disk_check import check_disk
 from storage.writer import SessionWriter
 
@@ -60,7 +61,7 @@ class Dataset(Sink[Recordable]):
         self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
         self._committing: asyncio.Task[None] | None = None
-        self._syncing: asyncio.Task[None] | None = None
+        self._syncing: BackgroundTask | None = None
         self._appending: asyncio.Future[None] | None = None
         self._timer: asyncio.TimerHandle | None = None  # of the next append
 
@@ -99,7 +100,8 @@ class Dataset(Sink[Recordable]):
         """
         self._writer = await asyncio.to_thread(self._begin, run)
         if self._writer.journalled:
-            self._syncing = asyncio.create_task(self._sync_often(self._writer))
+            work = self._sync_often(self._writer)
+            self._syncing = BackgroundTask(self.destination, "the fsync of new rows", work)
 
     def take(self, batch: Recordable) -> bool:
         """Buffer one batch, or return False if that has to wait for the disk.
@@ -111,8 +113,6 @@ class Dataset(Sink[Recordable]):
         """
         writer = self._writer
         assert writer, "open comes first"
-        if self._syncing and self._syncing.done():
-            self._syncing.result()  # raises: it ends with an error only
         if writer.full(batch) or not writer.add(batch):
             return False
         self._append_soon()
@@ -145,14 +145,13 @@ class Dataset(Sink[Recordable]):
         """Commit all rows and end the session; it is complete if the run has no error.
 
         Raises:
-            EndpointError: if that fails; it may be called again.
+            EndpointError: if that fails; it may be called again. Also if rows were not made durable in time
+                because of a failure in this class; then the session is ended.
         """
         if self._writer is None:
             return
         if self._syncing:
-            self._syncing.cancel()
-            await asyncio.wait([self._syncing])
-            self._syncing = None
+            await self._syncing.end()
         if self._committing:
             await asyncio.wait([self._committing])
         while self._appending:
@@ -160,6 +159,8 @@ class Dataset(Sink[Recordable]):
         self._cancel_timer()
         await asyncio.to_thread(self._writer.close)
         self._writer = self._committing = None
+        if self._syncing:
+            self._syncing.check()
 
     def _append_soon(self, delay: float = 0.0) -> None:
         """Append waiting rows, at once if there are several and no `delay` (s) is given."""

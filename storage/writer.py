@@ -315,7 +315,9 @@ class SessionWriter:
         try:
             yield
         except OSError as error:
-            raise EndpointError(str(self._root), f"cannot be written: {os_error_reason(error)}") from error
+            named = isinstance(error.filename, str) and Path(error.filename).is_relative_to(self.folder)
+            where = error.filename if named else str(self._root)
+            raise EndpointError(where, f"cannot be written: {os_error_reason(error)}") from error
 
 
 def _release(journal: Journal | None, held: int | None) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Callable
-from contextlib import suppress
 from time import time_ns
 from typing import TYPE_CHECKING, Final, Self
 
@@ -11,6 +10,7 @@ from connectors.gripper.modbus_link import check_pymodbus
 from connectors.gripper.robotiq import PORT, STATUS, UNIT, Request, octets, registers
 from operators.checks import check_between
 from operators.errors import EndpointError
+from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
@@ -58,7 +58,7 @@ class GripperServer:
         self._now = now
         self._written = bytearray(2 * STATUS)
         self._server: ModbusTcpServer | None = None
-        self._running: asyncio.Task[None] | None = None
+        self._running: BackgroundTask | None = None
 
     async def __aenter__(self) -> Self:
         """Listen, and start the mechanism.
@@ -83,19 +83,20 @@ class GripperServer:
         self._server = server
         if isinstance(server.transport, asyncio.Server):
             self.port = server.transport.sockets[0].getsockname()[1]
-        self._running = asyncio.create_task(self._run())
+        self._running = BackgroundTask(f"{self.host}:{self.port}", "the gripper", self._run())
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        """Close all connections and stop listening."""
-        if self._running:
-            self._running.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._running
+        """Close all connections and stop listening; raise the error of a gripper that failed."""
+        running, self._running = self._running, None
+        if running:
+            await running.end()
         if self._server:
             self._server.close()
             await asyncio.sleep(0)  # lets the sockets close
-        self._server = self._running = None
+        self._server = None
+        if running:
+            running.check()
 
     async def _run(self) -> None:
         while True:

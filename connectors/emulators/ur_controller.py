@@ -5,9 +5,7 @@ Supported clients are `connectors.ur.ur_motion.UrMotion`, and ur-rtde's `RTDERec
 """
 
 import asyncio
-import logging
 from collections.abc import Callable
-from contextlib import suppress
 from functools import partial
 from time import time_ns
 from typing import Final, NamedTuple, Self
@@ -23,8 +21,7 @@ from connectors.emulators.ur_ports import (
 from connectors.ur.rtde import Version
 from operators.batch import s
 from operators.errors import EndpointError, os_error_reason
-
-log = logging.getLogger("slipflow")
+from storage.background_task import BackgroundTask
 
 
 class Ports(NamedTuple):
@@ -71,7 +68,7 @@ class UrController:
         self.connections: set[Connection] = set()
         self._now, self._period = now, s / self.box.rate  # ns
         self._servers: list[asyncio.Server] = []
-        self._running: asyncio.Task[None] | None = None
+        self._running: BackgroundTask | None = None
         self._origin = self._cycles = 0  # host time of power-up (ns), and cycles since
 
     @property
@@ -100,12 +97,14 @@ class UrController:
             ports.append(server.sockets[0].getsockname()[1])
         self.ports = Ports(*ports)
         self._origin, self._cycles = self._now(), 0
-        self._running = asyncio.create_task(self._run())
+        self._running = BackgroundTask(self.host, "the arm", self._cycle(), self._abort)
         return self
 
     async def __aexit__(self, *_: object) -> None:
         """Close all connections and stop listening; raise the error of an arm that failed."""
         await self._close()
+        if self._running:
+            self._running.check()
 
     async def _close(self) -> None:
         for server in self._servers:
@@ -115,18 +114,13 @@ class UrController:
             connection.transport.abort()
             await connection.lost.wait()
         if self._running:
-            self._running.cancel()
-            with suppress(asyncio.CancelledError):
-                await self._running
+            await self._running.end()
 
-    async def _run(self) -> None:
-        try:
-            await self._cycle()
-        except Exception:
-            log.exception("the arm failed: closing all connections")
-            for connection in list(self.connections):
-                connection.transport.abort()
-            raise
+    def _abort(self, reason: str) -> None:
+        """Close all connections, so that clients notice that the arm has failed."""
+        del reason
+        for connection in list(self.connections):
+            connection.transport.abort()
 
     async def _cycle(self) -> None:
         while True:

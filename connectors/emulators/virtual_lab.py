@@ -19,6 +19,7 @@ from connectors.emulators.ur_controller import PORTS, Ports, UrController
 from connectors.sim.scene import Scene
 from connectors.ur.rtde import Version
 from operators.batch import s
+from storage.background_task import BackgroundTask
 
 HEIGHT: Final = 0.02  # m, initial height of the fingertip above the surface
 LOOPBACK: Final = "127.0.0.1"
@@ -79,7 +80,7 @@ async def virtual_lab(
         gripper: Port of the gripper, 0 for any free one; None for no gripper. Needs the extra `gripper`.
 
     Raises:
-        EndpointError: if a port is in use.
+        EndpointError: if a port is in use, or a background task has failed.
         InputError: if a gripper is requested and pymodbus is not installed.
         ParameterError: if a finger is not from 0 to 7.
     """
@@ -96,12 +97,12 @@ async def virtual_lab(
         await running.enter_async_context(controller)
         if server:
             await running.enter_async_context(server)
-        advancing = asyncio.create_task(_advance(shared))
+        advancing = BackgroundTask("virtual lab", "the advance of the scene", _advance(shared))
         try:
             yield VirtualLab(shared, bus, controller, server)
         finally:
-            advancing.cancel()
-            await asyncio.gather(advancing, return_exceptions=True)
+            await advancing.end()
+        advancing.check()
 
 
 async def _advance(scene: SharedScene) -> None:

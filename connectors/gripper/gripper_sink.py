@@ -17,6 +17,7 @@ from operators.batch import Commands
 from operators.checks import check_above, check_between
 from operators.errors import EndpointError, FlowError, ParameterError
 from operators.ports import Clock, Description, Finding, Run, Sink
+from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")
 
@@ -94,7 +95,7 @@ class Gripper(Sink[Commands]):
         self._drive = GripperDrive(self._new_link, target, self._counted, self.timeout)
         self._batch: Commands | None = None  # newest batch
         self._failure = ""
-        self._serving: asyncio.Task[None] | None = None  # None: not open
+        self._serving: BackgroundTask | None = None  # None: not open
 
     @property
     def destination(self) -> str:
@@ -165,7 +166,7 @@ class Gripper(Sink[Commands]):
         except BaseException:
             self._drive.drop()
             raise
-        self._serving = asyncio.create_task(self._serve())
+        self._serving = BackgroundTask(self.destination, "the control of the gripper", self._serve())
 
     async def write(self, batch: Commands) -> None:
         """Send the newest force of a batch.
@@ -173,8 +174,8 @@ class Gripper(Sink[Commands]):
         Raises:
             EndpointError: while the gripper fails; the newest force is sent after it recovers.
         """
-        if self._serving and self._serving.done():
-            self._serving.result()  # raises
+        if self._serving:
+            self._serving.check()
         if batch is not self._batch:  # the runner retries a failed batch
             self._batch = batch
             self._take(batch)
@@ -185,13 +186,12 @@ class Gripper(Sink[Commands]):
         """Send the newest command if it has not been sent, and disconnect; the fingers stay as they are.
 
         Raises:
-            EndpointError: if the newest command cannot be sent.
+            EndpointError: if the newest command cannot be sent, or the background task has failed.
         """
         if self._serving is None:
             return
         serving, self._serving = self._serving, None
-        serving.cancel()
-        await asyncio.wait({serving})
+        await serving.end()
         try:
             async with asyncio.timeout(self.timeout):
                 while self._drive.connected and not self._drive.target_sent:
@@ -200,6 +200,7 @@ class Gripper(Sink[Commands]):
             self._failure = "is not ready for the newest command"
         finally:
             self._drive.drop()
+        serving.check()
         if not self._drive.target_sent:
             raise EndpointError(self.destination, self._failure)
 

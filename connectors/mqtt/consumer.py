@@ -19,6 +19,7 @@ from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_t
 from operators.back_off import BackOff
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
+from storage.background_task import BackgroundTask
 from storage.files import put
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class Consumer(AsyncIterator[Event]):
         # first number and time (s) of the latest request, by rig and epoch
         self._requested: dict[tuple[RigId, str], tuple[int, float]] = {}
         self._check_due = 0.0  # loop time (s) of the next check for gaps
-        self._saving: asyncio.Task[None] | None = None
+        self._saving: BackgroundTask | None = None
         self._unsaved: bytes | None = None
         self._changed = False  # the position changed since it was saved
 
@@ -101,13 +102,19 @@ class Consumer(AsyncIterator[Event]):
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Disconnect; the next run delivers an event in progress again."""
+        """Disconnect; the next run delivers an event in progress again.
+
+        Raises:
+            EndpointError: if the saving of the position has failed, other than by a failure of the disk.
+        """
         try:
             if self._saving:
-                await self._saving
+                await self._saving.end(None)
         finally:
             self._unlock()
             await self._disconnect()
+        if self._saving:
+            self._saving.check()
 
     def __aiter__(self) -> Self:
         return self
@@ -229,16 +236,18 @@ class Consumer(AsyncIterator[Event]):
 
     def _mark_done(self) -> None:
         """Mark the latest event as processed, and start saving the position."""
-        if self._saving and self._saving.done():
-            self._saving.result()  # raises the error that ended the task
+        if self._saving:
+            self._saving.check()
         if not (self._position_file and self._changed):
             return
         self._unsaved, forgotten = self._position.encode_limited()
         self._changed = False
         for text in forgotten:
             self._report(text)
-        if self._saving is None or self._saving.done():
-            self._saving = asyncio.create_task(self._save(self._position_file))
+        if self._saving is None or self._saving.done:
+            path = self._position_file
+            purpose = "the saving of the position"
+            self._saving = BackgroundTask(str(path), purpose, self._save(path), endless=False)
 
     async def _save(self, path: Path) -> None:
         while self._unsaved is not None:  # save again what changed meanwhile

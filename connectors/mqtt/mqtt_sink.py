@@ -176,7 +176,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             await self._outbox.append(list(self._events(batch)))
 
     async def close(self) -> None:
-        """Send pending events within 3 s, publish the offline status, and disconnect."""
+        """Send pending events within 3 s, publish the offline status, and disconnect.
+
+        Raises:
+            EndpointError: if a background task of this sink has failed.
+        """
         await self._sender.close(self._status("offline", self._run.clock.now()))
         try:
             await self._outbox.close()
@@ -184,6 +188,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             if unsent := self._outbox.waiting - self._outbox.unstored:
                 text = "%s: %d unsent events remain in %s; the next run sends them"
                 log.warning(text, self._broker, unsent, self._outbox.path)
+        self._sender.check()
 
     def _outbox_path(self, *, replay: bool = False) -> Path:
         if self.outbox is None:

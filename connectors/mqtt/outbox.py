@@ -16,6 +16,7 @@ from connectors.mqtt.outbox_log import Entry, Epoch, OutboxLog
 from connectors.mqtt.range_set import RangeSet
 from operators.back_off import BackOff
 from operators.errors import EndpointError, SlipflowError, os_error_reason
+from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")
 
@@ -59,8 +60,7 @@ class Outbox:
         self._unsaved = RangeSet()  # acknowledged ids that are not stored yet
         self._write_due, self._sync_due, self._progress = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self._storing = self._failing = False  # a write is in progress; the latest one failed
-        self._ending = False  # no further write begins
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks: list[BackgroundTask] = []
 
     @property
     def epoch(self) -> str:
@@ -100,7 +100,11 @@ class Outbox:
         except BaseException:
             self._log.close()
             raise
-        self._tasks = [asyncio.create_task(self._keep_writing()), asyncio.create_task(self._keep_syncing())]
+        where = str(self.path)
+        self._tasks = [
+            BackgroundTask(where, "the writing of events", self._keep_writing(), self._stop_writing),
+            BackgroundTask(where, "the fsync of events", self._keep_syncing()),
+        ]
 
     async def append(self, drafts: Sequence[Event]) -> None:
         """Store events under new numbers; the epoch and number of the drafts are ignored.
@@ -183,13 +187,16 @@ class Outbox:
         """Store everything and close the files; wait as long as a slow disk takes, but 5 s for a failing one.
 
         Events that are then still `unstored` are lost, also if the call is cancelled.
+
+        Raises:
+            EndpointError: if a background task of the outbox has failed; the files are closed.
         """
         loop = asyncio.get_running_loop()
         deadline = loop.time() + LAST_ATTEMPTS
         self._write_due.set()
         try:
             while self._storing or self._written < self._last or len(self._unsaved):
-                if self._failing and loop.time() > deadline:
+                if self._failing and (loop.time() > deadline or self._tasks[0].done):
                     break
                 await self._progress.wait()
         finally:
@@ -198,16 +205,17 @@ class Outbox:
             with suppress(OSError, SlipflowError):  # the next run begins a new epoch
                 await asyncio.to_thread(self._end)
         await asyncio.to_thread(self._log.close)
+        for task in self._tasks:
+            task.check()
 
     async def _end_tasks(self) -> None:
-        self._ending = True
+        self._tasks[0].ending = True  # no further write begins
         try:
             while self._storing:  # a write in progress cannot be stopped, and its events are stored
                 await self._progress.wait()
         finally:
             for task in self._tasks:
-                task.cancel()
-            await asyncio.gather(*self._tasks, return_exceptions=True)
+                await task.end()
             if self.unstored:
                 log.error("%s: %s; %d events are lost", self.path, self.error or "not written", self.unstored)
 
@@ -276,13 +284,19 @@ class Outbox:
         self._release(self._last)
         self._announce_progress()
 
+    def _stop_writing(self, reason: str) -> None:
+        """Send from memory until the end, because the task that writes has failed."""
+        self._storing, self._failing, self.error = False, True, reason
+        self._release(self._last)
+        self._announce_progress()
+
     def _announce_progress(self) -> None:
         self._progress.set()  # wakes the tasks that wait now
         self._progress.clear()
 
     async def _keep_writing(self) -> None:
         retry = BackOff()
-        while not self._ending:
+        while not self._tasks[0].ending:
             await self._write_due.wait()
             self._write_due.clear()
             entries = [entry for entry in self._memory.values() if entry.id > self._written]

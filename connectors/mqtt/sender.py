@@ -15,6 +15,7 @@ from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from operators.back_off import BackOff
 from operators.errors import EndpointError
+from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:
     from connectors.mqtt.broker_link import Link
@@ -63,7 +64,7 @@ class Sender:
         self._health_due = 0.0  # loop time, s
         self._link: Link | None = None
         self._wake, self._closing = asyncio.Event(), False
-        self._sending: asyncio.Task[None] | None = None
+        self._sending: BackgroundTask | None = None
         outbox.on_pending = self._wake.set
 
     @property
@@ -94,21 +95,27 @@ class Sender:
             if self._broker.scheme == "mqtts":
                 self._broker.tls()
         self._health_due = asyncio.get_running_loop().time() + HEALTH_EVERY
-        self._sending = asyncio.create_task(self._keep_sending())
+        self._sending = BackgroundTask(str(self._broker), "the sending of events", self._keep_sending())
 
     async def close(self, offline: Message) -> None:
         """Send pending messages within 3 s, publish `offline`, and disconnect."""
         self._closing = True
         self._wake.set()
         if self._sending:
-            if self._link:
-                await asyncio.wait([self._sending], timeout=CLOSE_TIMEOUT)
-            self._sending.cancel()
-            await asyncio.wait([self._sending])
+            await self._sending.end(CLOSE_TIMEOUT if self._link else 0.0)
         if self._link and self._link.alive:
             with suppress(EndpointError):
                 await self._link.send_all([offline])
         await self._disconnect()
+
+    def check(self) -> None:
+        """Raise an error if the sending has failed, other than by a failure of the broker.
+
+        Raises:
+            EndpointError: if it has.
+        """
+        if self._sending:
+            self._sending.check()
 
     async def _keep_sending(self) -> None:
         failed, retry = False, BackOff()

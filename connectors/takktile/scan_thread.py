@@ -33,7 +33,7 @@ class ScanThread:
         self._schedule, self._now, self._path = schedule, now, schedule.bus.path
         self._loop = asyncio.get_running_loop()
         self._scans = deque[Scan]()
-        self._error: Exception | None = None
+        self._error: BaseException | None = None
         self._changed, self._ended = asyncio.Event(), asyncio.Event()
         self._ending, self._blocked = Event(), False
         self._thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
@@ -84,13 +84,15 @@ class ScanThread:
             self._scan(scanner)
         except OSError as error:
             self._error = EndpointError(self._path, i2c_reason(error))
-        except Exception as error:  # noqa: BLE001 - no failure of the device: raised to the runner as it is
+        except BaseException as error:  # noqa: BLE001 - no failure of the device: raised to the runner as it is
             self._error = error
         finally:
             self._set(self._changed)
-            if scanner is not None:
-                scanner.close()
-            self._set(self._ended)
+            try:
+                if scanner is not None:
+                    scanner.close()
+            finally:
+                self._set(self._ended)
 
     def _scan(self, scanner: Scanner) -> None:
         """Scan on schedule.

@@ -23,6 +23,7 @@ from connectors.ur.path_follower import PathFollower, Point
 from connectors.ur.ur_state import ArmState, Bounds, receive_states, state_client
 from operators.errors import EndpointError
 from operators.ports import Clock
+from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")
 
@@ -67,7 +68,7 @@ class UrArm:
         self._force_offset: Point = (0.0, 0.0, 0.0)  # N, reported without contact
         self._guard: Callable[[ArmState], str] | None = None  # returns why to stop the current move
         self._moved = 0.0  # loop time (s) at which the arm last moved
-        self._tasks = set[asyncio.Task[None]]()
+        self._tasks = list[BackgroundTask]()
 
     async def open(self) -> None:
         """Connect to the controller, and start the process that commands the arm.
@@ -82,9 +83,9 @@ class UrArm:
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
                 log.warning("%s: the controller reports no force: the limit is not checked", self._endpoint)
-            self._spawn(self._read_states())
+            self._spawn("the reading of its state", self._read_states())
             self.control.start()
-            self._spawn(self.control.keep_alive())
+            self._spawn("the keep-alive of its control process", self.control.keep_alive())
             await self._until(lambda: self.control.ready, START_TIMEOUT, "to start")
         except BaseException:
             await self.close()
@@ -204,7 +205,7 @@ class UrArm:
         log.error("%s is stopped: %s", self._endpoint, reason)
         self._changed.set()
         if self.control.process:
-            self._spawn(self.stop())
+            self._spawn("the stop", self.stop())
 
     async def stop(self) -> None:
         """Stop the arm by all available stops; return when it stands or all stops were tried."""
@@ -222,8 +223,7 @@ class UrArm:
             await self.stop()
         await self.control.close()
         for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+            await task.end()
         await self._client.close()
 
     async def __aenter__(self) -> Self:
@@ -269,10 +269,10 @@ class UrArm:
             self._guard = None
         self.control.send(Signal.RELEASE)
 
-    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        task = asyncio.create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+    def _spawn(self, purpose: str, work: Coroutine[Any, Any, None]) -> None:
+        """Start a background task; its failure stops the arm."""
+        task = BackgroundTask(self._endpoint, purpose, work, self.fail, endless=False)
+        self._tasks.append(task)
 
     async def _read_states(self) -> None:
         """Check each state."""

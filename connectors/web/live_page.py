@@ -17,6 +17,7 @@ from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
 from operators.checks import check_between
 from operators.ports import Clock, Finding, Json, Run, Sink
 from operators.software import software_version
+from storage.background_task import BackgroundTask
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
 GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
@@ -127,7 +128,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
             return json_answer({"mode": "live"})
 
         await self._server.open({"/about.json": about, "/messages": self._answer})
-        self._reporting = asyncio.create_task(self._keep_reporting())
+        self._reporting = BackgroundTask(self.destination, "the health report", self._keep_reporting())
         if self._opened:
             self._opened(self._server.url)
 
@@ -140,9 +141,12 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
         return True
 
     async def close(self) -> None:
-        """Send the last frame and the end of the run, and stop serving."""
-        self._reporting.cancel()
-        await asyncio.wait([self._reporting])
+        """Send the last frame and the end of the run, and stop serving.
+
+        Raises:
+            EndpointError: if a background task of the page has failed.
+        """
+        await self._reporting.end()
         if self._sending:
             self._sending.cancel()
             self._send()
@@ -156,6 +160,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
             if self._watched():
                 await asyncio.sleep(_POLL)
         await self._server.close()
+        self._reporting.check()
 
     def _watched(self) -> bool:
         """Return True if a browser shows the page and has not fetched the end of the run."""

@@ -234,7 +234,7 @@ class CompiledFlow:
         for stage in stages:
             try:
                 out = step(stage, values)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 raise self._failure(stage.node, error) from error
             if out is not None:
                 values[stage.index] = out
@@ -242,9 +242,9 @@ class CompiledFlow:
                     deliveries.append((stage.node, out))
         return deliveries
 
-    def _failure(self, node: Node, error: Exception) -> OperatorError:
-        reason = str(error)
-        if not isinstance(error, SlipflowError):
+    def _failure(self, node: Node, error: Exception | SystemExit) -> OperatorError:
+        reason = "calls sys.exit" if isinstance(error, SystemExit) else str(error)
+        if not isinstance(error, SlipflowError | SystemExit):
             reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
         reason += "" if _is_tested(node) else location(node.part, error)
         return OperatorError(self._flow, node.name, reason)

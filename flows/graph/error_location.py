@@ -5,7 +5,7 @@ import traceback
 from pathlib import Path
 
 
-def location(part: object, error: Exception) -> str:
+def location(part: object, error: BaseException) -> str:
     """Return the line of a part's file at which an error was raised, such as `` (own.py:23)``."""
     try:
         file = Path(inspect.getfile(type(part)))

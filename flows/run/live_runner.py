@@ -4,12 +4,14 @@ import asyncio
 import gc
 from collections.abc import Coroutine, Mapping, Sequence
 from contextlib import aclosing, nullcontext
+from functools import partial
 from typing import Any, Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, check_extras, consumers
+from flows.run.cancellation import contained
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import reason_of, warn
 from flows.run.replay_runner import close_sinks, replayed_recording
@@ -18,6 +20,7 @@ from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.stop_signals import signals_to
 from operators.batch import Batch, ms, s
+from operators.errors import EndpointError, OperatorError
 from operators.ports import Clock, ClockStep, Run, Sink, Source, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
@@ -120,7 +123,7 @@ class LiveRunner:
             writers = [queue.start() for queue in self._queues.values()]
             gc.freeze()  # else a collection searches all modules, which takes 60 ms
             try:
-                await self._read_all()
+                await self._read_all(writers)
                 await self._deliver(self._enqueue(self.compiled.flush()))
             except Exception as error:
                 self.run.error = reason_of(error)
@@ -131,8 +134,9 @@ class LiveRunner:
         return self.run
 
     async def _prepare(self) -> None:
-        for source in self._sources.values():
-            await source.prepare()
+        for node, source in self._sources.items():
+            with contained(partial(OperatorError, self.run.flow, node.name)):
+                await source.prepare()
 
     async def _unless_stopped(self, work: Coroutine[Any, Any, None]) -> bool:
         """Run a coroutine; cancel it and return False if `stop` is called before it ends."""
@@ -149,15 +153,19 @@ class LiveRunner:
         opened: list[SinkQueue] = []
         try:
             for queue in self._queues.values():
-                await queue.sink.open(self.run)
+                with contained(partial(EndpointError, queue.sink.destination)):
+                    await queue.sink.open(self.run)
                 opened.append(queue)
         except BaseException as error:
             self.run.error = str(error) or type(error).__name__
             await close_sinks((queue.sink for queue in opened), failed=True)
             raise
 
-    async def _read_all(self) -> None:
-        """Read the sources until they end, the duration is over, `stop` is called or a task fails."""
+    async def _read_all(self, writers: Sequence[asyncio.Task[None]]) -> None:
+        """Read the sources until they end, the duration is over, `stop` is called or a task fails.
+
+        `writers` are the tasks of the queues, which end later.
+        """
         notify_systemd(READY)
         readers = [asyncio.create_task(self._read(node)) for node in self._readers]
         reading = asyncio.create_task(asyncio.wait(readers, return_when=asyncio.FIRST_EXCEPTION))
@@ -168,7 +176,7 @@ class LiveRunner:
         if self._duration is not None:
             ends.append(asyncio.create_task(self.clock.sleep_until(self.clock.now() + self._duration)))
         try:
-            await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([reading, *ends, *writers], return_when=asyncio.FIRST_COMPLETED)
             self._ending = True
             while self._pending and not reading.done():  # deliver pending batches
                 self._delivered.clear()

@@ -2,6 +2,8 @@
 
 import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from functools import partial
 from itertools import chain, islice
 from typing import Any, cast
 
@@ -12,11 +14,11 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part, check_extras, consumers
-from flows.run.cancellation import own_cancellation
+from flows.run.cancellation import contained
 from flows.run.clocks import EventClock
 from flows.run.log_events import reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
-from operators.errors import InputError
+from operators.errors import EndpointError, InputError
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
 
@@ -137,7 +139,8 @@ class ReplayRunner:
         opened: list[Sink[Any]] = []
         try:
             for sink in (cast("Sink[Any]", node.part) for node in self._flow.sinks()):
-                await sink.open(self.run)
+                with _contained(sink):
+                    await sink.open(self.run)
                 opened.append(sink)
             filters = self.compiled.late_filters
             for batches in chain([first], slices):
@@ -169,8 +172,13 @@ class ReplayRunner:
         for node, batch in deliveries:
             for reader in self._consumers[node]:
                 if isinstance(reader.part, Sink):
-                    await reader.part.write(batch)
+                    with _contained(reader.part):
+                        await reader.part.write(batch)
                     self.run.sinks[reader.name].rows += len(batch)
+
+
+def _contained(sink: Sink[Any]) -> AbstractContextManager[None]:
+    return contained(partial(EndpointError, sink.destination))
 
 
 async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> None:
@@ -182,7 +190,7 @@ async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> No
     errors = list[Exception]()
     for sink in sinks:
         try:
-            with own_cancellation():
+            with _contained(sink):
                 await sink.close()
         except Exception as error:  # noqa: BLE001 - the other sinks must be closed too
             errors.append(error)

@@ -3,11 +3,12 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
+from functools import partial
 from math import inf
 from typing import Any, Final
 
-from flows.run.cancellation import own_cancellation
+from flows.run.cancellation import contained, exit_reason
 from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch
@@ -109,7 +110,7 @@ class SinkQueue:
                 self.status.queued = len(self._waiting)
                 self._room.set()
                 await self._write(batch)
-            with own_cancellation():
+            with self._contained():
                 await self.sink.close()
         except asyncio.CancelledError:
             self._drop_waiting()
@@ -121,6 +122,11 @@ class SinkQueue:
             lost = self.sink.pending
             self.status.rows -= lost
             self.status.dropped += lost
+            self.status.waiting = self.sink.waiting
+            self._room.set()
+
+    def _contained(self) -> AbstractContextManager[None]:
+        return contained(partial(EndpointError, self.sink.destination))
 
     def _take(self, batch: Batch) -> bool:
         """Return True if the sink took the batch at once; after an error, `write` tries again."""
@@ -128,6 +134,9 @@ class SinkQueue:
             taken = self.sink.take(batch)
         except Exception as error:  # noqa: BLE001 - no error of a sink may stop the others
             self._failed(error)
+            return False
+        except SystemExit as error:
+            self._failed(EndpointError(self.sink.destination, exit_reason(error)))
             return False
         if taken:
             self._wrote(batch)
@@ -139,7 +148,7 @@ class SinkQueue:
         while True:
             self._write_start = loop.time()
             try:
-                with own_cancellation():
+                with self._contained():
                     await self.sink.write(batch)
             except asyncio.CancelledError:
                 self.status.dropped += len(batch)

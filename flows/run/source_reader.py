@@ -4,13 +4,14 @@ import asyncio
 from collections import defaultdict
 from collections.abc import AsyncGenerator
 from dataclasses import asdict
+from functools import partial
 from math import inf
 from typing import Any, Final, cast
 
 import numpy as np
 
 from flows.graph.error_location import location
-from flows.run.cancellation import own_cancellation
+from flows.run.cancellation import contained
 from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch, Times, s
@@ -59,7 +60,7 @@ class SourceReader:
 
         Raises:
             OperatorError: if a batch does not have the type or shape that the source declares, or the source
-                raises one of `MISTAKES`.
+                raises one of `MISTAKES` or calls `sys.exit`.
             SlipflowError: if the source raises one other than EndpointError.
         """
         retry = BackOff()
@@ -67,7 +68,7 @@ class SourceReader:
             while True:
                 stream = self._source.batches(self._run.clock)
                 try:
-                    with own_cancellation():
+                    with contained(partial(OperatorError, self._run.flow, self.name)):
                         async for batch in stream:
                             if not self._checked(batch).time.size:
                                 continue

@@ -24,12 +24,34 @@ POWER_SPAN: Final = 0.3  # s, before a power loss, whose rows and events may be 
 SAVED: Final = 0.01  # s, until the consumer has saved that an event is processed
 REPAIR: Final = 0.7  # s after a fault of the disk, until the delayed rows and events are written; at least
 RETRY: Final = 0.2  # s, first delay between two attempts, and time of an attempt
+FINDINGS: Final = {  # of `verify`, by the end of a run; an orderly one is checked exactly
+    "refused": ("note",),
+    "killed": ("note", "repaired", "lossy"),
+    "power loss": ("note", "repaired", "lossy", "lost"),
+}
 DISK_FAULTS: Final = frozenset({"disk full", "disk error", "fsync error", "slow disk"})
 
 
 def violations(world: World) -> list[str]:
     """Return a line for each violated invariant."""
-    return [*_events(world), *_recordings(world)]
+    return [*_ends(world), *_events(world), *_recordings(world)]
+
+
+def _ends(world: World) -> Iterator[str]:
+    """Check that runs end in order unless a fault prevents it, and that the last one does."""
+    for rig_run in world.rig_runs:
+        if rig_run.end == "stuck":
+            yield f"{rig_run.session}: did not end"
+        if rig_run.end == "orderly" and rig_run.error:
+            yield f"{rig_run.session}: ended in order, with an error: {rig_run.error}"
+        if rig_run.end == "refused" and not any(
+            fault.start <= rig_run.ended and rig_run.started <= fault.start + fault.duration
+            for fault in world.schedule.faults
+            if fault.kind in DISK_FAULTS
+        ):
+            yield f"{rig_run.session}: did not start although the disk works: {rig_run.error}"
+    if not world.rig_runs or world.rig_runs[-1].end != "orderly":
+        yield "the last run did not end in order"
 
 
 def _events(world: World) -> Iterator[str]:
@@ -48,9 +70,8 @@ def _events(world: World) -> Iterator[str]:
     lost = must - world.processed.keys()
     if lost:
         yield f"{len(lost)} of {len(must)} events were lost: {sorted(lost)[:3]}"
-    may_lose = any(rig_run.events.keys() - world.processed.keys() for rig_run in world.rig_runs)
     reported = [each for each in world.reports if re.search(r" (is|are) lost", each)]
-    if reported and not may_lose and not _lossy(world):
+    if reported and raised <= world.processed.keys():
         yield f"a loss was reported, but nothing is lost: {reported[0]}"
 
 
@@ -60,18 +81,14 @@ def _may_redeliver(world: World, event: Identity, first: float, again: float) ->
     return any(first <= kill <= min(saved, again) for kill in world.consumer_kills)
 
 
-def _lossy(world: World) -> bool:
-    """Return True if numbers may be lost: a power loss or a disk that failed."""
-    return any(fault.kind in DISK_FAULTS | {"power loss"} for fault in world.schedule.faults)
-
-
 def _kept_events(world: World, rig_run: RigRun) -> Iterator[Identity]:
     """Yield the accepted events that must arrive."""
     for event, when in rig_run.events.items():
         lost_power = _next_power_loss(world, when)
-        if lost_power is not None and not _durable(world, when, min(lost_power, rig_run.ended)):
+        ended = rig_run.ended if lost_power is None else min(lost_power, rig_run.ended)
+        if lost_power is not None and not _durable(world, when, ended, rewritten=True):
             continue
-        if rig_run.end == "killed" and _disk_fails(world, when, rig_run.ended):
+        if rig_run.end == "killed" and _disk_fails(world, when, rig_run.ended, rewritten=True):
             continue  # events in memory may be lost
         yield event
 
@@ -81,26 +98,32 @@ def _next_power_loss(world: World, when: float) -> float | None:
     return next((each for each in world.power_losses if each >= when), None)
 
 
-def _durable(world: World, when: float, ended: float) -> bool:
-    """Return True if rows accepted at `when` by a run that ended at `ended` must survive a power loss."""
+def _durable(world: World, when: float, ended: float, *, rewritten: bool) -> bool:
+    """Return True if rows accepted at `when` by a run that ended at `ended` must survive a power loss.
+
+    They are `rewritten` at once after a failed fsync if they are events.
+    """
     stalled = sum(
         STALL_MAX * fault.size
         for fault in world.schedule.faults
         if fault.kind == "loop stalls" and when - STALL_MAX <= fault.start <= ended
     )
-    return when + stalled < ended - POWER_SPAN and not _disk_fails(world, when + stalled, ended)
+    fails = _disk_fails(world, when + stalled, ended, rewritten=rewritten)
+    return when + stalled < ended - POWER_SPAN and not fails
 
 
-def _disk_fails(world: World, first: float, last: float) -> bool:
+def _disk_fails(world: World, first: float, last: float, *, rewritten: bool) -> bool:
     """Return True if a fault of the disk delays rows accepted from `first` on until after `last`."""
-    return any(start <= first + POWER_SPAN and last <= repaired for start, repaired in _disk_failures(world))
+    failures = _disk_failures(world, rewritten=rewritten)
+    return any(start <= first + POWER_SPAN and last <= repaired for start, repaired in failures)
 
 
-def _disk_failures(world: World) -> Iterator[tuple[float, float]]:
+def _disk_failures(world: World, *, rewritten: bool) -> Iterator[tuple[float, float]]:
     """Yield start and latest repair (s) of each failure of the disk.
 
     A fault that begins while another lasts, or before the delayed writes are tried again, prolongs the
-    failure. While writes fail, that delay is at most as long as they have failed; failed fsyncs cause none.
+    failure. As the delay doubles with each attempt, the next one comes at most as long after the failure as
+    it has lasted. Events are `rewritten` without delay after a failed fsync; rows are not.
     """
     start, end, attempt = inf, 0.0, 0.0
     writes = inf  # s, when writes began to fail
@@ -111,7 +134,7 @@ def _disk_failures(world: World) -> Iterator[tuple[float, float]]:
             yield start, max(attempt, end + REPAIR)
             start, end, writes = fault.start, 0.0, inf
         start, end = min(start, fault.start), max(end, fault.start + fault.duration)
-        if fault.kind != "fsync error":
+        if fault.kind != "fsync error" or not rewritten:
             writes = min(writes, fault.start)
         attempt = end if writes == inf else end + (end - writes) + RETRY
     yield start, max(attempt, end + REPAIR)
@@ -131,23 +154,27 @@ def _recordings(world: World) -> Iterator[str]:
         try:
             if rig_run.end != "orderly":
                 recover(folder)
-            yield from _rows(world, rig_run, Session.open(folder))
+            session = Session.open(folder)
+            recorded = {"Touch": _read(session, Touch), "Slips": _read(session, Slips)}
+            yield from _rows(world, rig_run, recorded)
             result = verify(folder)
         except SlipflowError as error:
             if any(rig_run.rows.values()) or rig_run.end == "orderly":
                 yield f"{rig_run.session} ({rig_run.end}): {error}"
             continue
-        allowed = {"orderly": ("note",)}.get(rig_run.end, ("note", "repairable", "repaired", "lossy"))
-        if result.worst not in allowed and not _lossy(world):
+        lacks = any(len(rows) > len(recorded[name]) for name, rows in rig_run.rows.items())
+        cut = rig_run.end == "killed" and _next_power_loss(world, rig_run.ended) is not None
+        exactly = ("lossy",) if rig_run.dropped else ("note",)
+        allowed = FINDINGS.get("power loss" if cut else rig_run.end, exactly)
+        if result.worst not in allowed or (lacks and result.worst == "note"):
             yield f"{rig_run.session} ({rig_run.end}): verify says {result.worst}: {result.findings}"
 
 
-def _rows(world: World, rig_run: RigRun, session: Session) -> Iterator[str]:
-    for kind, name in ((Touch, "Touch"), (Slips, "Slips")):
-        accepted, recorded = rig_run.rows.get(name, []), _read(session, kind)
+def _rows(world: World, rig_run: RigRun, recorded: dict[str, list[Row]]) -> Iterator[str]:
+    for name, rows in recorded.items():
         for finger in FINGERS:
-            expected = [row for row in accepted if row[0] == finger]
-            found = [row for row in recorded if row[0] == finger]
+            expected = [row for row in rig_run.rows.get(name, []) if row[0] == finger]
+            found = [row for row in rows if row[0] == finger]
             common = min(len(expected), len(found))
             if found[:common] != expected[:common]:
                 yield f"{rig_run.session}: {name} of finger {finger} has other rows than were accepted"
@@ -169,7 +196,7 @@ def _missing(world: World, rig_run: RigRun, name: str, missing: list[Row]) -> It
     lost_power = _next_power_loss(world, rig_run.ended) if rig_run.end != "orderly" else None
     if lost_power is not None:
         when = dict(zip(rig_run.rows[name], rig_run.rows_at[name], strict=True))
-        old = [row for row in missing if _durable(world, when[row], rig_run.ended)]
+        old = [row for row in missing if _durable(world, when[row], rig_run.ended, rewritten=False)]
         if old:
             yield f"{text}, {len(old)} of them older than {POWER_SPAN} s"
     elif len(missing) > (KILL_ROWS if rig_run.end == "killed" else 0):

@@ -1,5 +1,6 @@
 """Bugs that are planted on purpose, to prove that the simulation finds such bugs."""
 
+import asyncio
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -9,9 +10,10 @@ from typing import Any, Final
 from unittest.mock import patch
 
 from connectors.events import Event
-from connectors.mqtt import consumer, gap_replay, outbox_log, position
+from connectors.mqtt import consumer, gap_replay, outbox, outbox_log, position
 from connectors.mqtt.broker import Message
 from storage import append_log, dataset, files, journal, writer
+from tests.faults.schedule import KINDS, LOST_PAGES
 
 Plant = Callable[[ExitStack], object]
 
@@ -98,6 +100,16 @@ def _continue_epoch(self: outbox_log.OutboxLog) -> None:
     self.complete = bool(self.epochs)
 
 
+async def _die(self: outbox.Outbox) -> None:
+    del self
+    await asyncio.sleep(0.05)
+    raise KeyError("planted")
+
+
+def _refuse_nothing(self: outbox.Outbox, count: int) -> None:
+    del self, count
+
+
 _REPLACE = files.replace
 _COMMIT_SELECTED = vars(writer.SessionWriter)["_commit_selected"]
 _SYNC = append_log.AppendLog.sync
@@ -106,6 +118,7 @@ _PROCESS = vars(consumer.Consumer)["_process"]
 _OPEN = outbox_log.OutboxLog.open
 
 POWER = ("power loss",)
+ANY = tuple(KINDS)
 KILLS = ("kill rig", "kill rig at disk operation")
 
 PLANTED: Final[dict[str, Bug]] = {
@@ -114,9 +127,7 @@ PLANTED: Final[dict[str, Bug]] = {
     "the journal is deleted before its rows are in parts": Bug(
         _set(writer.SessionWriter, "_commit_selected", _delete_journal_first), KILLS
     ),
-    "a failed fsync is ignored": Bug(
-        _set(append_log.AppendLog, "sync", _forget_failure), ("fsync error", "power loss")
-    ),
+    "a failed fsync is ignored": Bug(_set(append_log.AppendLog, "sync", _forget_failure), LOST_PAGES),
     "the journal is synced every second": Bug(_set(dataset, "SYNC_INTERVAL", 1.0), POWER),
     "rows wait for the journal without limit": Bug(
         _all(
@@ -146,5 +157,10 @@ PLANTED: Final[dict[str, Bug]] = {
     ),
     "gaps are answered as lost": Bug(
         _set(gap_replay.GapReplies, "next", _answer_missing), ("broker restart without memory",)
+    ),
+    "the task that writes events dies": Bug(_set(outbox.Outbox, "_keep_writing", _die), ANY),
+    "the task that syncs events dies": Bug(_set(outbox.Outbox, "_keep_syncing", _die), ANY),
+    "events fill the memory while the disk fails": Bug(
+        _set(outbox.Outbox, "_make_room", _refuse_nothing), ("disk full", "disk error")
     ),
 }

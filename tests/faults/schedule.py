@@ -8,6 +8,8 @@ from typing import Final
 SPANS: Final = (0.3, 0.3, 0.6, 1.5)  # s of virtual time in which faults occur: short ones are cheaper
 SPAN: Final = SPANS[-1]  # s
 
+RARE: Final = 20  # seeds, of which one draws `LOST_PAGES`
+LOST_PAGES: Final = ("fsync error", "power loss", "broker down")
 STALL_MAX: Final = 0.3  # s, of the whole host
 
 KINDS: Final = {  # of faults: maximum duration in the longest span, s; 0: momentary
@@ -55,8 +57,14 @@ class Schedule:
 
 
 def draw(seed: int, kinds: Sequence[str] = tuple(KINDS)) -> Schedule:
-    """Draw up to eight faults of at most five kinds, so that faults of a kind meet."""
+    """Draw up to eight faults of at most five kinds, so that faults of a kind meet.
+
+    Every 20th seed draws a short failure of fsync and a power loss long after it: only then do the pages that
+    the kernel dropped matter, as many failures of the disk excuse the loss of most rows.
+    """
     random = Random(seed)
+    if seed % RARE == RARE - 1 and {*LOST_PAGES} <= {*kinds}:
+        return _lose_pages(random, seed)
     kinds = random.sample(sorted(kinds), min(random.randint(1, 5), len(kinds)))
     span = SPAN if "power loss" in kinds else random.choice(SPANS)  # its promise speaks of 0.3 s
     faults = [_fault(random, random.choice(kinds), span) for _ in range(random.randint(1, 8))]
@@ -73,6 +81,20 @@ def shrink(schedule: Schedule, violates: Callable[[Schedule], bool]) -> Schedule
         else:
             index += 1
     return replace(schedule, faults=faults)
+
+
+def _lose_pages(random: Random, seed: int) -> Schedule:
+    """Draw a short failure of fsync, a late power loss, and often a broker that is down and another fault."""
+    start, end = random.uniform(0.0, 0.4), random.uniform(1.2, SPAN)
+    faults = [
+        Fault("fsync error", start, random.uniform(0.02, 0.2), random.random()),
+        Fault("power loss", end, 0.0, random.random()),
+    ]
+    if random.random() < 0.5:  # otherwise events are sent before the power fails
+        faults.append(Fault("broker down", random.uniform(0.0, start), SPAN, random.random()))
+    if random.random() < 0.5:
+        faults.append(_fault(random, random.choice(sorted(KINDS)), SPAN))
+    return Schedule(seed, tuple(sorted(faults, key=lambda fault: fault.start)), SPAN)
 
 
 def _fault(random: Random, kind: str, span: float) -> Fault:

@@ -3,12 +3,14 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from heapq import heappop
 from random import Random
 from typing import Any, Final, TypeVar
 
 from flows.graph.testing import VirtualLoop
-from tests.faults.simulated_process import adopt
+from operators.errors import SlipflowError
+from tests.faults.simulated_process import SimulatedProcess, adopt
 
 T = TypeVar("T")
 TURNS_MAX: Final = 1_000_000  # of the loop in a simulation
@@ -29,6 +31,7 @@ class SimulatedLoop(VirtualLoop):
         super().__init__()
         self._random = random
         self._turns = 0
+        self.failures: list[str] = []  # of tasks whose process was alive
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
 
     def _run_once(self) -> None:
@@ -53,8 +56,14 @@ class SimulatedLoop(VirtualLoop):
     def create_task(self, coro: Any, **options: Any) -> "asyncio.Task[Any]":
         """Create a task that belongs to the process of its context."""
         task = super().create_task(coro, **options)
-        adopt(task, options.get("context"))
+        if process := adopt(task, options.get("context")):
+            task.add_done_callback(partial(self._note_failure, process))
         return task
+
+    def _note_failure(self, process: SimulatedProcess, task: "asyncio.Task[Any]") -> None:
+        error = None if task.cancelled() else task.exception()
+        if process.alive and error and not isinstance(error, SlipflowError):
+            self.failures.append(f"a task of the {process.name} died: {task.get_coro()}: {error!r}")
 
     def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> "asyncio.Future[T]":  # type: ignore[override]
         """Run a function later in the loop; cancelling the future does not stop it, as with a thread."""

@@ -39,19 +39,30 @@ class SimulatedProcess:
         for task in list(self._tasks):
             task.cancel()
 
+    @property
+    def tasks(self) -> int:
+        """Number of tasks that have not ended."""
+        return sum(not task.done() for task in self._tasks)
+
     def add(self, task: "asyncio.Task[Any]") -> None:
         """Cancel a task when the process is killed."""
         self._tasks.add(task)
 
 
-def adopt(task: "asyncio.Task[Any]", context: Context | None) -> None:
-    """Let a new task end with the process of its context, by default the running one."""
+def adopt(task: "asyncio.Task[Any]", context: Context | None) -> SimulatedProcess | None:
+    """Let a new task end with the process of its context, by default the running one; return the process."""
     process = _CURRENT.get() if context is None else context.get(_CURRENT)
     if process:
         process.add(task)
+    return process
 
 
 _CURRENT: ContextVar[SimulatedProcess | None] = ContextVar("process", default=None)
+
+
+def process_of_context() -> SimulatedProcess | None:
+    """Return the process of the running code, which may have been killed; None for the observer."""
+    return _CURRENT.get()
 
 
 def current() -> SimulatedProcess | None:

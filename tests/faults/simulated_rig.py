@@ -28,7 +28,8 @@ class RigRun:
     """One run of the rig, from its start to its end, kill or power loss."""
 
     session: str
-    end: str = "running"  # running, orderly, refused, killed, power loss
+    end: str = "running"  # running, orderly, refused, killed, power loss, stuck
+    started: float = 0.0  # loop time, s
     ended: float = 0.0  # loop time, s
     rows: dict[str, list[Row]] = field(default_factory=dict[str, list[Row]])  # accepted, by type
     rows_at: dict[str, list[float]] = field(default_factory=dict[str, list[float]])  # loop time (s) of each
@@ -37,6 +38,7 @@ class RigRun:
         default_factory=dict[Identity, float]
     )  # accepted by the sink: loop time, s
     error: str = ""
+    dropped: int = 0  # rows that were not recorded, as reported
 
 
 class Device(Source[Touch]):

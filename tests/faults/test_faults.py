@@ -1,14 +1,19 @@
 """Deterministic simulation: no fault violates an invariant, and planted bugs are found."""
 
+import asyncio
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
+from connectors.mqtt.outbox import Outbox
+from connectors.mqtt.sender import Sender
+from storage import Dataset
 from tests.faults.planted_bugs import PLANTED
-from tests.faults.schedule import KINDS, Fault, Schedule, draw, shrink
+from tests.faults.schedule import KINDS, LOST_PAGES, RARE, Schedule, draw, shrink
 from tests.faults.search import command, violations
 from tests.faults.world import simulate
 
@@ -54,11 +59,47 @@ def test_a_seed_gives_the_same_history_in_another_process() -> None:
 
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_bug_is_found(name: str) -> None:
-    schedules = (draw(seed, PLANTED[name].kinds) for seed in range(100))
-    if name == "a failed fsync is ignored":  # several such failures excuse the loss of almost all rows
-        faults = Fault("fsync error", 0.2, 0.2, 0.5), Fault("power loss", 1.45, 0.0, 0.5)
-        schedules = (Schedule(seed, faults) for seed in range(100))
-    assert any(violations(schedule, name) for schedule in schedules), name
+    seeds = range(RARE - 1, 400, RARE) if PLANTED[name].kinds == LOST_PAGES else range(100)
+    assert any(violations(draw(seed, PLANTED[name].kinds), name) for seed in seeds), name
+
+
+@pytest.mark.parametrize("method", ["_keep_writing", "_keep_syncing"])
+@pytest.mark.parametrize("raises", [True, False])
+def test_a_task_of_the_outbox_that_dies_is_found_without_any_fault(method: str, *, raises: bool) -> None:
+    async def die(box: Outbox) -> None:
+        del box
+        if raises:
+            raise KeyError("planted")
+
+    outcome = simulate(Schedule(0, ()), lambda stack: stack.enter_context(patch.object(Outbox, method, die)))
+    assert any("a background task of the rig died" in each for each in outcome.violations)
+
+
+@pytest.mark.parametrize("owner", [Sender, Dataset])
+def test_a_task_of_a_sink_that_dies_is_found_without_any_fault(owner: type) -> None:
+    async def die(*_: object) -> None:
+        await asyncio.sleep(0.05)
+        raise KeyError("planted")
+
+    method = {Sender: "_keep_sending", Dataset: "_sync_often"}[owner]
+    outcome = simulate(Schedule(0, ()), lambda stack: stack.enter_context(patch.object(owner, method, die)))
+    assert any("a background task of the rig died" in each for each in outcome.violations)
+    assert not any("killed" in each for each in outcome.violations)
+
+
+def test_a_run_that_never_ends_is_stuck_and_not_killed() -> None:
+    async def wait(self: Dataset) -> None:
+        del self
+        await asyncio.Event().wait()
+
+    outcome = simulate(
+        Schedule(0, ()), lambda stack: stack.enter_context(patch.object(Dataset, "close", wait))
+    )
+    assert "run-0: did not end" in outcome.violations
+
+
+def test_rows_may_be_lost_if_the_disk_fails_again_before_they_are_tried_again() -> None:
+    assert not violations(draw(423695))
 
 
 def test_a_schedule_is_shrunk_to_the_faults_that_matter() -> None:

@@ -25,12 +25,14 @@ from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
 from storage import lock
+from storage.background_task import BackgroundTask
 from tests.faults.invariants import violations
+from tests.faults.memory import CAPACITY, PART_ROWS, SMALL, excess
 from tests.faults.schedule import STALL_MAX, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
 from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_loop import SimulatedLoop
-from tests.faults.simulated_process import Killed, SimulatedProcess, current
+from tests.faults.simulated_process import Killed, SimulatedProcess, current, process_of_context
 from tests.faults.simulated_rig import (
     FINGERS,
     Device,
@@ -49,6 +51,7 @@ URL: Final = "mqtt://broker"
 LAST: Final = "last"  # session of the run without faults
 LIMIT: Final = 600.0  # s, of virtual time
 REST: Final = (1.0, 1.0, 1.0, 5.0)  # s
+WATCH_EVERY: Final = 0.05  # s, between two looks at the memory
 
 
 @dataclass
@@ -103,11 +106,14 @@ class World:
             self.loop.call_at(fault.start, self._apply, fault)
         rig = self.loop.create_task(self._keep_rig())
         consumer = self.loop.create_task(self._keep_consumer())
+        memory = self.loop.create_task(self._watch_memory())
         await asyncio.sleep(self.schedule.span * self.random.uniform(1.0, 1.5))
         self._heal()
         if self.runner:
             self.runner.stop()
-        await rig
+        with suppress(TimeoutError):
+            async with asyncio.timeout(QUIET):
+                await rig
         with suppress(TimeoutError):
             async with asyncio.timeout(QUIET):
                 await self._deliver_rest()
@@ -115,6 +121,12 @@ class World:
         if self.consumer:
             self.consumer.kill()
         await consumer
+        await memory
+
+    async def _watch_memory(self) -> None:
+        while not self.finished:
+            self.errors += [each for each in excess(self) if each not in self.errors]
+            await asyncio.sleep(WATCH_EVERY)
 
     async def _keep_rig(self) -> None:
         """Restart the rig whenever it ends, as a service manager does."""
@@ -124,12 +136,14 @@ class World:
 
     async def _run_rig(self, rig_run: RigRun) -> None:
         self.rig_runs.append(rig_run)
+        rig_run.started = self.loop.time()
         self.rig = SimulatedProcess("rig")
         task = self.rig.start(self._record(rig_run))
         try:
             await task
         except (Killed, asyncio.CancelledError):
-            rig_run.end = rig_run.end if rig_run.end == "power loss" else "killed"
+            if rig_run.end != "power loss":  # without a kill, the time for its end is over
+                rig_run.end = "stuck" if self.rig.alive else "killed"
         except SlipflowError as error:
             rig_run.end, rig_run.error = "refused", str(error)
         else:
@@ -140,9 +154,12 @@ class World:
 
     async def _record(self, rig_run: RigRun) -> None:
         flow = Flow("faults")
-        dataset = WatchedDataset(self.folder / "data", part_span=round(self.schedule.span * 0.4e9))
+        dataset = WatchedDataset(
+            self.folder / "data", part_span=round(self.schedule.span * 0.4e9), part_rows=PART_ROWS
+        )
         mqtt = WatchedMqtt(URL, outbox=self.folder / "outbox", connect_required=False)
         dataset.rig_run = mqtt.rig_run = rig_run
+        dataset.capacity = mqtt.capacity = CAPACITY
         for device in self.devices:
             touch = flow.source(device)
             slips = touch | EveryFifth()
@@ -154,6 +171,7 @@ class World:
         if self.healed and rig_run.session != LAST:  # stopped in the moment in which it started
             runner.stop()
         await runner.execute()
+        rig_run.dropped = sum(sink.dropped for sink in runner.run.sinks.values() if sink.records)
         if runner.run.error:
             rig_run.error = runner.run.error
         rig_run.error += "".join(
@@ -205,6 +223,17 @@ class World:
         process = current()
         slow = self.slow if process and process.name == "rig" else 0.0
         return self.random.uniform(20e-6, 500e-6) + self.random.uniform(0.0, slow)
+
+    def noting_failures(self, fail: Callable[[BackgroundTask, str], None]) -> Callable[..., None]:
+        """Return a method of a background task that reports its failure to the world, too."""
+
+        def noting(task: BackgroundTask, reason: str) -> None:
+            process = process_of_context()
+            if process and process.alive:
+                self.errors.append(f"a background task of the {process.name} died: {reason}")
+            fail(task, reason)
+
+        return noting
 
     def _unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         del loop
@@ -332,7 +361,7 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
         with _simulated(world) as stack:
             prepare(stack)
             world.loop.run_until_complete(asyncio.wait_for(world.main(), LIMIT))
-            found = [*world.errors, *violations(world)]
+            found = [*world.errors, *world.loop.failures, *violations(world)]
         rig_runs = [
             (rig_run.session, rig_run.end, rig_run.ended, rig_run.rows, rig_run.events)
             for rig_run in world.rig_runs
@@ -377,6 +406,9 @@ def _simulated(world: World) -> Generator[ExitStack]:
         enter(patch.object(lock, "_flock", world.disk.noting_locks(vars(lock)["_flock"])))
         enter(patch.object(broker_link, "connect", world.broker.connect))
         enter(patch.object(outbox_log, "SEGMENT_EVENTS", 12))  # so that segments end within a schedule
+        for module, name, small in SMALL:
+            enter(patch.object(module, name, small))
+        enter(patch.object(BackgroundTask, "_fail", world.noting_failures(vars(BackgroundTask)["_fail"])))
         enter(world.disk.attached())
         try:
             yield stack

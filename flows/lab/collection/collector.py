@@ -36,9 +36,10 @@ from operators import (
     ms,
     s,
 )
-from operators.errors import EndpointError, ParameterError, SlipflowError
+from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Json, Run
 from storage import Dataset, arrow
+from storage.background_task import BackgroundTask
 
 FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingertip
 _POLL: Final = 0.05  # s
@@ -240,7 +241,7 @@ class Collector:
             runner.stop()
             recorded = await asyncio.gather(running, return_exceptions=True)
             self._runner = None
-        if isinstance(recorded[0], SlipflowError):
+        if isinstance(recorded[0], Exception):
             raise recorded[0]
         await driving
 
@@ -262,13 +263,12 @@ class Collector:
         return flow
 
     async def _drive(self, series: StrokeSeries, monitor: ContactMonitor) -> None:
-        watching = asyncio.create_task(self._watch(monitor))
+        watching = BackgroundTask("touch", "the watch for samples", self._watch(monitor), self.arm.fail)
         try:
             await self._wait_for_first_samples(monitor)
             await self.driver.make_strokes(series, monitor)
         finally:
-            watching.cancel()
-            await asyncio.gather(watching, return_exceptions=True)
+            await watching.end()
 
     async def _wait_for_first_samples(self, monitor: ContactMonitor) -> None:
         """Wait until every fingertip has given a sample.

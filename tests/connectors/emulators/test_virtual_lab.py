@@ -16,7 +16,7 @@ from connectors.emulators.ur_controller import Ports
 from connectors.emulators.virtual_lab import HEIGHT, virtual_lab
 from connectors.sim.scene import commanded_scene
 from flows.run.clocks import LoopClock
-from operators import Touch, Truth
+from operators import EndpointError, Touch, Truth
 from operators.batch import Counts, Reals, s
 from tests.connectors.emulators.observed_scene import ObservedScene
 from tests.waiting import PATIENCE
@@ -139,3 +139,16 @@ def test_the_arm_begins_above_the_surface_and_stands() -> None:
                 return
 
     asyncio.run(main())
+
+
+@pytest.mark.virtual
+async def test_a_scene_that_fails_is_reported_when_the_lab_ends(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("connectors.emulators.virtual_lab.LARGEST_LAG", "planted")
+    lab = virtual_lab(ports=ANYWHERE)
+    await lab.__aenter__()
+    await asyncio.sleep(0.1)
+    assert "the advance of the scene has failed" in caplog.text
+    with pytest.raises(EndpointError, match="the advance of the scene has failed: TypeError"):
+        await lab.__aexit__(None, None, None)

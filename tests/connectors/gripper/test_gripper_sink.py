@@ -331,3 +331,18 @@ async def test_the_check_before_a_run_reads_the_status_and_moves_nothing() -> No
         "bad",
         "cannot be reached: is it on, is this its address and port?",
     )
+
+
+async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_and_close(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with lab() as at:
+        gripper = at.gripper()
+        await gripper.open(at.run)
+        monkeypatch.setattr(type(gripper._drive), "step", lambda _: dict[str, object]()["planted"])
+        await asyncio.sleep(1.0)
+        assert "the control of the gripper has failed: KeyError: 'planted'" in caplog.text
+        with pytest.raises(EndpointError, match="the control of the gripper has failed"):
+            await gripper.write(commands(30.0))
+        with pytest.raises(EndpointError, match="the control of the gripper has failed"):
+            await gripper.close()

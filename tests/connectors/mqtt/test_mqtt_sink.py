@@ -401,7 +401,7 @@ async def test_a_killed_run_becomes_offline_unless_it_or_another_run_is_back_soo
     for sink in sinks.values():
         await sink.open(run)
     for rig in ("taken-over", "lost"):
-        inside(sinks[rig], "_sender", "_sending").cancel()  # so that it does not come back
+        inside(sinks[rig], "_sender", "_sending", "_task").cancel()  # so that it does not come back
     for each in list(links):
         each.abort()
     again = Mqtt(broker.url, rig="taken-over", outbox=tmp_outbox(broker))

@@ -569,3 +569,44 @@ async def test_losses_of_an_ended_close_are_exact(
     with LogReader(next((tmp_path / "outbox").iterdir())) as reader:
         events = [record for record in reader.records() if b"specversion" in record.data]
     assert len(events) == (12 if hangs else 5)
+
+
+@pytest.mark.virtual
+async def test_events_are_sent_from_memory_after_the_task_that_writes_them_has_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def fail(box: Outbox) -> None:
+        del box
+        await asyncio.sleep(0.5)
+        raise KeyError("planted")
+
+    monkeypatch.setattr(Outbox, "_keep_writing", fail)
+    box = Outbox(tmp_path / "outbox", keep=1000, keep_for=1e9)
+    await box.open()
+    await box.append([DRAFT, DRAFT])
+    assert "the writing of events has failed: KeyError: 'planted'" in caplog.text
+    assert len(await send(box)) == 2
+    await box.append([DRAFT])
+    with pytest.raises(EndpointError, match="the writing of events has failed"):
+        await box.close()
+    assert "1 events are lost" in caplog.text
+    assert asyncio.get_running_loop().time() < 5.0
+
+
+async def test_events_are_durable_at_the_end_although_the_task_that_syncs_them_has_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def end_early(box: Outbox) -> None:
+        del box
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Outbox, "_keep_syncing", end_early)
+        box = Outbox(tmp_path / "outbox", keep=1000, keep_for=1e9)
+        await box.open()
+        await box.append([DRAFT])
+        assert "the fsync of events has failed" in caplog.text
+        with pytest.raises(EndpointError, match="the fsync of events has failed: it ended early"):
+            await box.close()
+    async with opened(tmp_path / "outbox") as after:
+        assert after.epoch == box.epoch
+        assert len(await send(after)) == 1

@@ -305,7 +305,7 @@ async def test_closing_sends_pending_messages_within_its_timeout(tmp_path: Path,
         await outbox.append([DRAFT])
         stuck = asyncio.create_task(sending.close(WILL))
         await asyncio.sleep(0)
-        await until(vars(sending)["_sending"].done)
+        await until(lambda: inside(sending, "_sending").done)
         peer.holds.set()  # the farewell is bounded by the link
         await stuck
         assert outbox.waiting == 1

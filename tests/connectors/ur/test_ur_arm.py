@@ -334,3 +334,18 @@ def test_a_missing_controller_is_an_error() -> None:
 
     with pytest.raises(EndpointError, match=HOST):
         run_virtually(main())
+
+
+def test_it_is_stopped_when_the_check_of_its_states_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main() -> str:
+        async with lab() as here:
+            violation = partial(dict[str, str].__getitem__, {}, "planted")
+            asyncio.get_running_loop().call_later(
+                0.3, monkeypatch.setattr, Bounds, "violation", lambda *_: violation()
+            )
+            with pytest.raises(EndpointError, match="the reading of its state has failed: KeyError"):
+                await away(here.arm)
+            assert here.controller.box.runtime_state != RuntimeState.PLAYING or not here.arm.state.velocity[0]
+            return here.arm.fault
+
+    assert "planted" in run_virtually(main())

@@ -12,6 +12,7 @@ from operators.batch import ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import listening, slip, touched
+from tests.waiting import until
 
 Heard: TypeAlias = AsyncIterator[tuple[str, dict[str, Any]]]
 
@@ -197,3 +198,18 @@ def test_other_machines_need_a_token(run: Run) -> None:
 def test_two_pages_have_two_destinations() -> None:
     assert Page().destination == "http://127.0.0.1:8765"
     assert Page(80, "::1").destination == "http://[::1]:80"
+
+
+def test_a_report_that_fails_is_logged_at_once_and_raised_when_the_page_closes(
+    run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> None:
+        page = Page(port=0)
+        await page.open(run)
+        with monkeypatch.context() as patch:
+            patch.setattr(Page, "_judged", lambda _: dict[str, object]()["planted"])
+            await until(lambda: "the health report has failed: KeyError: 'planted'" in caplog.text)
+        with pytest.raises(EndpointError, match="the health report has failed"):
+            await page.close()
+
+    asyncio.run(main())

@@ -18,6 +18,7 @@ from flows.graph.testing import TestSink, TestSource, VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
+from flows.run.sink_queue import SinkQueue
 from operators import (
     Align,
     Batch,
@@ -675,3 +676,39 @@ def test_rows_of_one_time_are_joined_after_a_stall_of_the_host(stall: float) -> 
     samples = sink.rows(Sample, 0)
     assert len(samples) == 200
     assert samples.matched.all()
+
+
+@pytest.mark.parametrize("exits", ["source", "operator"])
+def test_a_source_or_operator_that_calls_sys_exit_ends_the_run_with_its_error(exits: str) -> None:
+    class Leaving(Endless):
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            async for batch in super().batches(clock):
+                yield batch
+                if exits == "source":
+                    raise SystemExit
+
+    class Judge(Debounce):
+        def process(self, batch: Scores) -> Slips:
+            if exits == "operator":
+                raise SystemExit(3)
+            return super().process(batch)
+
+    flow, sink = Flow("f"), TestSink()
+    (flow.source(Leaving()) | Judge()).to(sink)
+    part = {"source": "scores: calls sys.exit()", "operator": "Judge: calls sys.exit"}[exits]
+    with pytest.raises(OperatorError, match=re.escape(f"flow 'f': {part}")):
+        execute(flow)
+    assert sink.closed == 1
+
+
+def test_a_queue_whose_task_fails_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fail(queue: SinkQueue) -> None:
+        del queue
+        await asyncio.sleep(1.0)
+        raise KeyError("planted")
+
+    monkeypatch.setattr(SinkQueue, "_run", fail)
+    flow = Flow("f")
+    flow.source(Endless()).to(TestSink())
+    with pytest.raises(KeyError, match="planted"):
+        execute(flow)

@@ -288,3 +288,62 @@ def test_the_queue_of_an_abandoned_sink_is_dropped() -> None:
     flow.source(TestSource(Scores, scores(0, 100))).to(dead)
     status = execute(flow).sinks["testsink"]
     assert (status.rows, status.dropped, status.queued) == (0, 100, 0)
+
+
+class Exiting(TestSink):
+    """Sink that calls sys.exit where it is told to."""
+
+    def __init__(self, where: str) -> None:
+        super().__init__()
+        self.where = where
+
+    async def open(self, run: Run) -> None:
+        self._exit("open")
+        await super().open(run)
+
+    def take(self, batch: Batch) -> bool:
+        self._exit("take")
+        return self.where != "write" and super().take(batch)
+
+    async def write(self, batch: Batch) -> None:
+        self._exit("write")
+        await super().write(batch)
+
+    async def close(self) -> None:
+        self._exit("close")
+        await super().close()
+
+    def _exit(self, where: str) -> None:
+        if where == self.where:
+            raise SystemExit(0)
+
+
+@pytest.mark.parametrize("where", ["take", "write", "close"])
+def test_a_sink_that_calls_sys_exit_has_failed_and_the_run_goes_on(where: str) -> None:
+    flow, exiting, other = Flow("f"), Exiting(where), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 20)))
+    stream.to(exiting)
+    stream.to(other)
+    run = execute(flow)
+    assert times(other) == list(range(20))
+    assert run.sinks["exiting"].error.endswith("calls sys.exit(0)") == (where != "take")
+    assert run.sinks["exiting"].failures
+    assert Summary.of(run).lost == (where != "take")  # a batch that was not taken is written
+
+
+def test_a_sink_that_calls_sys_exit_when_it_opens_ends_the_run_with_its_error() -> None:
+    flow = Flow("f")
+    flow.source(Endless()).to(Exiting("open"))
+    with pytest.raises(EndpointError, match=r"calls sys\.exit\(0\)"):
+        execute(flow)
+
+
+def test_the_status_at_the_end_has_the_newest_number_of_waiting_rows() -> None:
+    class Waiting(TestSink):
+        @property
+        def waiting(self) -> int:
+            return len(self.written)
+
+    flow = Flow("f")
+    flow.source(TestSource(Scores, scores(0, 150))).to(Waiting())
+    assert execute(flow).sinks["waiting"].waiting == 150

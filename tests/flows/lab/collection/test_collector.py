@@ -367,3 +367,12 @@ def test_a_path_outside_the_workspace_is_refused() -> None:
         workspace(series, (0, 0, 0.5, math.pi, 0, 0), Limits(workspace=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
     low, high = workspace(series, None, Limits(margin=0.01))
     np.testing.assert_allclose((low, high), ((-0.03, -0.03, -0.0115), (0.03, 0.03, 0.014)), atol=1e-9)
+
+
+def test_a_failed_watch_for_samples_stops_the_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def fail(*_: object) -> None:
+        await asyncio.sleep(3.0)
+        raise KeyError("planted")
+
+    monkeypatch.setattr(Collector, "_watch", fail)
+    interrupted(made(tmp_path / "data"), "the watch for samples has failed: KeyError: 'planted'")
