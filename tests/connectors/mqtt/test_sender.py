@@ -18,6 +18,7 @@ from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.sender import Sender
 from operators.back_off import BackOff
 from operators.errors import EndpointError, InputError
+from tests.inside import inside
 from tests.waiting import until
 
 RIG = "slip/v1/lab/rig"
