@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from connectors.mqtt import outbox
+from storage.buffer import Buffer
 from tests.faults.simulated_rig import WatchedDataset, WatchedMqtt
 from tests.inside import inside
 
@@ -30,7 +31,10 @@ def excess(world: World) -> Iterator[str]:
         if (waiting := len(inside(queue, "_waiting"))) > CAPACITY:
             yield f"{waiting} batches wait for {queue.name}"
         if isinstance(queue.sink, WatchedDataset) and (writer := inside(queue.sink, "_writer")):
-            buffers = inside(writer, "_buffers"), inside(writer, "_committing") or {}
+            buffers: list[dict[str, Buffer]] = [
+                inside(writer, "_buffers"),
+                inside(writer, "_committing") or {},
+            ]
             rows = max((each["touch"].rows for each in buffers if "touch" in each), default=0)
             if rows > PART_ROWS:
                 yield f"{rows} rows of a table are in memory"

@@ -7,6 +7,7 @@ from math import inf, nan
 import pytest
 
 from connectors import Gripper
+from connectors.gripper.drive import GripperDrive
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.robotiq import Request
 from flows.graph import Flow
@@ -336,10 +337,13 @@ async def test_the_check_before_a_run_reads_the_status_and_moves_nothing() -> No
 async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_and_close(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    def fail(_: GripperDrive) -> None:
+        raise KeyError("planted")
+
     async with lab() as at:
         gripper = at.gripper()
         await gripper.open(at.run)
-        monkeypatch.setattr(type(gripper._drive), "step", lambda _: dict[str, object]()["planted"])
+        monkeypatch.setattr(GripperDrive, "step", fail)
         await asyncio.sleep(1.0)
         assert "the control of the gripper has failed: KeyError: 'planted'" in caplog.text
         with pytest.raises(EndpointError, match="the control of the gripper has failed"):

@@ -203,11 +203,14 @@ def test_two_pages_have_two_destinations() -> None:
 def test_a_report_that_fails_is_logged_at_once_and_raised_when_the_page_closes(
     run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    def fail(_: Page) -> None:
+        raise KeyError("planted")
+
     async def main() -> None:
         page = Page(port=0)
         await page.open(run)
         with monkeypatch.context() as patch:
-            patch.setattr(Page, "_judged", lambda _: dict[str, object]()["planted"])
+            patch.setattr(Page, "_judged", fail)
             await until(lambda: "the health report has failed: KeyError: 'planted'" in caplog.text)
         with pytest.raises(EndpointError, match="the health report has failed"):
             await page.close()
