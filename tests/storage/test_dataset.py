@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack
+from errno import EIO
 from pathlib import Path
 from typing import Any, TypeVar, TypeVarTuple, Unpack
 
@@ -32,9 +33,10 @@ from operators.batch import (
 )
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
-from storage import Dataset, Session, verify
+from storage import Dataset, Session, files, verify
 from storage.description import describe_session
 from storage.layout import session_names
+from tests.inside import inside
 from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch, new_run
 
@@ -507,3 +509,22 @@ def test_a_row_is_in_the_journal_within_50_ms_and_durable_within_a_quarter_of_a_
         assert min(each for each in appended if each >= time) - time <= 0.05 + 1e-9
         assert min(each for each in durable if each >= time) - time <= 0.25 + 1e-9
     assert max(min(each for each in durable if each >= time) - time for time in written) > 0.1
+
+
+async def test_an_error_of_the_journal_names_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> int:
+        raise OSError(EIO, "Input/output error")
+
+    dataset = Dataset(tmp_path)
+    await dataset.open(new_run())
+    writer = inside(dataset, "_writer")
+    assert writer.add(new_batch(Touch, 3))
+    for operation, act in (("write_at", writer.append), ("fsync", writer.sync)):
+        with monkeypatch.context() as patch:
+            patch.setattr(files, operation, fail)
+            with pytest.raises(EndpointError, match=r"/journal/000000\.wal: cannot be written: Input/output"):
+                act()
+        writer.append()
+    await dataset.close()
