@@ -78,8 +78,9 @@ class Outbox:
         return sum(last - first + 1 for first, last in self._settled.gaps(self._written + 1, self._last))
 
     def heads(self) -> list[tuple[str, int]]:
-        """Return the newest epochs, the current one last, each with its newest acknowledged number."""
-        return [(epoch.name, epoch.sent) for epoch in self._log.epochs[-EPOCHS_ANNOUNCED:]]
+        """Return the newest epochs, the current one last, each with its newest number that is settled."""
+        newest = [(each, self._settled.below(each.base + each.last)) for each in self._log.epochs]
+        return [(each.name, max(0, last - each.base)) for each, last in newest[-EPOCHS_ANNOUNCED:]]
 
     async def open(self) -> None:
         """Open the folder, or start in memory if the disk is full.
@@ -151,9 +152,9 @@ class Outbox:
                 return found
         return []
 
-    def rewind(self, before: int = 1) -> None:
-        """Restart `next` at the first unacknowledged entry whose id is at least `before`."""
-        self._read = min(self._read, before - 1)
+    def rewind(self) -> None:
+        """Restart `next` at the first unacknowledged entry."""
+        self._read = 0
 
     async def between(self, epoch: str, first: int, last: int, limit: int) -> tuple[list[Entry], int]:
         """Return at most `limit` entries `first` to `last` of an epoch, and the last number covered.
@@ -176,11 +177,9 @@ class Outbox:
 
     def acknowledge(self, entries: Sequence[Entry]) -> None:
         """Mark entries as received by the broker."""
-        epochs = {epoch.name: epoch for epoch in self._log.epochs}
         for entry in entries:
             self._settled.add(entry.id)
             self._unsaved.add(entry.id)
-            epochs[entry.epoch].sent = max(epochs[entry.epoch].sent, entry.seq)
         asyncio.get_running_loop().call_later(ACKNOWLEDGE_EVERY, self._write_due.set)
 
     async def close(self) -> None:

@@ -4,7 +4,7 @@ Each record of a segment is a line of JSON, followed by the payload if it is an 
 
 .. code-block:: text
 
-    {"epoch": {"name", "base", "last", "sent"}, "ended": BOOL}    epoch of the events that follow
+    {"epoch": {"name", "base", "last"}, "ended": BOOL}            epoch of the events that follow
     [ID, FINGERTIP, TIME]                                         event, time of its creation in s
     {"acknowledged": [[FIRST, LAST], ...]}                        ids that the broker has received
 
@@ -44,7 +44,6 @@ class Epoch:
     name: str
     base: int  # id before that of number 1
     last: int = 0  # newest number
-    sent: int = 0  # newest acknowledged number
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,8 +132,9 @@ class OutboxLog:
                 if path == paths[-1] and reader.identity and not (reader.damage and reader.damage.more):
                     self._log = AppendLog.resume(reader)
         stored = RangeSet((number, number) for segment in self._segments for number in segment.ids)
-        self.settled.add(1, self.first - 1)
-        for first, last in stored.gaps(self.first, self.last) if self.first else ():
+        oldest = self.first or self.last + 1
+        self.settled.add(1, oldest - 1)
+        for first, last in stored.gaps(oldest, self.last):
             self.settled.add(first, last)
             log.error("%s: %d events cannot be read and are lost", self.path, last - first + 1)
         self.epochs = [each for each in self.epochs if self._is_stored(each)]
@@ -261,12 +261,9 @@ class OutboxLog:
         elif "acknowledged" in content:
             for first, last in content["acknowledged"]:
                 self.settled.add(first, last)
-                for epoch in self.epochs:
-                    newest = min(last - epoch.base, epoch.last)
-                    if newest >= first - epoch.base:
-                        epoch.sent = max(epoch.sent, newest)
         else:
-            epoch, self.complete = Epoch(**content["epoch"]), content["ended"]
+            name, base, last = (content["epoch"][key] for key in ("name", "base", "last"))
+            epoch, self.complete = Epoch(name, base, last), content["ended"]
             if self.epochs and self.epochs[-1].name == epoch.name:
                 del self.epochs[-1]
             self.epochs.append(epoch)

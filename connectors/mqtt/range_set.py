@@ -12,8 +12,8 @@ class RangeSet:
     >>> 4 in seen, list(seen), list(seen.gaps(2, 8))
     (False, [(1, 3), (5, 6)], [(4, 4), (7, 8)])
     >>> seen.add(4)
-    >>> list(seen), seen.highest
-    ([(1, 6)], 6)
+    >>> list(seen), seen.highest, seen.below(4), seen.below(9), seen.below(0)
+    ([(1, 6)], 6, 4, 6, 0)
     """
 
     def __init__(self, ranges: Iterable[tuple[int, int]] = ()) -> None:
@@ -49,6 +49,11 @@ class RangeSet:
     def highest(self) -> int:
         """The greatest number; 0 if the set is empty."""
         return self._lasts[-1] if self._lasts else 0
+
+    def below(self, limit: int) -> int:
+        """Return the greatest number of at most `limit`; 0 if there is none."""
+        at = bisect_right(self._firsts, limit)
+        return min(self._lasts[at - 1], limit) if at else 0
 
     def gaps(self, first: int, last: int) -> Iterator[tuple[int, int]]:
         """Yield the ranges between `first` and `last` that are not in the set, in order."""

@@ -4,7 +4,6 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from math import inf
 from random import uniform
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -24,7 +23,7 @@ log = logging.getLogger("slipflow")
 
 WINDOW = 16  # events, and as many documents, in flight
 CLOSE_TIMEOUT = 3.0  # s, to send what is pending on close
-HEALTH_EVERY = 5.0  # s
+HEALTH_EVERY = 5.0  # s, between health reports, with some of which refused topics are tried again
 REFUSED_RETRY = 60.0  # s, longest time between two attempts on refused topics
 
 Outgoing: TypeAlias = tuple[
@@ -58,10 +57,9 @@ class Sender:
         self._retained: dict[str, Message] = {}  # by topic
         self._changed: dict[str, Message] = {}  # retained documents to publish, by topic
         self._refused = set[str]()  # topics that are skipped until the next attempt
-        self._retried = set[str]()  # topics that were refused before, and are tried again with one message
         self._logged = set[str]()  # topics whose refusal was logged
-        self._retry, self._retry_due = BackOff(last=REFUSED_RETRY), inf  # loop time, s
-        self._health_due = 0.0  # loop time, s
+        self._retry = BackOff(last=REFUSED_RETRY)
+        self._health_due = self._retry_due = 0.0  # loop time, s
         self._link: Link | None = None
         self._wake, self._closing = asyncio.Event(), False
         self._sending: BackgroundTask | None = None
@@ -70,7 +68,7 @@ class Sender:
     @property
     def refused(self) -> list[str]:
         """Topics that the broker refuses."""
-        return sorted(self._refused | self._retried)
+        return sorted(self._refused)
 
     async def start(
         self, identifier: str, will: Message, *retained: Message, connect_required: bool = True
@@ -141,7 +139,7 @@ class Sender:
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         self._link = link = await connect(self._broker, self._identifier, self._will, self._wake)
-        self._retry_refused()  # access rights may have changed
+        self._restart()
         self._replies.clear()
         self._changed = dict(self._retained)
         try:
@@ -176,8 +174,9 @@ class Sender:
         if now >= self._health_due:
             self._health_due = now + HEALTH_EVERY
             self._retain(self._health())
-        if now >= self._retry_due:
-            self._retry_refused()
+            if self._refused and now >= self._retry_due:
+                self._retry_due = now + self._retry.delay()
+                self._restart()
         entries = await self._outbox.next(WINDOW)
         replies = await self._replies.next()
         outgoing: list[Outgoing] = [
@@ -189,17 +188,18 @@ class Sender:
         refusals = await link.send_all([message for message, _ in outgoing])
         for (message, entry), refusal in zip(outgoing, refusals, strict=True):
             if not refusal:
-                self._accept(message, entry)
+                self._accept(message)
                 sent += [entry] if entry else []
             elif message not in replies:  # the client repeats its request
-                self._refuse(message.topic, refusal, now)
+                self._refused.add(message.topic)
+                self._log_once(message.topic, f"{self._broker}: {refusal}; retrying")
         if sent:
             self._outbox.acknowledge(sent)
             for message in self._documents(sent):
                 self._retain(message)
         if not outgoing and not entries and not self._closing:
             with suppress(TimeoutError):
-                async with asyncio.timeout_at(min(self._health_due, self._retry_due)):
+                async with asyncio.timeout_at(self._health_due):
                     await self._wake.wait()
         return bool(outgoing or entries)
 
@@ -208,38 +208,23 @@ class Sender:
         self._retained[message.topic] = self._changed[message.topic] = message
 
     def _allowed(self, entries: Iterable[Entry]) -> Iterator[Outgoing]:
-        """Yield the events on topics that the broker does not refuse, one on each topic that is retried."""
-        skipped = set(self._refused)
+        """Yield the events on topics that the broker does not refuse."""
         for entry in entries:
             topic = f"{self._topic}/{entry.finger}/event"
-            if topic not in skipped:
+            if topic not in self._refused:
                 yield Message(topic, entry.payload, retain=False, content_type=CONTENT_TYPE), entry
-            if topic in self._retried:
-                skipped.add(topic)
 
-    def _accept(self, message: Message, entry: Entry | None) -> None:
+    def _accept(self, message: Message) -> None:
         if self._changed.get(message.topic) is message:
             del self._changed[message.topic]
-        if message.topic in self._retried:
-            self._retried.discard(message.topic)
+        if message.topic in self._logged:
             self._logged.discard(message.topic)
             self._retry.reset()
             log.warning("%s: accepts %s again", self._broker, message.topic)
-            if entry:
-                self._outbox.rewind(entry.id)  # later events of this topic are pending, too
 
-    def _refuse(self, topic: str, refusal: str, now: float) -> None:
-        if not self._refused:
-            self._retry_due = now + self._retry.delay()
-        self._refused.add(topic)
-        self._retried.discard(topic)
-        self._log_once(topic, f"{self._broker}: {refusal}; retrying")
-
-    def _retry_refused(self) -> None:
-        """Restart at the oldest unacknowledged event, and try the refused topics again."""
-        self._retried |= self._refused
+    def _restart(self) -> None:
+        """Restart at the oldest unacknowledged event, and try refused topics again."""
         self._refused.clear()
-        self._retry_due = inf
         self._outbox.rewind()
 
     def _log_once(self, topic: str, text: str) -> None:

@@ -139,8 +139,6 @@ async def test_entries_are_returned_once_and_after_a_rewind_the_unacknowledged_o
         box.acknowledge([entry for entry in entries if entry.seq % 10])
         box.rewind()
         assert [[entry.seq for entry in await box.next(4)] for _ in range(2)] == [[10, 20, 30, 40], [50, 60]]
-        box.rewind(35)
-        assert [entry.seq for entry in await box.next(2)] == [40, 50]
 
 
 async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) -> None:

@@ -29,3 +29,17 @@ def test_events_that_are_written_again_after_failed_fsyncs_are_the_newest_state(
     assert again.last == 3
     assert [entry.id for entry in again.read([1, 2, 3])] == [1, 2, 3]
     again.close()
+
+
+def test_events_that_are_deleted_need_not_be_sent_even_if_no_newer_one_is_stored(tmp_path: Path) -> None:
+    log, epoch = OutboxLog(tmp_path / "outbox", keep=100, keep_for=10.0), Epoch("epoch", 0, last=2)
+    log.open()
+    log.epochs.append(epoch)
+    log.append(epoch, [_entry(1), _entry(2)], RangeSet([(1, 2)]))
+    log.append(epoch, [], RangeSet())  # a new segment, as the events are old
+    log.prune(3)
+    log.close()
+    again = OutboxLog(tmp_path / "outbox", keep=100, keep_for=10.0)
+    again.open()
+    assert (again.first, again.last, [*again.settled]) == (0, 2, [(1, 2)])
+    again.close()

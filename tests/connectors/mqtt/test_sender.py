@@ -234,8 +234,9 @@ async def test_only_the_newest_retained_document_is_sent(
 
 
 async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allowed(
-    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.1)
     with caplog.at_level(logging.WARNING):
         async with opened(tmp_path) as (sending, outbox):
             await sending.start("me", WILL, ONLINE)
