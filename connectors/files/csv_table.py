@@ -1,5 +1,6 @@
 """Strict reader of CSV files with any separator; errors name the line and the column."""
 
+import codecs
 import csv
 import gzip
 import hashlib
@@ -53,14 +54,14 @@ def read_csv(
 
     Args:
         path: The file.
-        separator: One character, or a name: comma, semicolon, tab, space (any number of spaces and tabs) or
-            pipe (default: detected).
+        separator: One ASCII character, or a name: comma, semicolon, tab, space (any number of spaces and
+            tabs) or pipe (default: detected).
         header: Names of the columns of a file whose first line has none.
         lenient: Accept a last line that is cut off; its missing fields are empty.
 
     Raises:
         InputError: if it cannot be read, is too large or is not a table.
-        ParameterError: if the separator is not a single character.
+        ParameterError: if the separator is not a single ASCII character.
     """
     where, content = str(path), read_bytes(path)
     sha256 = hashlib.sha256(content).hexdigest()
@@ -68,8 +69,11 @@ def read_csv(
         content = _unzipped(where, content)
     elif content.startswith(_PACKED):
         raise InputError(where, "is compressed: decompress it first, or use gzip")
-    if separator not in ("", *SEPARATORS) and len(separator) != 1:
-        check_choice("import", "separator", separator, ("one character", *SEPARATORS))
+    if separator not in ("", *SEPARATORS) and not (len(separator) == 1 and separator.isascii()):
+        check_choice("import", "separator", separator, ("one ASCII character", *SEPARATORS))
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(where, "is UTF-16: save it as UTF-8")
+    content = content.removeprefix(codecs.BOM_UTF8)
     above, content = _without_comments(content, named=bool(header))
     sign = SEPARATORS.get(separator, separator) or detected(_lines(content, _ASSUMED))
     notes = [] if sign == "," else [f"separator {_name(sign)}"]
@@ -83,7 +87,7 @@ def read_csv(
         above -= 1  # that line
     named_by = "--header" if header else f"line {above + 1}"
     frame = _frame(where, content, sign, above, named_by)
-    if not lenient and _cut_off(content.rstrip().rpartition(b"\n")[2], sign, frame.width):
+    if not lenient and _cut_off(_last_line(content), sign, frame.width):
         reason = f"the last line has fewer fields than {named_by} has names: it is cut off, delete it"
         raise InputError(where, reason)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
@@ -128,8 +132,14 @@ def detected(lines: Sequence[str]) -> str:
 
 
 def _lines(content: bytes, count: int) -> list[str]:
-    rows = io.TextIOWrapper(io.BytesIO(content[: 1 << 20]), "utf-8-sig", "replace")
+    rows = io.TextIOWrapper(io.BytesIO(content[: 1 << 20]), "utf-8", "replace")
     return [line.rstrip("\r\n") for line in islice(rows, count)]
+
+
+def _last_line(content: bytes) -> bytes:
+    """Return the last line that is not blank; its end may be a separator."""
+    end = len(content.rstrip())
+    return content[content.rfind(b"\n", 0, end) + 1 :].partition(b"\n")[0]
 
 
 def _name(sign: str) -> str:
@@ -205,7 +215,7 @@ def _cut_off(line: bytes, sign: str, width: int) -> bool:
 
 def _too_long(content: bytes, sign: str) -> int:
     """Return the number of the first line with more fields than line 1; 0 if there is none."""
-    text = io.StringIO(content.decode("utf-8-sig", "replace"), newline="")
+    text = io.StringIO(content.decode("utf-8", "replace"), newline="")
     rows = csv.reader(text, delimiter=sign)
     try:
         width = len(next(rows))

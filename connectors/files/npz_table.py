@@ -2,6 +2,7 @@
 
 import hashlib
 import io
+import tokenize
 import zipfile
 import zlib
 from collections import Counter
@@ -46,6 +47,9 @@ def read_npz(path: Path) -> TraceTable:
         RuntimeError,
         EOFError,
         LookupError,
+        SyntaxError,  # this and the next two: of a header that is not Python
+        TypeError,
+        tokenize.TokenError,
         zipfile.BadZipFile,
         zlib.error,
     ) as error:

@@ -251,7 +251,7 @@ def _series(where: str, name: str, values: Values) -> pl.Series:
 
 def _nanoseconds(column: pl.Series, unit: str) -> pl.Series:
     """Return times as whole ns; null for other values."""
-    if column.dtype == pl.String and column.head(1).str.contains(_DATE).any():
+    if column.dtype == pl.String and column.filter(column != "").head(1).str.contains(_DATE).any():
         column = column.str.to_datetime(time_unit="ns", strict=False)
     kind = column.dtype
     if kind == pl.Duration:

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -137,9 +138,31 @@ def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
         read_csv(write("t,p0,p1\n1,2,3\n2,3"))
 
 
-def test_a_separator_is_one_character(write: Write) -> None:
-    with pytest.raises(ParameterError, match="separator is ';;', must be one of one character, comma"):
-        read_csv(write("t;;p0\n1;;2\n"), ";;")
+def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:
+    for end in ("", "\n", "\r\n\r\n", "\n \n"):
+        assert np.isnan(read_csv(write(f"t\tp0\tp1\n1\t2\t3\n2\t3\t{end}")).reals("p1")).tolist()[:2] == [
+            False,
+            True,
+        ]
+
+
+def test_a_byte_order_mark_is_skipped(write: Write) -> None:
+    assert read_csv(write("\ufeff0.5,7\n0.6,8\n"), header=("t", "p0")).reals("t").tolist() == [0.5, 0.6]
+    assert read_csv(write("\ufeff# a rig\nt,p0\n0.5,7\n")).header.names == ("t", "p0")
+
+
+def test_utf_16_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    path.write_text("t\tp0\n0.5\t7\n", encoding="utf-16")
+    with pytest.raises(InputError, match="is UTF-16: save it as UTF-8"):
+        read_csv(path)
+
+
+@pytest.mark.parametrize("separator", [";;", "§"])
+def test_a_separator_is_one_ascii_character(write: Write, separator: str) -> None:
+    must_be = f"separator is '{separator}', must be one of one ASCII character, comma"
+    with pytest.raises(ParameterError, match=must_be):
+        read_csv(write(f"t{separator}p0\n1{separator}2\n"), separator)
 
 
 def test_times_may_be_dates(write: Write) -> None:

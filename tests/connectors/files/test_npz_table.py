@@ -79,6 +79,15 @@ def test_a_declared_shape_must_be_that_of_the_data(path: Path) -> None:
             read_npz(path)
 
 
+@pytest.mark.parametrize("header", ["(((", "'''", "  x\n y", "{[]: 3}"])
+def test_a_damaged_header_is_refused(path: Path, header: str) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        size = len(header).to_bytes(2, "little")
+        archive.writestr("t.npy", b"\x93NUMPY\x01\x00" + size + header.encode())
+    with pytest.raises(InputError, match=r"damaged or not a .npz file"):
+        read_npz(path)
+
+
 def test_a_file_that_unpacks_to_more_than_the_limit_is_refused(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

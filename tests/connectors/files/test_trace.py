@@ -274,6 +274,11 @@ def test_text_instead_of_a_reading_is_missing_only_if_asked_for(write: Write) ->
     assert len(trace.motion) == 1
 
 
+def test_dates_are_recognised_below_a_row_without_a_time(write: Write) -> None:
+    path = write(HEADER, ",1,2,3,4,5,6", "1970-01-01 00:00:01,1,2,3,4,5,6", "1970-01-01 00:00:02,1,2,3,4,5,6")
+    assert Trace(path, ColumnMap(lenient=True)).touch.time.tolist() == [1_000_000_000, 2_000_000_000]
+
+
 def test_a_gap_in_the_time_is_a_warning(write: Write) -> None:
     rows = [f"{k / 100 + (k > 50) * 2 + (k > 70)},1,2,3,4,5,6" for k in range(100)]
     [warning] = Trace(write(HEADER, *rows)).warnings
