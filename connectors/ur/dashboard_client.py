@@ -25,6 +25,8 @@ async def request(host: str, command: str, *, port: int = PORT, timeout: float =
                 await reader.readline()  # its greeting
                 writer.write(f"{command}\n".encode())
                 answer = await reader.readline()
+            except ValueError:  # beyond the reader's limit
+                raise EndpointError(endpoint, "sends a line without an end: is it a dashboard?") from None
             finally:
                 writer.close()
     except TimeoutError as error:

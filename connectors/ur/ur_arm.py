@@ -140,6 +140,7 @@ class UrArm:
             while (velocity := follower.velocity(self._position)) is not None:
                 if loop.time() > end:
                     self.fail(f"takes more than {2 * seconds + 2:.1f} s to reach the target")
+                    self._check()
                 self.control.send(Move((*velocity, 0.0, 0.0, 0.0), acceleration))
                 await self.wait(_STEERING)
 

@@ -121,7 +121,8 @@ class UrMotion(Source[Motion]):
                 stamps = np.append(stamps, (await client.receive())[1]["timestamp"])
         finally:
             await client.close()
-        rate = (len(stamps) - 1) / float(np.ptp(stamps)) if len(stamps) > 1 else 0.0
+        span = float(np.ptp(stamps)) if len(stamps) else 0.0  # s
+        rate = (len(stamps) - 1) / span if span else 0.0
         text = f"{rate:.1f} packages per second of {self.rate:g}"
         slow = rate < RATE_LEAST * self.rate
         remedy = ": check the network, and that no other program loads the controller"

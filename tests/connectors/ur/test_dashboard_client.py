@@ -47,6 +47,21 @@ def test_a_silent_dashboard_is_an_error_after_the_timeout(silent: bool, why: str
         asyncio.run(main())
 
 
+def test_an_endless_line_is_an_error() -> None:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(bytes(1 << 17))
+        await reader.read()  # until the client is gone
+        writer.close()
+
+    async def main() -> None:
+        async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+            port = server.sockets[0].getsockname()[1]
+            await dashboard_client.request("127.0.0.1", "stop", port=port, timeout=PATIENCE)
+
+    with pytest.raises(EndpointError, match="sends a line without an end: is it a dashboard"):
+        asyncio.run(main())
+
+
 def test_a_missing_dashboard_is_an_error() -> None:
     with pytest.raises(EndpointError, match=r"dashboard://127\.0\.0\.1:1"):
         asyncio.run(dashboard_client.request("127.0.0.1", "stop", port=1))

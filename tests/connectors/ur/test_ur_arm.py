@@ -19,7 +19,7 @@ import pytest
 from connectors.emulators.lab_loop import LabLoop, run_lab
 from connectors.emulators.ur_control_box import Arm, RuntimeState
 from connectors.emulators.ur_program import Program
-from connectors.ur.control_process import Command, Move
+from connectors.ur.control_process import Command, Move, Signal
 from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmState, Bounds
@@ -298,6 +298,19 @@ def test_a_missing_state_stops_it() -> None:
             return here.arm.fault
 
     assert "sent nothing" in run_virtually(main())
+
+
+def test_an_arm_that_is_late_on_its_path_gets_no_velocity_after_the_stop() -> None:
+    async def main() -> list[Command]:
+        sent, arm = list[Command](), UrArm(HOST, BOUNDS, LoopClock())
+        arm.state = ArmState(BEGIN, (0.0,) * 6)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(arm.control, "send", sent.append)
+            with pytest.raises(EndpointError, match="to reach the target"):
+                await arm.trace([(0.42, 0.0, 0.1)], 0.05, 0.5, seconds=-1.5)  # the time is up at once
+        return sent
+
+    assert asyncio.run(main()) == [Signal.STOP]
 
 
 def test_a_cancelled_move_stops_the_arm() -> None:

@@ -373,6 +373,17 @@ def test_controller_and_rate_are_checked() -> None:
     assert (found.state, "sends 125.0 Hz at most" in found.text) == ("bad", True)
 
 
+def test_a_controller_whose_clock_stands_still_has_no_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.emulators.ur_control_box.ControlBox.timestamp", 5.0)
+
+    async def main() -> list[Finding]:
+        async with lab() as here:
+            return (await diagnose({"motion": here.source}, here.clock))["motion"]
+
+    found = run_virtually(main())[-1]
+    assert (found.text.partition(":")[0], found.state) == ("0.0 packages per second of 125", "bad")
+
+
 def test_an_arm_that_cannot_move_is_noted() -> None:
     async def main() -> list[Finding]:
         async with lab() as here:
