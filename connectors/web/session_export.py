@@ -29,8 +29,8 @@ def export_table(
     """Return the touch samples of all fingertips in a span as a table, with the other streams at their time.
 
     Columns: ``time`` (ns since 1970 UTC), ``finger`` (-1: for all), ``p0``, ``p1``, ... (counts as the page
-    shows them: zeroed if the recording can be; null: no reading), ``probability``, ``speed`` (of the TCP,
-    mm/s), and the labels ``arm``, ``truth`` and ``hand`` (1 slip, 0 static, -1 unknown or none).
+    shows them: zeroed if the recording can be; null: no reading or no such cell), ``probability``, ``speed``
+    (of the TCP, mm/s), and the labels ``arm``, ``truth`` and ``hand`` (1 slip, 0 static, -1 unknown or none).
 
     Args:
         curves: Curves of the session.
@@ -67,7 +67,8 @@ def export_table(
         raise InputError(
             "/export", f"has {rows:,} rows in this span, must have 1 to {ROWS_MAX:,}: zoom in or out"
         )
-    table, file = pl.concat(frames), BytesIO()
+    widest = max(frames, key=lambda frame: frame.width).columns
+    table, file = pl.concat(frames, how="diagonal").select(widest), BytesIO()
     if kind == "csv":
         table.write_csv(file)
     else:

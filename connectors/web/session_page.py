@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import isnan, nan
+from math import isnan
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -225,11 +225,8 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
         """
         touches = [values for (stream, _), (_, values) in self.curves.items() if stream == "touch"]
         sign = 1 if self._falls else -1
-        least = min(
-            (float(np.fmin.reduce(sign * values, axis=None)) for values in touches if len(values)),
-            default=nan,
-        )
-        return None if isnan(least) else least
+        least = (float(np.fmin.reduce(sign * values, axis=None)) for values in touches if len(values))
+        return min((each for each in least if not isnan(each)), default=None)
 
 
 def _in_order(time: Times) -> Flags:

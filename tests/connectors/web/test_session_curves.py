@@ -1,4 +1,5 @@
 import asyncio
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,14 @@ def test_values_at_a_time_are_not_thinned(run: Run) -> None:
     assert seen["speed"] is None
     before: dict[str, Any] = {**recorded.values_at(-1)}
     assert before["scores"]["0"]["t"] == []
+
+
+def test_the_scale_of_the_pressure_maps_ignores_a_dead_fingertip(run: Run) -> None:
+    dead, alive = touched(START, -7, finger=0), touched(START, -40, finger=1)
+    dead = replace(dead, valid=np.zeros_like(dead.valid))
+    for batches in ((dead, alive), (alive, dead)):
+        assert kept(run, *batches).contents()["deepest"] == -40
+    assert kept(run, dead).contents()["deepest"] is None
 
 
 def test_the_contents_have_the_span_the_fingertips_and_all_events(run: Run) -> None:

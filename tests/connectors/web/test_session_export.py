@@ -9,11 +9,12 @@ import polars as pl
 import pytest
 
 from connectors.web.session_export import export_mcap, export_table
+from connectors.web.session_page import SessionCurves
 from connectors.web.session_requests import SessionPage
 from flows.cli.show import load
 from operators import InputError
 from operators.batch import Touch, concat, ms, s
-from storage import LabelSpan, Session
+from storage import HandLabels, LabelSpan, Session
 from tests.connectors.web.browsing import shaking
 from tests.storage.made import record
 
@@ -78,6 +79,17 @@ def test_csv_and_parquet_have_the_same_table(session: Session, page: SessionPage
     assert csv["time"].to_list() == parquet["time"].to_list()
     assert csv["p3"].to_list() == parquet["p3"].to_list()
     assert csv["probability"].to_list() == parquet["probability"].to_list()
+
+
+def test_fingertips_of_different_sizes_share_a_table() -> None:
+    curves = SessionCurves()
+    for finger, cells in ((0, 2), (1, 3)):
+        counts = np.full((1, cells), 7, np.int16)
+        curves.take(Touch(np.array([START]), counts, counts, counts > 0, finger=finger))
+    asyncio.run(curves.close())
+    table = pl.read_csv(export_table(curves, None, HandLabels(), (START, START), "csv"))
+    assert table.select("finger", "p0", "p1", "p2").rows() == [(0, 7.0, 7.0, None), (1, 7.0, 7.0, 7.0)]
+    assert table.columns[2:6] == ["p0", "p1", "p2", "probability"]
 
 
 def test_a_span_without_rows_is_an_error(session: Session, page: SessionPage) -> None:
