@@ -59,11 +59,13 @@ def _overview(of: DatasetResult) -> Section:
     lacking = "".join(f" Missing: {name}, {reason}." for name, reason in of.missing.items())
     notes = "".join(f" {note}." for note in data.notes)
     folds = ", ".join(fold.name for fold in data.folds)
+    with_slip = sum(bool(each.slip.any()) for each in data.recordings)
+    few = f" (only in {with_slip} recordings)" if with_slip < len(data.recordings) else ""
     return Section(
         data.name,
         _headline(of),
         f"{counted(len(data.recordings), 'recording')} of {data.minutes:.1f} minutes, "
-        f"{data.slip:.0f} % slip, in {counted(len(data.folds), 'fold')} by {data.by}: {folds}."
+        f"{data.slip:.0f} % slip{few}, in {counted(len(data.folds), 'fold')} by {data.by}: {folds}."
         f"{notes}{lacking}",
         [Table(["regime", "detector", *FIGURES_HEAD[:6], *_ERROR, "note"], rows, decimals=FIGURES_DECIMALS)],
         lambda: drawn.overview(of),

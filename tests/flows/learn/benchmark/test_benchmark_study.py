@@ -317,6 +317,19 @@ def test_the_page_has_every_figure_and_its_interval_and_is_readable(
     assert report_faults(report, tmp_path) == []
 
 
+def test_the_page_says_if_few_recordings_have_slip(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    few = [replace(each, label=np.zeros_like(each.label)) for each in surfaces[2:]]
+    for recordings, expected in (
+        (surfaces, "43 % slip, in"),
+        ([*surfaces[:2], *few], "(only in 2 recordings)"),
+    ):
+        data = {"strokes": having(recordings)}
+        found = benchmark(data, course, regimes=["in-domain"], names=["majority"], jobs=1)
+        assert expected in benchmark_report(found, "slipflow benchmark strokes").sections[0].text
+
+
 def test_unknown_regimes_and_detectors_are_refused(
     surfaces: list[LabelledRecording], having: Having, course: Course
 ) -> None:
