@@ -89,6 +89,11 @@ class HandLabels:
         return label, by_hand
 
 
+def label_file(version: int) -> str:
+    """Return the path of a version within the folder of the session."""
+    return f"{LABELS}/{version:06d}.json"
+
+
 def label_versions(folder: Path) -> dict[int, Path]:
     """Return the files of the hand labels of a session by version, in order.
 
@@ -153,7 +158,7 @@ def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int
                 "version": labels.version,
                 "spans": [asdict(span) for span in ordered],
             }
-            files.put_checked(folder / LABELS / f"{labels.version:06d}.json", content)
+            files.put_checked(folder / label_file(labels.version), content)
         finally:
             os.close(held)
     except OSError as error:

@@ -29,7 +29,17 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import append_log, files
 from storage.append_log import AppendLog, LogReader
-from storage.layout import JOURNAL, TABLE_OF, Table, files_of, may_exist, segment_file, segments, single_log
+from storage.layout import (
+    JOURNAL,
+    TABLE_OF,
+    Table,
+    files_of,
+    may_exist,
+    missing_files,
+    segment_file,
+    segments,
+    single_log,
+)
 
 VERSION: Final = 5  # of identity and records; other versions refuse the segment
 SINGLE: Final = -1  # number of the segment with the rows of single-file tables
@@ -251,13 +261,12 @@ def delete_journal(folder: Path) -> None:
 
 
 def missing_segments(folder: Path, about: Description) -> list[str]:
-    """Return a line for each segment that is missing from a journal; none if there is no journal."""
+    """Return a line for each segment that is missing, as `missing_files`; none if there is no journal."""
     numbers = list(segments(folder))
     if not numbers:
         expected = (folder / JOURNAL).is_dir() and "end_ns" not in about
         return [f"{JOURNAL}: has no segment: the newest rows are lost"] if expected else []
-    gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
-    lost = [segment_file(number) for number in gaps]
+    lost = missing_files(numbers, numbers[0], segment_file)
     if not may_exist(single_log(folder)) and "end_ns" not in about:  # it is created before all others
         lost.append(single_log(folder).relative_to(folder).as_posix())
     return [f"{path}: is missing, with its rows" for path in lost]

@@ -22,11 +22,11 @@
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -57,9 +57,11 @@ DAMAGED: Final = "damaged"
 LABELS: Final = "labels"
 EXPORTED: Final = "exported.json"
 FINGER_MAX: Final = 2**15 - 1  # largest number of a fingertip, which is stored in 16 bits
+GAP_MAX: Final = 1000  # consecutive missing files that are named one by one
 
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
-_SEGMENT: Final = re.compile(r"[0-9]{6,12}\.wal")
+_DIGITS: Final = 12  # of the number of a file at most
+_SEGMENT: Final = re.compile(rf"[0-9]{{6,{_DIGITS}}}\.wal")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -120,13 +122,31 @@ def is_table_file(path: str) -> bool:
 
 
 def part_number(path: str) -> int:
-    """Return the number of a table's file by its path, 0 for a single-file table.
+    """Return the number of a table's file by its path, 0 for a single-file table or more than 12 digits.
 
     >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
     (12, 0)
     """
     stem = path.rpartition("-")[2].partition(".")[0]
-    return int(stem) if stem.isdecimal() else 0
+    return int(stem) if stem.isdecimal() and len(stem) <= _DIGITS else 0
+
+
+def missing_files(numbers: Iterable[int], first: int, file: Callable[[int], str]) -> list[str]:
+    """Return the files whose numbers are missing from `first` to the last of `numbers`.
+
+    More than `GAP_MAX` consecutive files are one text, as the number of a stray file may be huge.
+
+    >>> missing_files([2, 90_000], 1, segment_file)
+    ['journal/000001.wal', 'journal/000003.wal to journal/089999.wal']
+    """
+    missing = list[str]()
+    for before, after in pairwise(sorted({first - 1, *numbers})):
+        between = range(before + 1, after)
+        if len(between) > GAP_MAX:
+            missing.append(f"{file(between[0])} to {file(between[-1])}")
+        else:
+            missing += map(file, between)
+    return missing
 
 
 def table_files(folder: Path, table: Table) -> list[str]:

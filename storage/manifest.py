@@ -3,7 +3,7 @@
 import hashlib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import files
 from storage.description import recorders
-from storage.layout import MANIFEST, TABLES, is_table_file, may_exist, part_number
+from storage.layout import MANIFEST, TABLES, is_table_file, may_exist, missing_files, part_number
 
 VERSION: Final = 2
 
@@ -83,18 +83,17 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     return listed
 
 
-def missing_parts(paths: Iterable[str]) -> list[str]:
-    """Return the parts whose numbers are missing before the last of each table.
+def missing_parts(paths: Collection[str]) -> list[str]:
+    """Return the parts whose numbers are missing before the last of each table, as `missing_files`.
 
     >>> missing_parts(["touch/part-000000.parquet", "touch/part-000002.parquet", "slips.parquet"])
     ['touch/part-000001.parquet']
     """
-    existing, missing = set(paths), list[str]()
+    missing = list[str]()
     for table in TABLES:
         if table.parted:
-            numbers = [part_number(path) for path in existing if path.startswith(f"{table.name}/")]
-            expected = map(table.file, range(max(numbers, default=-1)))
-            missing += [path for path in expected if path not in existing]
+            numbers = [part_number(path) for path in paths if path.startswith(f"{table.name}/")]
+            missing += missing_files(numbers, 0, table.file)
     return missing
 
 

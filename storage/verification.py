@@ -9,7 +9,7 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import files, parts, schema
 from storage.description import read_dataset, read_session, recorders
-from storage.hand_labels import label_versions, read_hand_labels
+from storage.hand_labels import label_file, label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
     DATASET,
@@ -26,6 +26,7 @@ from storage.layout import (
     is_table_file,
     lacks_description,
     may_exist,
+    missing_files,
     names_without_description,
     session_names,
 )
@@ -43,7 +44,7 @@ _ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", 
 
 
 @dataclass(frozen=True)
-class Finding:
+class SessionFinding:
     """Result of a check of a session.
 
     Note: not a fault. Repairable: a recovery can repair it without loss. Repaired: a recovery has done so.
@@ -72,7 +73,7 @@ class Verified:
     sessions: int
     files: int  # readable Parquet files
     rows: int  # in them
-    findings: tuple[Finding, ...]
+    findings: tuple[SessionFinding, ...]
     parts: tuple[Checked, ...] = ()
     names: tuple[str, ...] = ()  # all sessions
 
@@ -87,7 +88,7 @@ class Verified:
         return heaviest(self.findings)
 
 
-def heaviest(findings: Iterable[Finding]) -> Weight:
+def heaviest(findings: Iterable[SessionFinding]) -> Weight:
     """Return the weight of the worst finding, a note if there is none."""
     return _ORDER[max((severity(finding.weight) for finding in findings), default=0)]
 
@@ -115,7 +116,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     root = Path(path)
-    findings = list[Finding]()
+    findings = list[SessionFinding]()
     if may_exist(root / SESSION) or lacks_description(root):
         folders = [root]
     else:
@@ -125,14 +126,16 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         try:
             read_dataset(root)
         except InputError as error:
-            findings.append(Finding("", "lost", str(error)))
+            findings.append(SessionFinding("", "lost", str(error)))
         names = sorted([*session_names(root), *names_without_description(root)])
         folders = [root / SESSIONS / name for name in names]
         if findings and not folders:
             reason = f"is not a session (no {SESSION}) and not a dataset (no {DATASET})"
             raise InputError(str(root), reason)
         if not folders:
-            findings.append(Finding("", "lossy", "has no session: none was recorded, or they are missing"))
+            findings.append(
+                SessionFinding("", "lossy", "has no session: none was recorded, or they are missing")
+            )
     checks = [_SessionCheck(root, folder) for folder in folders]
     done, total = 0, sum(len(check.listed) for check in checks)
     for check in checks:
@@ -167,7 +170,7 @@ class _SessionCheck:
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.folder, self.name = folder, (folder.resolve() if folder == root else folder).name
-        self.findings: list[Finding] = []
+        self.findings: list[SessionFinding] = []
         self.read: dict[str, int] = {}
         self.recording = False
         self.listed: dict[str, Part] = {}
@@ -205,7 +208,7 @@ class _SessionCheck:
         self._check_rest()
 
     def _add(self, weight: Weight, text: str) -> None:
-        self.findings.append(Finding(self.name, weight, text))
+        self.findings.append(SessionFinding(self.name, weight, text))
 
     def _check_description(self) -> None:
         if self.recording:
@@ -272,7 +275,9 @@ class _SessionCheck:
         except InputError as error:
             self._add("lost", str(error))
             return
-        for number in range(1, max(versions, default=0) + 1):
+        for text in missing_files(versions, 1, label_file):
+            self._add("lost", f"{text}: is missing, with its labels")
+        for number in versions:
             try:
                 read_hand_labels(self.folder, number)
             except InputError as error:

@@ -259,3 +259,8 @@ def test_missing_segments_are_found_between_others_and_if_there_are_none(tmp_pat
     gone = [f"journal/{name}.wal: is missing, with its rows" for name in ("000005", "000006", "single")]
     assert missing_segments(tmp_path, {}) == gone
     assert missing_segments(tmp_path, closed) == gone[:2]
+    (tmp_path / segment_file(999_999_999_999)).touch()
+    assert missing_segments(tmp_path, closed) == [
+        *gone[:2],
+        "journal/000008.wal to journal/999999999998.wal: is missing, with its rows",
+    ]

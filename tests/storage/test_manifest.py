@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from operators.errors import InputError
-from storage.layout import MOTION
+from storage.layout import GAP_MAX, MOTION
 from storage.manifest import (
     Part,
     missing_parts,
@@ -143,3 +144,16 @@ def test_parts_are_missed_by_their_numbers_in_each_table() -> None:
     paths = ["touch/part-000002.parquet", "motion/part-000001.parquet", "motion/part-000000.parquet"]
     assert missing_parts(paths) == ["touch/part-000000.parquet", "touch/part-000001.parquet"]
     assert missing_parts([]) == []
+
+
+def test_a_long_gap_between_parts_is_one_line() -> None:
+    gap = "touch/part-000001.parquet to touch/part-999999999998.parquet"
+    assert missing_parts(["touch/part-999999999999.parquet", "touch/part-000000.parquet"]) == [gap]
+    assert len(missing_parts([f"touch/part-{GAP_MAX:06d}.parquet"])) == GAP_MAX
+    assert len(missing_parts([f"touch/part-{GAP_MAX + 1:06d}.parquet"])) == 1
+
+
+def test_a_part_with_a_number_of_any_length_is_refused(tmp_path: Path) -> None:
+    write_manifest(tmp_path, [replace(PARTS[0], path=f"touch/part-{'9' * 5000}.parquet")])
+    with pytest.raises(InputError, match="is not a file of a session"):
+        read_manifest(tmp_path)

@@ -8,10 +8,10 @@ from flows.cli.verification_page import report, summary, write
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError
 from storage.manifest import Part
-from storage.verification import Checked, Finding, Verified
+from storage.verification import Checked, SessionFinding, Verified
 from tests.readability import report_faults
 
-LOST = Finding("b", "lost", "touch/part-000001.parquet: <gone>: 50 rows, 10.0 s")
+LOST = SessionFinding("b", "lost", "touch/part-000001.parquet: <gone>: 50 rows, 10.0 s")
 
 
 def checked(session: str, number: int, *, whole: bool = True, count: int = 50) -> Checked:
@@ -19,7 +19,7 @@ def checked(session: str, number: int, *, whole: bool = True, count: int = 50) -
     return Checked(session, part, whole)
 
 
-def verified(*findings: Finding, whole: bool = True) -> Verified:
+def verified(*findings: SessionFinding, whole: bool = True) -> Verified:
     parts = (checked("a", 0), checked("b", 0), checked("b", 1, whole=whole))
     return Verified(2, 3 if whole else 2, 150 if whole else 100, findings, parts, ("a", "b"))
 
@@ -35,7 +35,7 @@ def test_the_title_states_that_all_data_is_present(tmp_path: Path) -> None:
 
 
 def test_lost_rows_are_listed_by_session_and_by_finding(tmp_path: Path) -> None:
-    note = Finding("a", "note", "touch was down for 2.0 s: unplugged")
+    note = SessionFinding("a", "note", "touch was down for 2.0 s: unplugged")
     made = report(verified(LOST, note, whole=False), tmp_path / "data", "")
     sessions, findings = made.sections
     assert made.title.endswith(": recorded data is lost")
@@ -69,7 +69,7 @@ def test_the_json_result_has_the_findings() -> None:
 
 
 def test_notes_are_not_faults() -> None:
-    assert summary(verified(Finding("a", "note", "touch was down for 2.0 s")))["worst"] == "good"
+    assert summary(verified(SessionFinding("a", "note", "touch was down for 2.0 s")))["worst"] == "good"
     assert summary(verified())["worst"] == "good"
 
 
