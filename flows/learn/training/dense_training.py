@@ -51,8 +51,8 @@ def train_dense(
         start: Network to start from, of the same size; its batch norms stay folded. None: random weights.
 
     Raises:
-        ParameterError: if the training recordings are too short or lack a class, or there are no recordings
-            to validate on.
+        ParameterError: if the training recordings are too short or lack a class, or no recording to validate
+            on has a label after the warm-up.
     """
     with one_thread():
         return fit(_DenseTask(train, validation, recipe, start), progress)
@@ -80,8 +80,11 @@ class _DenseTask(TrainingTask):
             longest = max(map(len, train), default=0)
             given = f"up to {longest} samples each, {slip} slip and {static} static in those long enough"
             raise ParameterError("train_dense", "train", given, reason)
-        if not validation:
-            raise ParameterError("train_dense", "validation", 0, "at least 1 recording")
+        unseen = [np.empty(0, label.dtype), *(recording.label[self._warm_up :] for recording in validation)]
+        self._unseen_label = np.concatenate(unseen)
+        if (self._unseen_label == UNKNOWN).all():
+            reason = f"recordings with labels after their first {self._warm_up} samples"
+            raise ParameterError("train_dense", "validation", f"{len(validation)} without", reason)
         weight = np.select([label == SLIP, label == STATIC], [0.5 / slip, 0.5 / static]) * len(label)
         self._weight = torch.as_tensor(weight).to(self._device, torch.float32)  # (n,) 0: no label
         self._slip = torch.as_tensor(label == SLIP).to(self._device, torch.float32)  # (n,)
@@ -90,7 +93,6 @@ class _DenseTask(TrainingTask):
             torch.as_tensor(recording.counts).to(self._device, torch.float32).T[None]
             for recording in validation
         ]
-        self._unseen_label = np.concatenate([recording.label[self._warm_up :] for recording in validation])
         set_seed(recipe.seed)
         self._fingertip = train[0].fingertip
         cells = self._crops.counts.shape[1]

@@ -29,6 +29,7 @@ from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
 from flows.learn.training.stretching import stretched
 from flows.learn.training.trained_model import Arrays, Model, label_scores, provenance, unchanged, write_model
 from flows.learn.training.velocity_scores import velocity_scores
+from operators.batch import s
 from operators.checks import check_at_least, check_between, check_choice
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
@@ -135,7 +136,7 @@ def train(
 
     Raises:
         InputError: if the train extra is missing, a dataset cannot be read, or it lacks the target.
-        ParameterError: if a parameter is out of range, or the datasets lack a split.
+        ParameterError: if a parameter is out of range, or the datasets lack a split or labels to judge by.
         FingertipError: if the recordings have different fingertips, or `method` is for another one.
         OSError: if the model cannot be written.
     """
@@ -150,15 +151,14 @@ def train(
     parts = by_split(chain.from_iterable(recordings.values()))
     for split in ("train", "validation"):
         if not parts[split]:
-            names = ", ".join(map(str, datasets))
-            needed = f"five recordings or more, or some with a {split} split"
-            raise ParameterError("train", "datasets", names, needed)
+            raise _unusable(datasets, f"five recordings or more, or some with a {split} split")
     leaks = split_leaks(recordings.values())
     for leak in leaks:
         warn(f"leak: {leak.finding}")
     seen = seen_recordings(chain.from_iterable(parts.values()))
     shifted = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
     learned, judged = (_stretched(found, method, recipe) for found in (shifted, parts))
+    _check_judged(datasets, judged)
     fingertip = common_fingertip(chain.from_iterable(parts.values()))
     if method != OURS:
         TAKKTILE.check_fits(method, fingertip)
@@ -237,6 +237,19 @@ def _check(out: Path, method: str, seeds: int, target: str, lag: float | None) -
     check_at_least("train", "seeds", seeds, 1)
     if lag is not None:
         check_between("train", "lag", lag, 0, LATEST, unit="s")
+
+
+def _check_judged(datasets: Sequence[Path], parts: Mapping[str, Sequence[LabelledRecording]]) -> None:
+    """Check that the splits that judge a model have labels after the warm-up: else there is no accuracy."""
+    for split in ("validation", "test"):
+        if parts[split] and not any(len(recording.known(1)) for recording in parts[split]):
+            sampling = parts[split][0].sampling
+            warm_up = sampling.warm_up * sampling.period / s
+            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:g} s")
+
+
+def _unusable(datasets: Sequence[Path], needed: str) -> ParameterError:
+    return ParameterError("train", "datasets", ", ".join(map(str, datasets)), needed)
 
 
 def _stretched(

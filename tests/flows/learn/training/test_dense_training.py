@@ -62,6 +62,10 @@ def test_recordings_of_one_class_are_refused(recordings: list[LabelledRecording]
     flat = [replace(recording, label=np.full_like(recording.label, label)) for recording in recordings[:4]]
     with pytest.raises(ParameterError, match="with slip and static among them"):
         train_dense(flat, recordings[4:], SMALL)
+    short = [recordings[4].piece(slice(0, 99))]
+    for validation in ([], short):
+        with pytest.raises(ParameterError, match="labels after their first 99 samples"):
+            train_dense(recordings[:4], validation, SMALL)
 
 
 def test_samples_without_a_label_and_recordings_that_are_too_short_do_not_count(

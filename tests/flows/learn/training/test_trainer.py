@@ -200,6 +200,19 @@ def test_what_cannot_be_is_refused_before_anything_is_read(
         train([tmp_path / "nothing"], out, **arguments)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize("split", ["validation", "test"])
+def test_a_split_without_labels_after_the_warm_up_is_refused(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, split: str
+) -> None:
+    def short(dataset: Path, **_: object) -> list[LabelledRecording]:
+        found = [parts[0] for parts in by_split(load(dataset)).values()]
+        return [each.piece(slice(0, 99)) if each.split == split else each for each in found]
+
+    monkeypatch.setattr(trainer, "load", short)
+    with pytest.raises(ParameterError, match=f"{split} recordings with labels after their warm-up of 0.99 s"):
+        train([tiny], tmp_path / "model.safetensors", recipe=replace(SMALL, steps=6))
+
+
 def test_a_dataset_without_samples_is_an_input_error(tmp_path: Path) -> None:
     describe_dataset(tmp_path)
     with pytest.raises(InputError, match="no labelled samples"):
