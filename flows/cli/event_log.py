@@ -85,7 +85,7 @@ class RepeatFilter:
         if hasattr(record, "event"):
             return True
         self._passed = {
-            line: time for line, time in self._passed.items() if record.created - time < _REPEAT_AFTER
+            line: time for line, time in self._passed.items() if abs(record.created - time) < _REPEAT_AFTER
         }
         first = record.getMessage().partition("\n")[0]
         return self._passed.setdefault(first, record.created) == record.created

@@ -66,7 +66,8 @@ def replays_as_json(done: "Sequence[Replayed]", seconds: float) -> str:
 
 
 def _line(done: "Replayed") -> str:
-    assert done.summary, "a replay without a summary has not printed anything"
+    if not done.summary:  # what the flow's file printed
+        return f"{done.recording}:"
     sources = ", ".join(f"{source.rows:,} {name}" for name, source in done.summary.sources.items())
     sinks = ", ".join(f"{sink.rows:,} to {name}" for name, sink in done.summary.sinks.items())
     return f"{done.recording} -> {done.summary.session}: {done.summary.seconds:.1f} s, {sources}; {sinks}"

@@ -78,8 +78,10 @@ def parse_quantity(owner: str, name: str, text: str, unit: str, *, signed: bool 
     from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
 
     kind = KINDS[unit]
-    match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+))\s*(\D+)", text.strip()[:_LONGEST], re.ASCII)
-    if match is None or match[2] not in kind.units or (match[1][0] == "-" and not signed):
+    text = text.strip()
+    match = re.fullmatch(r"([+-]?(?:\d+\.?\d*|\.\d+))\s*(\D+)", text, re.ASCII)
+    short = len(text) <= _LONGEST
+    if not short or match is None or match[2] not in kind.units or (match[1][0] == "-" and not signed):
         raise ParameterError(owner, name, text, f"{kind.name} with its unit: {kind.examples}")
     found = Fraction(match[1]) * Fraction(kind.units[match[2]])
     return round(found) if unit == "ns" else float(found)

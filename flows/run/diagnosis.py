@@ -26,8 +26,11 @@ async def _diagnose(name: str, part: Endpoint, clock: Clock, limit: float, found
         if part.extra:
             require_extra(part.extra, name)
         async with asyncio.timeout(limit), aclosing(part.diagnose(clock)) as findings:
-            async for finding in findings:
-                found += [finding]  # at once: an error may follow
+            try:
+                async for finding in findings:
+                    found += [finding]  # at once: an error may follow
+            except TimeoutError as error:  # of the part itself, such as a connection's
+                found.append(_failure(name, error))
     except TimeoutError:
         found.append(Finding(name, f"no result within {limit:g} s: check that it responds", "bad"))
     except Exception as error:  # noqa: BLE001 - the finding itself

@@ -157,7 +157,7 @@ class LiveRunner:
                     await queue.sink.open(self.run)
                 opened.append(queue)
         except BaseException as error:
-            self.run.error = str(error) or type(error).__name__
+            self.run.error = reason_of(error) if isinstance(error, Exception) else "was interrupted"
             await close_sinks((queue.sink for queue in opened), failed=True)
             raise
 

@@ -27,7 +27,8 @@ def reason_of(error: Exception) -> str:
     if isinstance(error, OSError):
         reason = os_error_reason(error)
         return reason if error.filename is None else f"{error.filename}: {reason}"
-    return str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
+    text = str(error)
+    return text if isinstance(error, SlipflowError) else f"{type(error).__name__}: {text}".removesuffix(": ")
 
 
 def warn(name: str, text: str, **about: Json) -> None:

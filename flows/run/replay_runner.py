@@ -159,7 +159,7 @@ class ReplayRunner:
                     break
             await self._write(self.compiled.flush())
         except BaseException as error:  # a cancelled run is incomplete too
-            self.run.error = str(error) or "was interrupted"
+            self.run.error = reason_of(error) if isinstance(error, Exception) else "was interrupted"
             await close_sinks(opened, failed=True)
             raise
         finally:

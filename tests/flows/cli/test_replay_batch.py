@@ -48,6 +48,19 @@ def test_each_replay_has_a_summary_and_a_failed_one_an_error(tiny: Path, tmp_pat
     assert found["sessions"][2]["sources"]["touch"]["rows"] > 1000
 
 
+def test_what_a_flow_file_prints_is_below_a_recording_that_cannot_be_opened(
+    tiny: Path, tmp_path: Path
+) -> None:
+    flow = tmp_path / "loud.py"
+    flow.write_text(WRONG.replace("Debounce", "Health") + "print('loaded')\n")
+    found = tiny / "sessions" / session_names(tiny)[0]
+    done = slipflow("run", flow, "--replay", tmp_path / "gone", found, "--jobs", "2")
+    assert done.returncode == 1
+    assert f"{tmp_path / 'gone'}:\n  loaded\n" in done.stdout
+    assert f"error: {tmp_path / 'gone'}: there is no such folder" in done.stderr
+    assert done.stdout.splitlines()[-1].startswith("2 recordings, ")
+
+
 def test_json_has_the_same_form_for_one_recording_and_several(tiny: Path) -> None:
     first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
     found = list[dict[str, Any]]()

@@ -51,6 +51,7 @@ def test_a_quantity_is_reckoned_in_its_si_unit(text: str, unit: str, value: floa
         ("nanN", "N"),
         ("٣s", "ns"),
         ("9" * 10_000 + "s", "ns"),
+        ("1." + "0" * 37 + "mm", "m"),  # its first 40 characters are 1 m
     ],
 )
 def test_an_invalid_quantity_is_reported_with_examples(text: str, unit: str) -> None:

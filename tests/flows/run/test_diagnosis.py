@@ -37,6 +37,7 @@ async def test_findings_before_an_error_or_a_timeout_are_kept() -> None:
             "silent": Device(opened, None),
             "wrong": Device(opened, InputError("a.toml", "is empty")),
             "lost": Device(ConnectionResetError(104, "Connection reset by peer")),
+            "late": Device(TimeoutError(110, "Connection timed out")),
             "broken": Device(ValueError("no value")),
             "plain": Device(),
         },
@@ -47,6 +48,7 @@ async def test_findings_before_an_error_or_a_timeout_are_kept() -> None:
         "silent": [opened, Finding("silent", "no result within 0.1 s: check that it responds", "bad")],
         "wrong": [opened, Finding("a.toml", "is empty", "bad")],
         "lost": [Finding("lost", "Connection reset by peer", "bad")],
+        "late": [Finding("late", "Connection timed out", "bad")],
         "broken": [Finding("broken", "ValueError: no value", "bad")],
         "plain": [Finding("plain", "Device: nothing to check")],
     }

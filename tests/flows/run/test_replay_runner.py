@@ -185,6 +185,23 @@ def test_a_failing_sink_ends_a_replay_and_is_closed() -> None:
     assert sink.closed == 1
 
 
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        (AssertionError(), "AssertionError"),
+        (KeyError("x"), "KeyError: 'x'"),
+        (EndpointError("disk", "full"), "disk: full"),
+    ],
+)
+def test_the_error_of_a_replay_is_that_of_its_sink(failure: Exception, reason: str) -> None:
+    flow = Flow("f")
+    flow.source(TestSource(Touch)).to(TestSink(failures=[failure]))
+    runner = ReplayRunner(flow, recording(), "x")
+    with pytest.raises(type(failure)):
+        asyncio.run(runner.execute())
+    assert runner.run.error == reason
+
+
 class ClosesWithError(TestSink):
     async def close(self) -> None:
         await super().close()
