@@ -11,7 +11,7 @@ from connectors.files.column_map import TIME, UNITS, Header
 from operators.batch import Codes, Flags, Reals, Times
 from operators.errors import InputError
 
-LIMIT: Final = 1 << 29  # bytes of a file, and of its unpacked columns; reading takes up to five times as many
+LIMIT: Final = 1 << 29  # bytes of a file, and of its unpacked columns; an import takes six times as many
 VALUE_SIZE: Final = 8  # bytes of an unpacked value
 
 Values: TypeAlias = "NDArray[Any] | Sequence[object] | pl.Series"
