@@ -75,6 +75,7 @@ class SinkStatus:
     rows: int = 0
     queued: int = 0  # batches
     waiting: int | None = None  # copy of `Sink.waiting`
+    unstored: int = 0  # copy of `Sink.pending`, once per second; at the end they count as dropped
     dropped: int = 0  # rows lost by policy, or while the sink failed
     failures: int = 0
     error: str = ""  # latest failure; empty while the sink works

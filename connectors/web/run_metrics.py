@@ -15,7 +15,8 @@ BUCKETS: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0
 
 Family: TypeAlias = type[CounterMetricFamily] | type[GaugeMetricFamily]
 Status = TypeVar("Status")
-Column: TypeAlias = tuple[Family, str, str, Callable[[Status], float]]  # kind, name, help, value
+# kind, name, help, value (None: not served)
+Column: TypeAlias = tuple[Family, str, str, Callable[[Status], float | None]]
 
 _SOURCE: Final[tuple[Column[SourceStatus], ...]] = (
     (GaugeMetricFamily, "up", "1 if the source is up, 0 if it is down or stale", lambda source: source.up),
@@ -35,6 +36,13 @@ _SINK: Final[tuple[Column[SinkStatus], ...]] = (
     (GaugeMetricFamily, "up", "1 if the sink works, 0 if it fails", lambda sink: not sink.error),
     (CounterMetricFamily, "rows", "Rows written", lambda sink: sink.rows),
     (GaugeMetricFamily, "queued_batches", "Batches in the queue", lambda sink: sink.queued),
+    (
+        GaugeMetricFamily,
+        "waiting_rows",
+        "Rows that the receiver has not acknowledged",
+        lambda sink: sink.waiting,
+    ),
+    (GaugeMetricFamily, "unstored_rows", "Rows that a kill would lose", lambda sink: sink.unstored),
     (CounterMetricFamily, "dropped_rows", "Rows dropped", lambda sink: sink.dropped),
     (CounterMetricFamily, "failures", "Failed writes", lambda sink: sink.failures),
 )
@@ -152,5 +160,6 @@ def _families(
     for kind, name, text, value in columns:
         family = kind(f"slipflow_{label}_{name}", text, labels=[label])
         for each, status in statuses.items():
-            family.add_metric([each], value(status))
+            if (number := value(status)) is not None:
+                family.add_metric([each], number)
         yield family

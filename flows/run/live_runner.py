@@ -268,7 +268,7 @@ class LiveRunner:
             await asyncio.sleep(CHECK_INTERVAL)
             self._check_host_clock()
             for queue in self._queues.values():
-                queue.status.waiting = queue.sink.waiting
+                queue.observe()
             if not self._pending:  # else the sources wait for a sink
                 for reader in self._readers.values():
                     reader.check_silence(CHECK_INTERVAL)

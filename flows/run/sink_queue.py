@@ -80,6 +80,11 @@ class SinkQueue:
                 async with asyncio.timeout(STUCK):
                     await self._room.wait()
 
+    def observe(self) -> None:
+        """Copy the sink's numbers of unacknowledged and unstored rows to the status."""
+        self.status.waiting = self.sink.waiting
+        self.status.unstored = 0 if self._task and self._task.done() else self.sink.pending
+
     def start(self) -> asyncio.Task[None]:
         """Start the task that writes the queued batches and closes the sink; it raises no error."""
         self._task = asyncio.create_task(self._run())
@@ -122,7 +127,7 @@ class SinkQueue:
             lost = self.sink.pending
             self.status.rows -= lost
             self.status.dropped += lost
-            self.status.waiting = self.sink.waiting
+            self.status.waiting, self.status.unstored = self.sink.waiting, 0
             self._room.set()
 
     def _contained(self) -> AbstractContextManager[None]:

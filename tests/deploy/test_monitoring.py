@@ -49,7 +49,7 @@ def unknown_to_grafana(text: str) -> set[str]:
 
 def samples(run: Run) -> dict[str, set[str]]:
     """Return the labels of each sample name that a run serves."""
-    run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus()
+    run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus(waiting=0)
     run.clock_steps.append(ClockStep(s, s))
     metrics, time = RunMetrics(run), np.array([run.clock.now()])
     one = np.ones(1)
@@ -125,6 +125,42 @@ def test_promtool_accepts_the_rules_and_the_scrape_configuration() -> None:
         assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_events_that_wait_raise_an_alert_and_rows_of_a_recorder_none(tmp_path: Path) -> None:
+    series = {
+        'slipflow_sink_waiting_rows{sink="mqtt", instance="i"}': "3x60",
+        'slipflow_sink_unstored_rows{sink="mqtt", instance="i"}': "1x60",
+        'slipflow_sink_unstored_rows{sink="dataset", instance="i"}': "4x60",
+    }
+    expected = {
+        "SlipflowEventsWait": ("warning", "3 events for mqtt on i are not acknowledged"),
+        "SlipflowEventsUnstored": ("critical", "1 events for mqtt on i are neither stored nor sent"),
+    }
+    tests = [
+        {
+            "eval_time": "3m",
+            "alertname": name,
+            "exp_alerts": [
+                {
+                    "exp_labels": {"sink": "mqtt", "instance": "i", "severity": severity},
+                    "exp_annotations": {"summary": summary},
+                }
+            ],
+        }
+        for name, (severity, summary) in expected.items()
+    ]
+    early = [{"eval_time": "30s", "alertname": name, "exp_alerts": []} for name in expected]
+    inputs = [{"series": name, "values": values} for name, values in series.items()]
+    check_alerts(tmp_path, {"interval": "5s", "input_series": inputs, "alert_rule_test": early + tests})
+
+
+def check_alerts(folder: Path, case: dict[str, Any]) -> None:
+    """Run a test case of promtool on the rules."""
+    file = folder / "tests.yml"
+    file.write_text(json.dumps({"rule_files": [str(RULES)], "tests": [case]}))  # JSON is YAML
+    done = promtool("test", "rules", file)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 def test_late_rows_raise_an_alert_only_for_sources_with_frequent_rows(tmp_path: Path) -> None:
     series = [
         (f'slipflow_source_{metric}{{source="{source}", instance="i"}}', f"{start}+{step}x30")
@@ -144,7 +180,4 @@ def test_late_rows_raise_an_alert_only_for_sources_with_frequent_rows(tmp_path: 
             }
         ],
     }
-    file = tmp_path / "tests.yml"
-    file.write_text(json.dumps({"rule_files": [str(RULES)], "tests": [case]}))  # JSON is YAML
-    done = promtool("test", "rules", file)
-    assert done.returncode == 0, done.stdout + done.stderr
+    check_alerts(tmp_path, case)

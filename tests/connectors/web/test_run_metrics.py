@@ -49,14 +49,18 @@ def test_source_metrics_match_the_runners_counts(run: Run) -> None:
 
 
 def test_sink_metrics_match_the_runners_counts(run: Run) -> None:
-    run.sinks["mqtt"] = SinkStatus(rows=7, queued=2, dropped=5, failures=3, error="mqtt://host: refused")
-    run.sinks["dataset"] = SinkStatus(rows=9)
+    mqtt = SinkStatus(rows=7, queued=2, waiting=4, unstored=1, dropped=5, failures=3)
+    mqtt.error = "mqtt://host: refused"
+    run.sinks["mqtt"], run.sinks["dataset"] = mqtt, SinkStatus(rows=9, unstored=6)
     measures = RunMetrics(run)
     found = read(measures)
     assert at(found, "slipflow_sink_rows_total", sink="mqtt") == 7
     assert at(found, "slipflow_sink_queued_batches", sink="mqtt") == 2
     assert at(found, "slipflow_sink_dropped_rows_total", sink="mqtt") == 5
     assert at(found, "slipflow_sink_failures_total", sink="mqtt") == 3
+    assert [at(found, "slipflow_sink_unstored_rows", sink=name) for name in ("mqtt", "dataset")] == [1, 6]
+    waiting = {dict(labels)["sink"]: value for (name, labels), value in found.items() if "waiting" in name}
+    assert waiting == {"mqtt": 4}  # a dataset acknowledges nothing
     assert [at(found, "slipflow_sink_up", sink=name) for name in ("mqtt", "dataset")] == [0, 1]
     assert b"refused" not in measures.text()
 

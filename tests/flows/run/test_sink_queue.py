@@ -347,3 +347,26 @@ def test_the_status_at_the_end_has_the_newest_number_of_waiting_rows() -> None:
     flow = Flow("f")
     flow.source(TestSource(Scores, scores(0, 150))).to(Waiting())
     assert execute(flow).sinks["waiting"].waiting == 150
+
+
+def test_the_status_of_a_run_has_the_numbers_of_waiting_and_unstored_rows() -> None:
+    seen = list[tuple[int | None, int]]()
+
+    class Unstored(TestSink):
+        @property
+        def waiting(self) -> int:
+            return 7
+
+        @property
+        def pending(self) -> int:
+            return 5
+
+        async def close(self) -> None:
+            status = self.run.sinks["unstored"]
+            seen.append((status.waiting, status.unstored))
+
+    flow = Flow("f")
+    flow.source(Endless()).to(Unstored())
+    run = execute(flow, duration=3 * s)
+    assert seen == [(7, 5)]
+    assert (run.sinks["unstored"].unstored, run.sinks["unstored"].dropped) == (0, 5)
