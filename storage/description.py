@@ -21,6 +21,10 @@ from storage.lock import lock
 VERSION: Final = 2  # of the dataset format
 
 
+class VersionError(InputError):
+    """Dataset or session of another version of the format."""
+
+
 def describe_dataset(root: Path) -> None:
     """Write dataset.json if there is none; only one of several processes does so.
 
@@ -214,9 +218,11 @@ def _is_json(description: Description) -> bool:
 
 
 def _check_version(path: Path, about: Description) -> None:
-    if about.get("version") != VERSION:
-        reason = f"has version {about.get('version')!r}; this slipflow reads version {VERSION}"
-        raise InputError(str(path), f"{reason}: read it with the slipflow that wrote it, or record it again")
+    version = about.get("version")
+    if version != VERSION:
+        kind = VersionError if isinstance(version, int) else InputError
+        reason = f"has version {version!r}; this slipflow reads version {VERSION}"
+        raise kind(str(path), f"{reason}: read it with the slipflow that wrote it, or record it again")
 
 
 def _rfc3339(time: int) -> str:

@@ -8,7 +8,7 @@ from typing import Any, Final, Literal, cast
 from operators.errors import InputError
 from operators.ports import Description
 from storage import files, parts, schema
-from storage.description import read_dataset, read_session, recorders
+from storage.description import VersionError, read_dataset, read_session, recorders
 from storage.hand_labels import label_file, label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
@@ -47,7 +47,8 @@ _ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", 
 class SessionFinding:
     """Result of a check of a session.
 
-    Note: not a fault. Repairable: a recovery can repair it without loss. Repaired: a recovery has done so.
+    Note: not a fault. Repairable: a recovery can repair it without loss of rows on disk. Repaired: a recovery
+    has done so; rows that a killed recorder could not write are unknown.
     Lossy: rows are known to be missing, because they were dropped, or not yet written when the recorder was
     killed. Lost: recorded rows are missing.
     """
@@ -112,7 +113,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         progress: Called after each file.
 
     Raises:
-        InputError: if `path` is neither, or cannot be read.
+        InputError: if `path` is neither, cannot be read, or is a dataset of another version.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     root = Path(path)
@@ -125,6 +126,8 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
             raise InputError(str(root), reason if root.exists() else "there is no such folder")
         try:
             read_dataset(root)
+        except VersionError:  # nothing is lost
+            raise
         except InputError as error:
             findings.append(SessionFinding("", "lost", str(error)))
         names = sorted([*session_names(root), *names_without_description(root)])
@@ -231,7 +234,10 @@ class _SessionCheck:
         recovered = cast("dict[str, Any] | None", about.get("recovered"))
         if recovered is not None:
             rows = ", ".join(f"{count} rows of {table}" for table, count in recovered["rows"].items())
-            self._add("repaired" if rows else "lossy", f"was recovered: {rows or 'no rows'}")
+            text = f"was recovered: {rows or 'no rows'}"
+            if "sinks" not in about:  # not closed, so it has no counts of dropped rows
+                text += "; what the recorder could not write before it was killed is unknown"
+            self._add("repaired" if rows else "lossy", text)
             for each in recovered["lost"]:
                 cut = each in recovered.get("cut", [])
                 self._add(

@@ -17,8 +17,8 @@ from storage.verification import Verified, Weight, heaviest
 VERDICTS: Final[Mapping[Weight, str]] = MappingProxyType(
     {
         "note": "all data is present",
-        "repairable": "repairable, nothing is lost",
-        "repaired": "repaired, nothing is lost",
+        "repairable": "repairable, all rows on disk can be recovered",
+        "repaired": "repaired, all rows on disk were recovered",
         "lossy": "rows are known to be missing",
         "lost": "recorded data is lost",
     }
@@ -73,8 +73,8 @@ def report(found: Verified, dataset: Path, command: str) -> Report:
     """Return the report about a verification of a dataset or session by `command`."""
     text = (
         "Every file was compared with the manifest: SHA-256, page checksums, rows and times. lost: recorded"
-        " data is missing or damaged. lossy: rows are known to be missing. repaired and repairable: no row is"
-        " lost. note: not a fault."
+        " data is missing or damaged. lossy: rows are known to be missing. repaired and repairable: no row on"
+        " disk is lost. note: not a fault."
     )
     title = f"{dataset.resolve().name}: {size(found)}: {VERDICTS[found.worst]}"
     return Report(title, text, [_sessions(found), _findings(found)], command)

@@ -32,9 +32,10 @@ def verify(
     Compares every file with the manifest: SHA-256, page checksums, rows and times. Changes nothing. During
     a recording it checks the committed part.
 
-    Exits 0 if the data is complete; 3 if something was or can be repaired without loss, or rows are known to
-    be missing (for example dropped ones); 1 if recorded data is lost or damaged, even after a recovery. With
-    --json this is "code", and "worst" is good, repairable, repaired, lossy or lost.
+    Exits 0 if the data is complete; 3 if something was or can be repaired without loss of rows on disk, or
+    rows are known to be missing (for example dropped ones); 1 if recorded data is lost or damaged, even after
+    a recovery. With --json this is "code", and "worst" is good, repairable, repaired, lossy or lost. How many
+    rows a killed recorder could not write, for example because the disk was full, is unknown.
 
     Examples:
       slipflow verify recordings -o report.html

@@ -7,6 +7,7 @@ from shutil import copytree
 import pytest
 
 from operators.batch import Labelled, ms
+from operators.errors import InputError
 from operators.ports import Gap, SinkStatus, SourceStatus
 from storage import recover, verify
 from storage.layout import TOUCH
@@ -130,10 +131,16 @@ def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
 @pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
 @pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 2, "session": "one", "sinks": [3]}'])
 def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
-    if name == "dataset.json" and "sinks" in content:
-        content = "[]"
+    if name == "dataset.json" and content != "{":
+        content = "[]" if "sinks" in content else "{}"
     (dataset / name).write_text(content)
     assert verify(dataset).code == 1
+
+
+def test_a_dataset_of_another_version_is_refused_because_nothing_is_lost(dataset: Path) -> None:
+    (dataset / "dataset.json").write_text('{"version": 1}')
+    with pytest.raises(InputError, match=r"dataset\.json: has version 1; this slipflow reads version 2"):
+        verify(dataset)
 
 
 def test_what_a_lost_part_held_is_told(dataset: Path) -> None:

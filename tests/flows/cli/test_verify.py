@@ -38,7 +38,7 @@ def test_a_crash_is_reported_repaired_and_noted(dataset: Path) -> None:
     done = slipflow("verify", dataset)
     assert done.returncode == 3, done.stderr
     assert "repairable  crashed: has a journal: slipflow recover" in done.stdout
-    assert "repairable, nothing is lost" in done.stdout
+    assert "repairable, all rows on disk can be recovered" in done.stdout
     done = slipflow("recover", dataset)
     assert done.returncode == 3, done.stderr
     assert done.stdout == "crashed: recovered 5 rows of touch\n"
@@ -48,7 +48,8 @@ def test_a_crash_is_reported_repaired_and_noted(dataset: Path) -> None:
     assert done.stdout == "2 sessions, nothing to recover; slipflow verify reads every file\n"
     done = slipflow("verify", dataset)
     assert done.returncode == 3
-    assert "2 sessions, 2 files, 10 rows: repaired, nothing is lost" in done.stdout
+    assert "2 sessions, 2 files, 10 rows: repaired, all rows on disk were recovered" in done.stdout
+    assert "touch; what the recorder could not write before it was killed is unknown\n" in done.stdout
     done = slipflow("verify", dataset / "sessions/closed")
     assert (done.returncode, "1 session, 1 file, 5 rows: all data is present" in done.stdout) == (0, True)
 
@@ -143,7 +144,7 @@ def test_verify_writes_a_page_with_the_same_exit_code(dataset: Path, tmp_path: P
     assert json.loads(done.stdout)["worst"] == "repairable"
     assert f"wrote {report}" in done.stderr
     text = report.read_text()
-    assert "repairable, nothing is lost</h1>" in text
+    assert "repairable, all rows on disk can be recovered</h1>" in text
     assert "crashed" in text
     done = slipflow("verify", dataset, "-o", tmp_path / "nowhere" / "report.html")
     assert (done.returncode, done.stdout) == (2, "")
