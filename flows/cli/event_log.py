@@ -125,16 +125,21 @@ def with_json_console(flow: "Flow") -> "Flow":
 
 @contextmanager
 def logged(run: "Run") -> Generator[None]:
-    """Log the start of a run, and its result at the end."""
-    from flows.run.log_events import event
+    """Log the start of a run, and its result at the end, as an error if the run ends with one."""
+    from flows.run.log_events import event, reason_of
 
     names: dict[str, Json] = {"sources": [*run.sources], "sinks": [*run.sinks]}
     about: dict[str, Json] = {"live": run.live, "recording": run.recording, **names}
     log.info("%s begins", run.session, extra=event("run_begins", session=run.session, flow=run.flow, **about))
     try:
         yield
+    except Exception as error:
+        run.error = run.error or reason_of(error)
+        raise
     finally:
-        log.info("%s ends", run.session, extra=_result(run))
+        if log.isEnabledFor(logging.INFO):  # a JSON log; after a text log, the command prints the error
+            level = logging.ERROR if run.error else logging.INFO
+            log.log(level, "%s ends", run.session, extra=_result(run))
 
 
 def _result(run: "Run") -> "dict[str, Any]":

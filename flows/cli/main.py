@@ -108,7 +108,19 @@ def explanation(error: Exception) -> tuple[int, str]:
         return 2, f"error: {error}"
     if isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
         return 2, f"error: {error.filename or 'standard output'}: {os_error_reason(error)}"
-    return (2, "error: there is not enough memory") if isinstance(error, MemoryError) else (0, "")
+    text = "there is not enough memory" if isinstance(error, MemoryError) else _missing_package(error)
+    return (2, f"error: {text}") if text else (0, "")
+
+
+def _missing_package(error: Exception) -> str:
+    """Return how to install a missing package that slipflow needs; empty if that is not the error."""
+    from operators.extras import requirements
+
+    if isinstance(error, ModuleNotFoundError):
+        package = (error.name or "").partition(".")[0]
+        if package in {each.package for each in requirements() if not each.extra}:
+            return f"{package} is not installed: {sys.executable} -m pip install {package}"
+    return ""
 
 
 def _interrupted(error: BaseException | None) -> bool:

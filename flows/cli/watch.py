@@ -39,7 +39,8 @@ def watch(
 
     Fetches missed events from the rigs, and reports events that are lost. Each line shows two delays since
     the decisive sample: until the event was created (not for replays), and until it arrived here by this
-    machine's clock. Stops at Ctrl-C.
+    machine's clock. Reconnects to a broker that it has reached once; exits 2 if it cannot reach it at the
+    start. Stops at Ctrl-C.
 
     Examples:
       slipflow watch mqtt://localhost --site lab

@@ -32,7 +32,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
             "a time",
             {"ns": "1", "us": "1000", "ms": "1000000", "s": "1000000000", "min": "60000000000"}
             | {"h": "3600000000000", "d": "86400000000000"},
-            "500ms, 30s, 5min or 1h",
+            "500ms, 30s, 1h or 30d",
         ),
         "m": Kind("a length", {"mm": "1/1000", "cm": "1/100", "m": "1"}, "1.5mm or 0.0015m"),
         "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
@@ -63,7 +63,7 @@ def parse_quantity(owner: str, name: str, text: str, unit: str, *, signed: bool 
     (70000000, 0.0015)
     >>> parse_quantity("run", "--for", "5", "ns")
     Traceback (most recent call last):
-    operators.errors.ParameterError: run: --for is '5', must be a time with its unit: 500ms, 30s, 5min or 1h
+    operators.errors.ParameterError: run: --for is '5', must be a time with its unit: 500ms, 30s, 1h or 30d
 
     Args:
         owner: Command or flow, for the error.

@@ -16,14 +16,14 @@ def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
 
 def test_a_time_is_set_with_its_unit_and_listed_so() -> None:
     listed = slipflow("check", "record", "--set", "delay=0.07s", "--set", "speed=3mm/s").stdout
-    assert "  --set delay=70ms  (a time with its unit: 500ms, 30s, 5min or 1h)" in listed.splitlines()
+    assert "  --set delay=70ms  (a time with its unit: 500ms, 30s, 1h or 30d)" in listed.splitlines()
     found = json.loads(slipflow("check", "record", "--json").stdout)
     assert (found["parameters"]["delay"]["default"], found["parameters"]["delay"]["unit"]) == (
         70_000_000,
         "ns",
     )
     line = error("check", "record", "--set", "delay=70mm")
-    assert line == "record: delay is '70mm', must be a time with its unit: 500ms, 30s, 5min or 1h"
+    assert line == "record: delay is '70mm', must be a time with its unit: 500ms, 30s, 1h or 30d"
     drawn = slipflow("graph", "record", "--set", "delay=20ms").stdout
     assert "Label(delay=20 ms)" in drawn
 

@@ -87,13 +87,22 @@ def test_the_log_has_the_start_failures_and_result_of_a_run(log_text: StringIO) 
         "error": None,
     }
     assert by_event["run_ends"]["sinks"]["testsink"]["rows"] == 3
+    assert (by_event["run_ends"]["level"], by_event["run_ends"]["error"]) == ("info", None)
 
 
 def test_the_log_has_the_error_of_a_broken_run(log_text: StringIO, run: Run) -> None:
     run.error = "touch -> Zero: broken"
     with pytest.raises(ValueError, match="broken"), logged(run):
         raise ValueError(run.error)
-    assert objects(log_text.getvalue())[-1]["error"] == "touch -> Zero: broken"
+    last = objects(log_text.getvalue())[-1]
+    assert (last["error"], last["level"]) == ("touch -> Zero: broken", "error")
+
+
+def test_a_run_that_could_not_begin_ends_with_an_error(log_text: StringIO, run: Run) -> None:
+    with pytest.raises(OSError, match="unplugged"), logged(run):
+        raise OSError("unplugged")
+    last = objects(log_text.getvalue())[-1]
+    assert (last["event"], last["error"], last["level"]) == ("run_ends", "unplugged", "error")
 
 
 def test_other_records_are_logged_without_credentials(log_text: StringIO) -> None:

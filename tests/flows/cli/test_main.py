@@ -111,6 +111,9 @@ def test_an_error_is_explained_unless_it_is_one_of_slipflow(tmp_path: Path) -> N
     assert main.explanation(hiding(ValueError())) == (0, "")
     assert main.explanation(RuntimeError("broken")) == (0, "")
     assert main.explanation(MemoryError()) == (2, "error: there is not enough memory")
+    code, text = main.explanation(ModuleNotFoundError("No module named 'numba'", name="numba.core"))
+    assert (code, text) == (2, f"error: numba is not installed: {sys.executable} -m pip install numba")
+    assert main.explanation(ModuleNotFoundError("No module named 'mine'", name="mine")) == (0, "")
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     with pytest.raises((RuntimeError, OSError)) as caught:

@@ -165,7 +165,7 @@ def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ("--for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 5min or 1h"),
+        ("--for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 1h or 30d"),
         ("--pace 2", "--pace, --jobs and further recordings require --replay PATH: without it"),
         ("--replay x.csv --for 5s", "--for requires a live run or --pace: a replay at full speed"),
         ("--replay x.csv y.csv --pace 1", "--pace, --page, --metrics and --log require a single recording"),

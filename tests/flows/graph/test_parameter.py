@@ -40,8 +40,8 @@ def test_text_becomes_the_type_that_is_declared(kind: object, text: str, value: 
         (float, "two", "a number"),
         (bool, "maybe", "yes or no"),
         (int | None, "two", "a whole number or none"),
-        (Duration, "70", "a time with its unit: 500ms, 30s, 5min or 1h"),
-        (Duration, "70mm", "a time with its unit: 500ms, 30s, 5min or 1h"),
+        (Duration, "70", "a time with its unit: 500ms, 30s, 1h or 30d"),
+        (Duration, "70mm", "a time with its unit: 500ms, 30s, 1h or 30d"),
         (Speed, "fast", "a speed with its unit: 3mm/s or 0.003m/s"),
         (Speed, "nan", "a speed with its unit: 3mm/s or 0.003m/s"),
         (Force, "1e400", "a force with its unit: 2N or 0.5N"),
@@ -78,7 +78,7 @@ def test_default_and_unit_are_in_the_json() -> None:
     assert Parameter("delay", Duration, 70 * ms).as_dict() == {
         "default": 70_000_000,
         "unit": "ns",
-        "takes": "a time with its unit: 500ms, 30s, 5min or 1h",
+        "takes": "a time with its unit: 500ms, 30s, 1h or 30d",
         "about": "",
     }
     found = Parameter("out", Path, Path("a"), "Dataset.").as_dict()
