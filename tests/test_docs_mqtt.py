@@ -2,7 +2,9 @@
 
 import asyncio
 import json
+import os
 import re
+import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -226,6 +228,21 @@ def test_the_consumer_prints_each_event(
         ["rig", "0", "end"],
         ["rig", "2", "onset"],
     ]
+
+
+def test_the_consumer_of_the_page_prints_one_line_if_there_is_no_broker(tmp_path: Path) -> None:
+    (tmp_path / "consumer.py").write_text(block(PAGE, "consumer.py"))
+    done = subprocess.run(
+        [sys.executable, "consumer.py", "mqtt://127.0.0.1:1"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    [line] = done.stderr.splitlines()
+    assert line.startswith("error: mqtt://127.0.0.1:1")
 
 
 class Message:

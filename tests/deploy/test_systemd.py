@@ -107,6 +107,20 @@ def test_the_certificates_reach_the_sink_as_credentials() -> None:
     assert not loaded
 
 
+def test_the_documented_doctor_gets_the_certificates_of_the_service() -> None:
+    loaded = dict(re.findall(r"^LoadCredential=(\S+):(\S+)$", TLS, re.MULTILINE))
+    assert f"`{CA}={loaded['ca.crt']} {CERTIFICATE}={loaded['client.pem']}`\nafter `sudo env`" in PAGE
+
+
+def test_old_sessions_are_deleted_before_the_restart_which_needs_space() -> None:
+    for prune, restart in (
+        ("/opt/slipflow/bin/slipflow prune ", "    systemctl restart slipflow\n"),
+        ("        prune /recordings ", "    docker compose -f deploy/compose.yaml restart recorder\n"),
+    ):
+        assert PAGE.count(prune) == PAGE.count(restart) == 1
+        assert PAGE.index(prune) < PAGE.index(restart)
+
+
 def test_the_shipped_settings_match_the_shipped_flow() -> None:
     lines = (DEPLOY / "systemd" / "settings").read_text().splitlines()
     settings = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
