@@ -148,7 +148,9 @@ def test_events_that_wait_raise_an_alert_and_rows_of_a_recorder_none(tmp_path: P
         }
         for name, (severity, summary) in expected.items()
     ]
-    early = [{"eval_time": "30s", "alertname": name, "exp_alerts": []} for name in expected]
+    early: list[dict[str, Any]] = [
+        {"eval_time": "30s", "alertname": name, "exp_alerts": []} for name in expected
+    ]
     inputs = [{"series": name, "values": values} for name, values in series.items()]
     check_alerts(tmp_path, {"interval": "5s", "input_series": inputs, "alert_rule_test": early + tests})
 
