@@ -34,7 +34,12 @@ def export(
             " session.",
         ),
     ],
-    rate: Annotated[int, typer.Option(min=1, help="Frames per second, with --to lerobot.")] = 100,
+    rate: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Frames per second, with --to lerobot (default: the lowest rate of the samples)."
+        ),
+    ] = None,
     task: Annotated[
         str | None,
         typer.Option(
@@ -117,7 +122,7 @@ def _sessions(dataset: Path) -> "list[Session]":
 
 
 def _lerobot(
-    sessions: "list[Session]", out: Path, rate: int, task: str | None, *, native: bool
+    sessions: "list[Session]", out: Path, rate: int | None, task: str | None, *, native: bool
 ) -> tuple[dict[str, Any], str]:
     from storage.exports.lerobot import export as write
 
@@ -132,7 +137,7 @@ def _lerobot(
         )
     splits = ", ".join(f"{split} {span}" for split, span in done.splits.items())
     source = f"{counted(done.sessions, 'session')}, split at {counted(done.gaps, 'gap')}"
-    frames = f"{counted(done.samples, 'sample')}: {counted(done.frames, 'frame')} at {rate} Hz"
+    frames = f"{counted(done.samples, 'sample')}: {counted(done.frames, 'frame')} at {done.rate} Hz"
     lines = [
         f"{source}: {counted(done.episodes, 'episode')} ({splits})",
         f"{frames} of {', '.join(done.features)}",

@@ -21,15 +21,17 @@ References:
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isclose
 from pathlib import Path
 from shutil import copy2, copytree
 from typing import Any, Final
 
 import numpy as np
 
-from operators.batch import EVERY, Episodes, concat
+from operators.batch import EVERY, Episodes, Labelled, concat
 from operators.checks import check_at_least
 from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
+from operators.fingertip import RATE_TOLERANCE
 from storage.description import describe_dataset
 from storage.exports.grid import Contents, find_contents, to_frames
 from storage.exports.lerobot_features import features, frame_tasks, values
@@ -49,6 +51,7 @@ from storage.session import Session
 VERSION: Final = "v3.0"
 SPLITS: Final = ("train", "validation", "test")
 NATIVE: Final = "slipflow"  # folder of the copied sessions
+_MEASURED: Final = 1e-3  # largest relative error of a measured rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,7 @@ def export(
     sessions: Sequence[Session],
     out: Path,
     *,
-    rate: int = 100,
+    rate: int | None = None,
     task: str | None = None,
     native: bool = False,
     progress: Callable[[int, str], object] = lambda _done, _session: None,
@@ -83,19 +86,21 @@ def export(
     Args:
         sessions: Sessions to write, ordered by split and name; those without a split are for training.
         out: Folder to create.
-        rate: Frames per second.
+        rate: Frames per second; None: the lowest rate of the sessions' samples, in whole Hz.
         task: Task description; None: the motion of the arm in the recording's episodes.
         native: Also copy the sessions, with all rows at their own rate, into the folder ``slipflow``.
         progress: Called with the number of finished sessions and the name of the next.
 
     Raises:
         ParameterError: if the rate is below 1 Hz, or there is no session.
-        InputError: if a session has no samples, is damaged, or has other fingertips; if there is no frame; if
-            a session to copy is being recorded.
+        InputError: if a session has no samples, is damaged, or has other fingertips; if the rate is above
+            that of the samples; if there is no frame; if a session to copy is being recorded.
         EndpointError: if the folder exists or cannot be written; then nothing is left of it.
     """
-    check_at_least("LeRobot export", "rate", rate, 1, "Hz")
+    if rate is not None:
+        check_at_least("LeRobot export", "rate", rate, 1, "Hz")
     contents = _common_contents(sessions)
+    rate = _frame_rate(sessions, rate)
     declared = features(contents)
     tasks, splits, episodes = dict[str, int](), Counter[str](), list[dict[str, Any]]()
     samples, gaps = 0, 0
@@ -195,6 +200,23 @@ def _common_contents(sessions: Sequence[Session]) -> Contents:
         all(known) for known in zip(*((each.velocity, each.pose) for each in found), strict=True)
     )
     return Contents(found[0].fingers, found[0].cells, velocity, pose)
+
+
+def _frame_rate(sessions: Sequence[Session], wanted: int | None) -> int:
+    """Return the wanted rate, or the lowest of the sessions' samples: whole, rounded down unless measured.
+
+    Raises:
+        InputError: if the wanted rate is above that of a session's samples, so that few are consecutive.
+    """
+    rates = [(found.rate, str(each.folder)) for each in sessions if (found := each.fingertip(Labelled))]
+    lowest, slowest = min(rates)
+    if wanted is None:
+        nearest = round(lowest)
+        return max(nearest if isclose(nearest, lowest, rel_tol=_MEASURED) else int(lowest), 1)
+    if wanted > lowest * (1 + RATE_TOLERANCE):
+        reason = f"has {lowest:.4g} samples per second, too few for frames at {wanted} Hz; give a lower rate"
+        raise InputError(slowest, reason)
+    return wanted
 
 
 def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:

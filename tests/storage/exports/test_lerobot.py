@@ -196,6 +196,21 @@ def test_a_lower_rate_uses_fewer_samples(tmp_path: Path) -> None:
     assert found.values(0, "observation.state").tolist() == samples.counts[::5].tolist()
 
 
+def test_the_rate_is_that_of_the_samples_and_a_higher_one_is_refused(tmp_path: Path) -> None:
+    sessions = [
+        record(tmp_path, [new_samples(np.arange(30) * period)], name)
+        for name, period in (("fast", 10 * ms), ("slow", 20 * ms))
+    ]
+    done = export(sessions, tmp_path / "out")
+    assert (done.rate, done.frames) == (50, 16 + 30)
+    Read.open(tmp_path / "out").check()
+    with pytest.raises(InputError, match="slow: has 50 samples per second, too few for frames at 100 Hz"):
+        export(sessions, tmp_path / "other", rate=100)
+    uneven = record(tmp_path, [new_samples(np.arange(30) * 16 * ms)], "uneven")  # 62.5 Hz
+    done = export([uneven], tmp_path / "uneven")
+    assert (done.rate, done.frames, done.gaps) == (62, 30, 0)
+
+
 def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     one = record(tmp_path / "data", [new_samples(time)], "a")
@@ -209,7 +224,7 @@ def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
         InputError, match=r"has fingertips \(1,\) of 6 cells, but a has .*: export them separately"
     ):
         export([one, other], out)
-    with pytest.raises(InputError, match="would have no frames: no two samples are consecutive at 1000 Hz"):
+    with pytest.raises(InputError, match="too few for frames at 1000 Hz; give a lower rate"):
         export([one], out, rate=1000)
     part = next(one.folder.glob("samples/*.parquet"))
     part.write_bytes(part.read_bytes()[:-1])
