@@ -4,6 +4,8 @@ from collections.abc import Iterable
 
 from operators.errors import ParameterError
 
+_SHORTEST = 1_000  # ns; a shorter time lacks its unit
+
 
 def check_above(owner: str, name: str, value: float, low: float, unit: str = "") -> None:
     """Require `value` > `low`; NaN fails.
@@ -15,6 +17,8 @@ def check_above(owner: str, name: str, value: float, low: float, unit: str = "")
     """
     if not value > low:
         raise ParameterError(owner, name, value, f"above {_number(low)} {unit}".rstrip())
+    if unit == "ns":
+        check_ns(owner, name, value)
 
 
 def check_at_least(owner: str, name: str, value: float, least: float, unit: str = "") -> None:
@@ -29,6 +33,23 @@ def check_at_least(owner: str, name: str, value: float, least: float, unit: str 
     """
     if not value >= least:
         raise ParameterError(owner, name, value, f"at least {_number(least)} {unit}".rstrip())
+    if unit == "ns":
+        check_ns(owner, name, value)
+
+
+def check_ns(owner: str, name: str, value: float) -> None:
+    """Require whole ns, 0 or at least 1 us: other values lack their unit.
+
+    >>> check_ns("Align", "within", 0.02)
+    Traceback (most recent call last):
+    operators.errors.ParameterError: Align: within is 0.02, must be in whole ns: for 20 ms write 20 * ms
+
+    Raises:
+        ParameterError: if it is not.
+    """
+    fractional = isinstance(value, float)
+    if fractional or 0 < abs(value) < _SHORTEST:
+        raise ParameterError(owner, name, value, "in whole ns: for 20 ms write 20 * ms")
 
 
 def check_between(owner: str, name: str, value: float, low: float, high: float, *, unit: str = "") -> None:

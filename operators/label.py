@@ -21,7 +21,7 @@ from operators.batch import (
     ms,
 )
 from operators.chain import END, Chain
-from operators.checks import check_at_least
+from operators.checks import check_at_least, check_ns
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.rotation import quaternion, rotate
@@ -92,6 +92,7 @@ class Label(Operator[Sample, Labelled]):
             raise ParameterError("Label", "speed", self.speed, f"from 0 to below limit, {self.limit:g} m/s")
         if self.rotation is not None:
             check_at_least("Label", "rotation", self.rotation, 0, "rad/s")
+        check_ns("Label", "delay", self.delay)
         check_at_least("Label", "within", self.within, 0, "ns")
         length = hypot(*self.normal)
         if len(self.normal) != _AXES or not 0 < length < inf:

@@ -219,3 +219,9 @@ def test_the_memory_of_an_align_is_bounded() -> None:
         time = (first + np.arange(rows)) * 8 * ms
         align.push(NO_TOUCH, Motion(time, time, np.zeros((rows, 6)), np.zeros((rows, 6))))
     assert 10_000 < sum(getattr(each, "nbytes", 0) for each in vars(align).values()) < 200_000
+
+
+@pytest.mark.parametrize("parameters", [{"within": 0.02}, {"within": 20}, {"keep": 10.0}, {"wait": 0.1 * s}])
+def test_times_without_their_unit_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=r"Align: .* must be in whole ns: for 20 ms write 20 \* ms"):
+        Align(**parameters)
