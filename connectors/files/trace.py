@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 import numpy as np
 
-from connectors.files.column_map import COUNTS, JOINT, LABEL, MOTIONS, SIZES, TIME, ColumnMap
+from connectors.files.column_map import (
+    COUNTS,
+    JOINT,
+    LABEL,
+    MOTIONS,
+    SIZES,
+    SPEED,
+    TIME,
+    UNITS,
+    VELOCITY,
+    ColumnMap,
+)
 from connectors.files.formats import read_table
 from connectors.files.pad import Pad
 from connectors.files.resolution import COUNT_LIMIT, Steps, common, needed, offsets
@@ -207,9 +218,8 @@ class Trace:
         lines = list[str]()
         fastest, rate = float(self.speeds.max(initial=0.0)), self.rate
         if fastest > MAX_SPEED:
-            lines.append(
-                f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit, such as mm/s?"
-            )
+            units = " or ".join(self._slower_units(fastest)) or "another unit"
+            lines.append(f"the arm moves at up to {fastest:.3g} m/s: is its speed in {units}?")
         if rate is not None and not SLOWEST <= rate <= FASTEST:
             lines.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
         if self.missing:
@@ -222,6 +232,16 @@ class Trace:
             many = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"
             lines.append(f"the time has {many} of {span:.3g} s after {(at - self.touch.time[0]) / s:.4g} s")
         return tuple(lines)
+
+    def _slower_units(self, fastest: float) -> list[str]:
+        """Return the units in which the file's highest speed (m/s) would be plausible, with that speed."""
+        given = [name for name in (VELOCITY, SPEED) if name in self.columns.units]
+        speeds = {
+            unit: fastest * factor / self.columns.scale(name)
+            for name in given
+            for unit, factor in UNITS[name].items()
+        }
+        return [f"{unit} ({speed:.3g} m/s)" for unit, speed in speeds.items() if speed <= MAX_SPEED]
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""

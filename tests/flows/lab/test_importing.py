@@ -186,7 +186,7 @@ def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Wri
     trace_import = TraceImport(path, tmp_path, GUESS)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
     [doubt] = trace_import.summary()["warnings"]
-    assert "at up to 40 m/s: is its speed in another unit, such as mm/s?" in doubt
+    assert "at up to 40 m/s: is its speed in cm/s (0.4 m/s) or mm/s (0.04 m/s)?" in doubt
     assert TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s")).summary()["warnings"] == []
     [doubt] = TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s,time=ms")).summary()["warnings"]
     assert "the rate is 1e+05 Hz" in doubt
