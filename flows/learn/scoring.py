@@ -41,8 +41,11 @@ def assessed(detector: Detector, recording: LabelledRecording) -> Assessed:
 
 def windows(recording: LabelledRecording, length: int, hop: int) -> Counts:
     """Return the windows (k, length, cells) that end at the evaluated samples with a known label."""
-    view = sliding_window_view(recording.counts, length, axis=0)  # (n - length + 1, 6, length)
-    picked: Counts = view[recording.known(hop) + 1 - length].transpose(0, 2, 1)
+    ends = recording.known(hop)
+    if not len(ends):  # it may be shorter than a window
+        return np.empty((0, length, recording.counts.shape[1]), recording.counts.dtype)
+    view = sliding_window_view(recording.counts, length, axis=0)  # (n - length + 1, cells, length)
+    picked: Counts = view[ends + 1 - length].transpose(0, 2, 1)
     return picked
 
 

@@ -87,6 +87,11 @@ def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))
 
 
+@pytest.mark.parametrize("samples", [0, 3, WARM_UP])
+def test_a_recording_within_the_warm_up_has_no_windows(samples: int) -> None:
+    assert windows(recording(samples), 51, 2).shape == (0, 51, 6)
+
+
 def test_samples_with_an_unknown_label_are_not_fitted_to() -> None:
     counts = np.arange(1800, dtype=np.int16).reshape(300, 6)
     label = np.where(np.arange(300) < 200, -1, 1).astype(np.int8)

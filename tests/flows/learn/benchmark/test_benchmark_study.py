@@ -61,6 +61,14 @@ def test_fitted_detectors_beat_the_majority_on_surfaces_that_they_never_saw(
     assert found.datasets[0].leaks == ()
 
 
+def test_a_last_piece_of_the_labelled_minutes_may_be_shorter_than_a_window(
+    surfaces: list[LabelledRecording], having: Having, course: Course, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(entrants, "MINUTES", (3 * 700 + 2) / 6000)  # three recordings and two samples
+    found = benchmark({"strokes": having(surfaces)}, course, regimes=["few-shot"], names=["logistic"], jobs=1)
+    assert of(found, "few-shot logistic").figures.balanced.value > 85
+
+
 def test_a_detector_is_fitted_without_the_recordings_that_judge_it(
     surfaces: list[LabelledRecording], having: Having, course: Course
 ) -> None:
