@@ -21,7 +21,7 @@ class Parameter:
     >>> from flows.graph.quantity import Duration
     >>> delay = Parameter("delay", Duration, 70_000_000)
     >>> print(delay)
-    delay=70ms  (a time with its unit: 500ms, 30s, 5min or 1h)
+    delay=70ms  (a time with its unit: 500ms, 30s, 1h or 30d)
     >>> delay.value("record", "0.1s")
     100000000
     """
