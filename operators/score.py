@@ -9,6 +9,7 @@ import numpy as np
 from operators.batch import Assessed, Counts, Reals, Scores, Zeroed
 from operators.checks import check_at_least
 from operators.detectors.detector import Assessing, Detector, ForFingertip, Stream, Streaming
+from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.forward_fill import forward_fill
 from operators.operator import Operator
@@ -33,7 +34,7 @@ class Score(Operator[Zeroed, Scores]):
         hop: Distance between scores, samples.
 
     Raises:
-        ParameterError: if `hop` is below 1.
+        ParameterError: if `hop` is below 1, or `detector` is the name of a detector.
 
     >>> from operators.detectors import Psd
     >>> cells = np.zeros((30, 6), np.int16)
@@ -48,6 +49,9 @@ class Score(Operator[Zeroed, Scores]):
 
     def __post_init__(self) -> None:
         check_at_least("Score", "hop", self.hop, 1, "sample")
+        if isinstance(self.detector, str):
+            must_be = f"a detector: write Score(load_detector({self.detector!r}))"
+            raise ParameterError("Score", "detector", self.detector, must_be)
         self._due = self.detector.length
 
     @cached_property

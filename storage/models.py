@@ -137,6 +137,7 @@ def load_detector(name: str | Path) -> Detector:
         except InputError as error:
             raise InputError(str(name), error.reason) from error
         if isinstance(detector, ForOneFingertip):
+            detector.model = Path(name).name
             if purpose := PURPOSES.get(str(name)):
                 detector.purpose = f"{name}: {purpose.text}"
             if "fingertip" in card:

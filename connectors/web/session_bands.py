@@ -58,6 +58,7 @@ class SessionBands(Sink[Labelled | Truth]):
     """Sink that keeps the labels of a replay as runs, by band and fingertip."""
 
     def __init__(self) -> None:
+        self._start = 0  # ns; not set if the session has no labels
         self.runs: dict[tuple[str, str], Runs] = {}
         self._labels: dict[str, list[tuple[Times, Codes]]] = {}  # by fingertip
         self._truth: dict[str, list[Truth]] = {}

@@ -144,6 +144,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
             "start": self.start / ms,
             "length": (self.end - self.start) / ms,
             "threshold": self.rule.threshold,
+            "scored": bool(self.scores),
             "fingers": [*fingers],
             "zeroed": self._zeroed,
             "deepest": self._deepest(),

@@ -38,7 +38,7 @@ def _value(value: object) -> str:
         return f"{value // ms} ms"
     if is_dataclass(value):
         return describe(value)
-    named = getattr(value, "name", None)
+    named = getattr(value, "model", None) or getattr(value, "name", None)  # the model of a detector
     return named if isinstance(named, str) and not isinstance(value, str) else repr(value)
 
 

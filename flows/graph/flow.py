@@ -5,7 +5,7 @@ Building a flow runs nothing. Runners execute it any number of times, each time 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, Never, NoReturn, TypeVar
 
 from flows.graph.drawing import text
 from flows.graph.node import Node, Part
@@ -106,6 +106,13 @@ class Stream(Generic[B]):
         """Pair this stream with another, for a join."""
         return Pair(self, other)
 
+    def __rand__(self, other: Never) -> NoReturn:
+        """Raise an error: ``stream | Zero() & other`` pairs the operator, not the stream."""
+        part: object = other
+        name = type(part).__name__
+        edge, hint = f"{name} & {self.node.name}", f"(stream | {name}()) & {self.node.name}"
+        raise FlowError(self.flow.name, edge, f"{name} is not a stream: write {hint}")
+
     def to(self, sink: Sink[B]) -> None:
         """Send this stream to a sink; one sink may receive several streams."""
         self.flow.add_sink(sink, self.node)
@@ -136,4 +143,13 @@ def _check_part(flow: Flow, kind: type, part: object, *inputs: Node) -> None:
         reason = f"{name} is a class: write {name}()"
     elif other := next((each for each in _USES if isinstance(part, each)), None):
         reason = f"{name} is of type {other.__name__}: write {_USES[other][1].format(name)}"
+    elif kind is Source and (found := _sources_of(part)):
+        has = ", ".join(found)
+        reason = f"{name} is not of type Source, but has {has}: write flow.source(rig.{found[0]})"
     raise FlowError(flow.name, edge, reason)
+
+
+def _sources_of(part: object) -> list[str]:
+    """Return the names of the attributes of an object that are sources, such as those of a rig."""
+    attributes: dict[str, object] = getattr(part, "__dict__", {})
+    return [name for name, value in attributes.items() if isinstance(value, Source)]

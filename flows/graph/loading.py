@@ -22,6 +22,7 @@ from flows.graph.error_location import line_in
 from flows.graph.flow import Flow
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
+from operators.operator import Step
 
 SHIPPED = Path(__file__).parents[1]  # folder of the shipped flows
 _DESCRIBED: Final = re.compile(r"^ {4}(\w+): (.+)$", re.MULTILINE)  # argument in a docstring
@@ -179,4 +180,11 @@ def _errors_of(file: Path) -> Generator[None]:
         line = line_in(file, error)
         where = str(file) if line is None else f"{file}:{line}"
         reason = "calls sys.exit" if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
-        raise InputError(where, reason) from error
+        raise InputError(where, reason + _hint(error)) from error
+
+
+def _hint(error: BaseException) -> str:
+    """Return what to write instead of ``stream | Debounce().to(sink)``, which sends an operator."""
+    if isinstance(error, AttributeError) and error.name == "to" and isinstance(error.obj, Step):
+        return f": write (stream | {type(error.obj).__name__}()).to(...)"
+    return ""

@@ -19,11 +19,13 @@ class ForOneFingertip:
 
     Attributes:
         fingertip: Cells, rate and unit of that data.
+        model: Name or file of the weights; empty: unknown.
         purpose: Name of the model and what it is meant for; empty: unknown.
     """
 
     name: str
     fingertip: Fingertip = TAKKTILE
+    model: str = ""
     purpose: str = ""
 
     def check_fingertip(self, given: Fingertip) -> None:

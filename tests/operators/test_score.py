@@ -1,4 +1,5 @@
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,6 +66,14 @@ def test_a_detector_that_assesses_its_input_gives_assessed_scores(hop: int) -> N
     np.testing.assert_array_equal(scores.deviation, 3.0 * np.array(counts))
     assert scores.finger == 6
     assert type(Score(_Runner()).push(touch)) is Scores
+
+
+def test_the_name_of_a_detector_is_an_error_that_says_how_to_load_it() -> None:
+    name: Any = "tcn"
+    with pytest.raises(
+        ParameterError, match=r"detector is 'tcn', .*: write Score\(load_detector\('tcn'\)\)$"
+    ):
+        Score(name)
 
 
 def test_hop_scores_every_so_many_samples() -> None:

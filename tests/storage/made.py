@@ -25,6 +25,7 @@ from operators.batch import (
     ms,
     s,
 )
+from operators.fingertip import Fingertip, grid
 from operators.ports import Description, Run
 from storage import Dataset, Session
 from storage.layout import TABLE_OF
@@ -115,6 +116,16 @@ def record(root: Path, batches: Sequence[Any], session: str = "one", split: str 
 
     asyncio.run(main())
     return Session.open(root / "sessions" / session)
+
+
+def write_pad(root: Path) -> Session:
+    """Write a session of 9 cells in steps of 0.01 kPa at 50 Hz: 2.4 s unloaded, 1.6 s at 7.47 kPa."""
+    run, row = new_run(), np.arange(200)
+    run.fingertips = {str(root): {Touch: Fingertip(grid(9), 50.0, "kPa", 0.01, (0, 4000))}}
+    counts = np.where(row < 120, 20, 767).astype(np.int16)[:, None] + np.zeros(9, np.int16)
+    touch = Touch(run.start + row * 20 * ms, counts, np.zeros_like(counts), counts > 0, finger=0)
+    write(root, run, [touch]).close()
+    return Session.open(root)
 
 
 def same(left: Batch, right: Batch) -> None:

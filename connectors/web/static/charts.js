@@ -25,13 +25,14 @@ export function styles(layout) {
 }
 
 class Chart {
-  constructor(id, series, range, extra = () => {}) {
+  constructor(id, series, range, { extra = () => {}, text = null } = {}) {
     this.labelled = id === "counts"; // true: label the slip bands
     this.host = document.getElementById(id);
     this.hasAxis = this.host.classList.contains("last"); // true: show the time axis of all charts
     this.series = series;
     this.range = range;
     this.extra = extra;
+    this.text = text; // function of a value on the axis; null: that of uPlot
     this.data = [[], ...series.map(() => [])];
     this.view = { begin: -10000, end: 0, origin: 0, slips: [] };
     this.#build();
@@ -73,7 +74,7 @@ class Chart {
         },
         axes: [
           { ...axis, size: () => (this.hasAxis ? 24 : 5), gap: 4, splits: () => this.#times(), values: (_, at) => at.map((t) => (this.hasAxis ? this.#label(t) : "")) },
-          { ...axis, size: LEFT, gap: 6, space: 24 },
+          { ...axis, size: LEFT, gap: 6, space: 24, ...(this.text && { values: (_, at) => at.map(this.text) }) },
         ],
         series: [
           {},
@@ -174,10 +175,13 @@ export class Charts {
     this.raw = false;
     const pressure = steppedRange(60);
     this.range = [0, 1023]; // raw counts
-    this.counts = new Chart("counts", [], (low, high) => (this.raw ? this.range : pressure(low, high)));
-    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => {
-      drawTruth(plot, this.truth, this.scores.view);
-      this.#drawThreshold(plot);
+    this.amount = String; // text of counts
+    this.counts = new Chart("counts", [], (low, high) => (this.raw ? this.range : pressure(low, high)), { text: (value) => this.amount(value) });
+    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], {
+      extra: (plot) => {
+        drawTruth(plot, this.truth, this.scores.view);
+        this.#drawThreshold(plot);
+      },
     });
     this.truth = null;
     this.motion = new Chart("motion", [{ hue: "--probability" }], steppedRange(10));
@@ -193,12 +197,13 @@ export class Charts {
     this.counts.rebuild();
   }
 
-  // Show the TCP speed if there is motion; otherwise the chart above shows the time axis.
-  set hasMotion(shown) {
-    const figure = this.motion.host.closest("figure");
-    if (figure.hidden !== shown) return;
-    figure.hidden = !shown;
-    this.scores.last = !shown;
+  // Show the slip probability and the TCP speed if there are any; the lowest chart shows the time axis.
+  choose(hasScores, hasMotion) {
+    const shown = [true, hasScores, hasMotion], lowest = shown.lastIndexOf(true);
+    this.all.forEach((chart, k) => {
+      chart.host.closest("figure").hidden = !shown[k];
+      if (chart.hasAxis !== (k === lowest)) chart.last = k === lowest;
+    });
   }
 
   get all() {

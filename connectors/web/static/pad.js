@@ -7,8 +7,10 @@ const SHORT = { saturated: "max", drifting: "drift", "no reading": "none" }; // 
 const READABLE = 100; // ms between updates of the numbers, to keep them readable
 
 export class Pads {
-  constructor(host, chosen) {
+  // `chosen(finger)` is called with the selected fingertip; `amount(value)` returns the text of a value.
+  constructor(host, chosen, amount) {
     this.host = host;
+    this.amount = amount;
     this.pads = new Map();
     this.written = 0;
     host.addEventListener("change", ({ target }) => chosen(target.value));
@@ -41,7 +43,7 @@ export class Pads {
       cell.td.classList.toggle("fault", (k in faults && !saturated) || silent);
       const fault = faults[k] ?? (silent ? "no reading" : "");
       write(cell.fault, pad.dense ? SHORT[fault] ?? fault : fault);
-      write(cell.count, value === null ? "–" : String(Math.round(value)).replace("-", "−"));
+      write(cell.count, value === null ? "–" : this.amount(value));
     });
   }
 

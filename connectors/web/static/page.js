@@ -18,7 +18,7 @@ class View {
   constructor() {
     this.charts = new Charts();
     this.events = new Events();
-    this.pads = new Pads($("fingers"), (finger) => this.choose(finger));
+    this.pads = new Pads($("fingers"), (finger) => this.choose(finger), (value) => this.amount(value));
     this.window = 10000; // ms
     this.finger = null;
     this.deepest = 100; // counts, the end of the colour ramp
@@ -29,6 +29,7 @@ class View {
       this.onchange();
     });
     this.name = ""; // flow or recorded session
+    this.hasScores = true;
     this.fingertip = null;
     this.clear();
   }
@@ -49,8 +50,18 @@ class View {
     const { layout, range, unit, resolution } = found ?? TAKKTILE;
     this.given = found ? layout : null;
     this.range = range ?? TAKKTILE.range;
-    this.unit = unit === "count" ? "counts" : `steps of ${resolution} ${unit}`;
+    this.unit = unit === "count" ? "counts" : unit;
+    this.resolution = resolution; // units per count
+    this.digits = Math.min(Math.max(0, Math.ceil(-Math.log10(resolution) - 1e-9)), 6); // of an amount
     this.charts.range = [Math.min(...this.range), Math.max(...this.range)];
+    this.charts.amount = (value) => this.amount(value);
+    this.charts.raw = null; // the captions are written with the next draw
+  }
+
+  // Return counts as text in the unit of the fingertip.
+  amount(value) {
+    const text = (value * this.resolution).toFixed(this.digits);
+    return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "−");
   }
 
   // Sign of zeroed counts under pressure.
@@ -146,7 +157,8 @@ class View {
   draw(now) {
     const scene = this.scene(), { streams, figures, end, at = end } = scene;
     this.showState(scene);
-    this.charts.hasMotion = this.hasMotion;
+    this.charts.choose(this.hasScores, this.hasMotion);
+    $("probability").parentElement.hidden = !this.hasScores;
     $("speed").parentElement.hidden = !this.hasMotion;
     if (end === null) return;
     const raw = streams.zeroed.get(this.finger) === false;
@@ -156,7 +168,7 @@ class View {
       write($("counts-title"), raw ? "Reading of each barometer" : "Pressure of each barometer");
       const [turn, side] = this.sign < 0 ? ["fall", "below"] : ["rise", "above"];
       write($("counts-unit"), raw ? `raw ${this.unit}, which ${turn} with pressure` : `${this.unit} ${side} the unloaded reading`);
-      const unit = this.unit[0].toUpperCase() + this.unit.slice(1);
+      const unit = this.unit === "counts" ? "Counts" : this.unit;
       write($("unit"), raw ? `Raw ${this.unit}, which ${turn} with pressure.` : `${unit} ${side} the unloaded reading.`);
     }
     const readable = this.pads.tick(now);
@@ -168,8 +180,8 @@ class View {
       const share = zeroed ? (v) => v / this.deepest : (v) => this.pressure(v, false) / this.most;
       this.pads.show(finger, values, share, this.faults[finger] ?? {}, this.stateOf(finger, scene));
     }
-    write($("ramp-from"), raw ? String(this.range[0]) : "0");
-    write($("ramp-to"), raw ? String(this.range[1]) : String(this.deepest));
+    write($("ramp-from"), raw ? this.amount(this.range[0]) : "0");
+    write($("ramp-to"), this.amount(raw ? this.range[1] : this.deepest));
     const [from, to] = scene.span ?? [end - this.window, end], { origin = to, last = to, selected } = scene;
     const slips = this.events.spans(this.finger, Math.min(to, last));
     const { touch, speed } = streams, truth = streams.truth.get(this.finger);

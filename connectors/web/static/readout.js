@@ -33,7 +33,7 @@ export class Readout {
   show(t, streams) {
     const { finger } = this.view, value = (rows) => rows?.at(t)?.[0] ?? null;
     const score = value(streams.scoring(finger)), speed = value(streams.speed);
-    const parts = [this.when(t), counts(streams.touch.get(finger)?.at(t) ?? null)];
+    const parts = [this.when(t), touch(streams.touch.get(finger)?.at(t) ?? null, this.view)];
     if (score !== null) parts.push(`probability ${score.toFixed(3)}`);
     if (speed !== null) parts.push(`TCP ${speed.toFixed(1)} mm/s`);
     for (const [name, text] of [["arm", "arm label"], ["truth", "truth"], ["hand", "by hand"]]) {
@@ -44,10 +44,10 @@ export class Readout {
   }
 }
 
-function counts(values) {
+function touch(values, view) {
   if (values === null) return "no touch";
   const known = values.filter((each) => each !== null);
   if (!known.length) return "no reading";
-  if (values.length > MANY) return `counts ${Math.min(...known)} to ${Math.max(...known)}`;
-  return `counts ${values.map((each) => (each === null ? "–" : String(Math.round(each)).replace("-", "−"))).join(" ")}`;
+  if (values.length > MANY) return `${view.unit} ${view.amount(Math.min(...known))} to ${view.amount(Math.max(...known))}`;
+  return `${view.unit} ${values.map((each) => (each === null ? "–" : view.amount(each))).join(" ")}`;
 }

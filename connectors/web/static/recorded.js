@@ -30,6 +30,7 @@ export function recorded(view, about) {
   write($("link"), "Recorded");
   write($("no-events"), "None.");
   view.fingertip = about.fingertip;
+  view.hasScores = about.scored;
   view.clear();
   view.deepest = about.zeroed && about.deepest < -100 ? roundUp(-about.deepest) : 100;
   slider.max = about.length;

@@ -38,7 +38,7 @@ export function thresholdSlider(about, changed) {
     }
   }
 
-  $("tuning").hidden = false;
+  $("tuning").hidden = !about.scored;
   slider.addEventListener("input", () => load(Number(slider.value)));
   const first = () => {
     slider.value = about.threshold;
@@ -48,7 +48,7 @@ export function thresholdSlider(about, changed) {
   reset.addEventListener("click", first);
   first();
   return (threshold) => {
-    if (threshold === null) return first();
+    if (threshold === null || !about.scored) return first();
     slider.value = threshold;
     load(threshold);
   };

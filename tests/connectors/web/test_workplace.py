@@ -20,7 +20,7 @@ from storage import LabelSpan, Session
 from tests.connectors.web.browsing import RIGHT, WIDTH_OF_AXIS, ServedRecording, Watched, drag, shaking
 from tests.connectors.web.reading import slip
 from tests.connectors.web.test_browser import MOVE
-from tests.storage.made import record
+from tests.storage.made import record, write_pad
 
 SECONDS = 12
 START = 1_700_000_000 * s
@@ -137,6 +137,29 @@ def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
         expect(tab.locator("#notice")).to_contain_text("found now at threshold 1.")
         tab.get_by_role("button", name="Reset").click()
         expect(tab.locator("#notice")).to_contain_text("Slip probability: computed now by detector psd.")
+    assert watched.complaints == []
+
+
+def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
+    watched: Watched, tmp_path: Path
+) -> None:
+    tab, session = watched.tab, write_pad(tmp_path)
+    with ServedRecording(load(session, "none")) as served:
+        tab.goto(served.url)
+        tab.get_by_role("combobox", name="Window").select_option(label="all")
+        tab.get_by_role("slider", name="Time in the session").press("End")
+        expect(tab.locator("#readout")).to_contain_text(" · kPa 7.47 7.47")
+        expect(tab.locator(".count").last).to_have_text("7.47")
+        expect(tab.locator("#ramp-to")).to_have_text("8.00")
+        expect(tab.locator("#counts-unit")).to_have_text("kPa above the unloaded reading")
+        expect(tab.locator("#unit")).to_have_text("kPa above the unloaded reading.")
+        for hidden in ("#scores", "#probability", "#tuning"):
+            expect(tab.locator(hidden)).to_be_hidden()
+        drag(tab, tab.locator("#bands"), 0.25, 0.75)
+        tab.keyboard.press("s")
+        tab.keyboard.press("Control+s")
+        expect(tab.locator("#label-state")).to_have_text("1 span, saved as version 1")
+    assert [value for _, _, value in spans(session)] == ["slip"]
     assert watched.complaints == []
 
 

@@ -19,6 +19,7 @@ from flows.run.live_runner import LiveRunner
 from operators import InputError, ParameterError, s
 from storage import Session
 from tests.command import SLIPFLOW, slipflow
+from tests.storage.made import write_pad
 from tests.waiting import PATIENCE
 
 
@@ -43,6 +44,7 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert contents["dataset"] == session.folder.parent.parent.name
     assert contents["length"] == pytest.approx(12_000, abs=200)
     assert "Slip events: recorded" in contents["about"]
+    assert contents["scored"]
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
@@ -82,6 +84,56 @@ def test_the_command_serves_the_session_until_ctrl_c(session: Session) -> None:
     process.send_signal(signal.SIGINT)
     process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
+
+
+def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_without_scores(
+    tmp_path: Path,
+) -> None:
+    session = write_pad(tmp_path)
+    command = [*SLIPFLOW, "show", str(tmp_path), "--listen", "127.0.0.1:0", "--no-browser"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr
+    line = process.stderr.readline()
+    assert re.match(r"one: shown without scores: tcn needs 6 cells, .*; the data has 9 cells, .*kPa", line)
+    assert "train a detector with `slipflow train`, or give one with --detector FILE" in line
+    address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
+    connection = HTTPConnection(address[1], int(address[2]), timeout=PATIENCE)
+
+    def answer(path: str, body: object = None) -> Any:  # noqa: ANN401 - of JSON
+        headers = {"Origin": f"http://{address[1]}:{address[2]}", "Content-Type": "application/json"}
+        connection.request(
+            "GET" if body is None else "POST", path, None if body is None else json.dumps(body), headers
+        )
+        return json.loads(connection.getresponse().read())
+
+    about = answer("/about.json")
+    assert (about["scored"], about["events"], about["panes"]) == (False, [], ["one"])
+    assert about["about"].startswith("Slip probability: none, as there is no detector.")
+    window = answer("/window?begin=0&end=4000&at=3900&columns=1000")
+    assert window["scores"] == {}
+    assert window["touch"]["0"]["v"][-1] == window["at"]["touch"]["0"]["v"][0] == [747] * 9
+    span = {
+        "begin": 2400,
+        "end": 3000,
+        "finger": "0",
+        "value": "slip",
+        "author": "",
+        "note": "",
+        "created": "",
+    }
+    assert answer("/labels", {"based_on": 0, "spans": [span]})["version"] == 1
+    assert [each.value for each in session.hand_labels().spans] == ["slip"]
+    connection.close()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0
+
+
+def test_without_a_detector_recorded_slips_are_shown(session: Session) -> None:
+    contents: dict[str, Any] = {**asyncio.run(load(session, "none")).curves.contents()}
+    assert not contents["scored"]
+    assert len(contents["events"]) == len(session.frame("slips")) > 0
+    assert contents["about"] == "Slip probability: none, as there is no detector. Slip events: recorded."
 
 
 def test_two_sessions_or_detectors_are_served_side_by_side(session: Session) -> None:

@@ -1,7 +1,12 @@
+from pathlib import Path
+from shutil import copy
+
 from flows.graph import Flow
 from flows.graph.drawing import describe, mermaid
 from flows.graph.testing import TestSink, TestSource
-from operators import Debounce, Scores, ms
+from operators import Debounce, Score, Scores, ms
+from storage import load_detector
+from storage.models import shipped_path
 
 
 def test_text_reads_like_the_declaration(drawn: Flow) -> None:
@@ -30,6 +35,15 @@ def test_mermaid_names_every_edge_by_its_type(drawn: Flow) -> None:
     assert lines[0] == "flowchart LR"
     edges = [line.split("|")[1] for line in lines if "-->" in line]
     assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]
+
+
+def test_a_detector_is_drawn_by_the_name_of_its_model(tmp_path: Path) -> None:
+    own = copy(shipped_path("tcn_wide"), tmp_path / "mine.safetensors")
+    assert [describe(Score(load_detector(name))) for name in ("tcn", "tcn_wide", own)] == [
+        "Score(tcn)",
+        "Score(tcn_wide)",
+        "Score(mine.safetensors)",
+    ]
 
 
 def test_an_operator_is_drawn_with_its_non_default_parameters() -> None:

@@ -59,9 +59,22 @@ def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
     assert str(flow) == drawn
 
 
+def test_an_operator_paired_with_a_stream_is_an_error_that_says_where_parentheses_belong() -> None:
+    flow = Flow("f")
+    touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))
+    operator: Any = Zero()
+    with pytest.raises(FlowError, match=r"Zero & motion: .* write \(stream \| Zero\(\)\) & motion$"):
+        _ = touch | operator & motion
+
+
 class Half:
     def process(self, batch: Touch) -> Touch:
         return batch
+
+
+class Rig:
+    def __init__(self) -> None:
+        self.rate, self.touch, self.motion = 100, TestSource(Touch), TestSource(Motion)
 
 
 @pytest.mark.parametrize(
@@ -84,6 +97,12 @@ class Half:
         ("sink", TestSink, "touch -> TestSink: TestSink is a class: write TestSink()"),
         ("sink", Half(), "touch -> Half: Half is not of type Sink: derive its class from Sink[In]"),
         ("source", Half(), "Half: Half is not of type Source: derive its class from Source[Out]"),
+        ("source", abs, "abs: abs is not of type Source: derive its class from Source[Out]"),
+        (
+            "source",
+            Rig(),
+            "Rig: Rig is not of type Source, but has touch, motion: write flow.source(rig.touch)",
+        ),
     ],
 )
 def test_a_part_of_the_wrong_kind_is_an_error_that_says_what_to_write(

@@ -97,6 +97,10 @@ def test_a_ready_made_flow_needs_no_path(name: str) -> None:
         ("def broken(:\n", r"mine\.py:1: invalid syntax"),
         ("\n1 / 0\n", r"mine\.py:2: ZeroDivisionError: division by zero"),
         ("import no_such_module\n", r"mine\.py:1: ModuleNotFoundError"),
+        (
+            "from operators import Debounce\nDebounce().to(None)\n",
+            r"mine\.py:2: .*no attribute 'to': write \(stream \| Debounce\(\)\)\.to\(\.\.\.\)$",
+        ),
         ("x = 1\n", "has no flow"),
         (
             "from flows.graph import Flow\ndef f(x: int) -> Flow: return Flow('f')\n",
