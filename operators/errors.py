@@ -71,9 +71,9 @@ class FlowError(SlipflowError):
 class FingertipError(SlipflowError):
     """Data of a fingertip that a detector was not made for; `fix` names the operators that convert it.
 
-    >>> raise FingertipError("tcn", "100 Hz", "1000 Hz", "insert Resample(rate=100)")
+    >>> raise FingertipError("tcn", "100 Hz", "1000 Hz", "use Resample(rate=100)")
     Traceback (most recent call last):
-    operators.errors.FingertipError: tcn needs 100 Hz; the data has 1000 Hz: insert Resample(rate=100)
+    operators.errors.FingertipError: tcn needs 100 Hz; the data has 1000 Hz: use Resample(rate=100)
     """
 
     def __init__(self, owner: str, needs: str, has: str, fix: str) -> None:

@@ -17,6 +17,7 @@ RATE_TOLERANCE: Final = 0.1  # relative
 
 # By `Fingertip.falls`, for errors about data of the other direction.
 _DIRECTIONS: Final = {True: ", falling as pressure rises", False: ", rising with pressure", None: ""}
+_PAGE: Final = "docs/how-to/any-fingertip.md"
 _FIELDS: Final = {"layout", "rate_hz", "unit", "resolution", "range"}
 
 
@@ -151,21 +152,16 @@ class Fingertip:
             needs.append(unit + (_DIRECTIONS[self.falls] if turned else ""))
             has.append(other + (_DIRECTIONS[given.falls] if turned else ""))
         if cells or scaled:
-            groups = f"groups=({self.cells} groups of cells)" if cells else ""
-            gain = (
-                f"gain=({unit} per {other}), unit={self.unit!r}"
-                if unit != other
-                else "gain=-1"
-                if turned
-                else ""
-            )
+            groups = "groups=..." if cells else ""
+            gain = f"gain=..., unit={self.unit!r}" if unit != other else "gain=-1" if turned else ""
             fix.append(f"Pool({', '.join(filter(None, (groups, gain)))})")
         if not isclose(given.rate, self.rate, rel_tol=RATE_TOLERANCE):
             needs.append(f"{self.rate:g} Hz")
             has.append(f"{given.rate:g} Hz")
             fix.append(f"Resample(rate={self.rate:g})")
         if fix:
-            raise FingertipError(owner, ", ".join(needs), ", ".join(has), f"insert {' and '.join(fix)}")
+            what = f"{' and '.join(fix)} in a flow {'converts' if len(fix) == 1 else 'convert'} it"
+            raise FingertipError(owner, ", ".join(needs), ", ".join(has), f"{what} ({_PAGE})")
 
 
 def grid(cells: int, columns: int | None = None) -> tuple[tuple[int, ...], ...]:

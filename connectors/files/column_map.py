@@ -47,6 +47,7 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 LABELS: Final[Mapping[str, int]] = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
 
 _DEFAULT_LABELS: Final = {"-1": UNKNOWN, "0": STATIC, "1": SLIP, "false": STATIC, "true": SLIP, **LABELS}
+_MAP_IT: Final = "map it (import --map, ColumnMap.parse), for example"
 _EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5, or counts=left,right,top,bottom,tip,base"}
 _NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
@@ -242,7 +243,7 @@ class ColumnMap:
                 found[name] = () if redundant else _guess(name, header)
         for name in (TIME, COUNTS) if timed else (COUNTS,):
             if name in only and not found[name]:
-                raise header.error(f"none recognised as {name}; map it, for example {_EXAMPLES[name]}")
+                raise header.error(f"none recognised as {name}; {_MAP_IT} {_EXAMPLES[name]}")
         for column in (column for columns in found.values() for column in columns):
             header.check(column)
             if found.get(COUNTS, ()).count(column) > 1:
@@ -342,7 +343,7 @@ def _guess(name: str, header: Header) -> tuple[str, ...]:
     candidates = list(_recognised(name, header.names))
     if len(candidates) > 1:
         several = " or ".join(repr(" ".join(each)) for each in candidates)
-        example = f"map it, for example {name}={candidates[0][0]}"
+        example = f"{_MAP_IT} {name}={candidates[0][0]}"
         raise InputError(header.where, f"has several candidates for {name}: {several:.300}; {example}")
     return candidates[0] if candidates else ()
 

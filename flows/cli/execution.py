@@ -5,7 +5,7 @@ import logging
 import sys
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
@@ -15,7 +15,7 @@ from flows.cli.terminal import note, progress_bar
 
 if TYPE_CHECKING:
     from flows.graph import Flow
-    from operators.ports import Recording, Run
+    from operators.ports import Recording, Run, Source
 
 models = logging.getLogger("slipflow.models")
 
@@ -54,12 +54,19 @@ async def execute(
     """
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
-    from flows.run.replay_runner import ReplayRunner, first_time, log_replay_destinations, replayed
+    from flows.run.replay_runner import (
+        ReplayRunner,
+        first_time,
+        log_replay_destinations,
+        replayed,
+        replayed_recording,
+    )
     from flows.run.stop_signals import signals_to, stopping
 
     begin_log(log)
     _log_models(flow)
-    if recording is not None:
+    sources = (cast("Source[Any]", node.part) for node in flow.sources())
+    if recording is not None or replayed_recording(sources) is not None:
         log_replay_destinations(flow)
     session = session_name(flow)
     if recording is not None and pace is None:

@@ -2,7 +2,7 @@
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -10,6 +10,8 @@ from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from connectors.events import Event
+
+_DAY: Final = 86_400 * 10**9  # ns
 
 
 def watch(
@@ -37,10 +39,10 @@ def watch(
 ) -> None:
     """Print slip events from an MQTT broker, each once.
 
-    Fetches missed events from the rigs, and reports events that are lost. Each line shows two delays since
-    the decisive sample: until the event was created (not for replays), and until it arrived here by this
-    machine's clock. Reconnects to a broker that it has reached once; exits 2 if it cannot reach it at the
-    start. Stops at Ctrl-C.
+    Fetches missed events from the rigs, and reports events that are lost. Each line of a live rig shows two
+    delays since the decisive sample: until the event was created, and until it arrived here by this
+    machine's clock, if it was within a day. Reconnects to a broker that it has reached once; exits 2 if it
+    cannot reach it at the start. Stops at Ctrl-C.
 
     Examples:
       slipflow watch mqtt://localhost --site lab
@@ -68,6 +70,7 @@ def watch(
 def _line(event: "Event", now: int) -> str:
     """Return the line of an event that arrived at `now` (ns)."""
     from connectors.events import clear_direction, timestamp
+    from connectors.mqtt.rig_names import is_replay
 
     where = f"{event.site}/{event.rig} finger {event.finger}"
     probability = "" if event.probability is None else f"  p {event.probability:.2f}"
@@ -75,18 +78,20 @@ def _line(event: "Event", now: int) -> str:
     direction = "" if angle is None else f"  direction {angle:.0f} deg"
     quality = f"  {event.quality}: {event.reason}" if event.reason else ""
     when = timestamp(event.time)[:23].replace("T", " ")
-    created = "" if event.latency is None else f"{event.latency:.1f} ms, "
-    delay = f"{created}here after {span(now - event.time)}"
-    return f"{when}  {where}  slip {event.state:5}{probability}{direction}  {delay}{quality}"
+    delays = [] if event.latency is None else [f"{event.latency:.1f} ms"]
+    if not is_replay(event.rig) and abs(now - event.time) < _DAY:
+        delays.append(f"here after {span(now - event.time)}")
+    delay = f"  {', '.join(delays)}" if delays else ""
+    return f"{when}  {where}  slip {event.state:5}{probability}{direction}{delay}{quality}"
 
 
 def span(time: int) -> str:
     """Return a time span (ns) as text with a fitting unit.
 
-    >>> span(12_340_000), span(-3_000_000), span(4 * 10**9), span(7 * 86400 * 10**9)
-    ('12.3 ms', '-3.0 ms', '4.0 s', '7.0 days')
+    >>> span(12_340_000), span(-3_000_000), span(4 * 10**9), span(7 * 3600 * 10**9)
+    ('12.3 ms', '-3.0 ms', '4.0 s', '7.0 h')
     """
-    units = (("days", 172_800e9, 86_400e9), ("h", 7200e9, 3600e9), ("min", 120e9, 60e9), ("s", 1e9, 1e9))
+    units = (("h", 7200e9, 3600e9), ("min", 120e9, 60e9), ("s", 1e9, 1e9))
     for name, least, unit in units:
         if abs(time) >= least:
             return f"{time / unit:.1f} {name}"

@@ -64,7 +64,7 @@ class FileImports:
     Raises:
         InputError: if a file lacks a group, two files have the same name, or the dataset has a session of
             that name.
-        ParameterError: on an invalid pattern, or a session name for several files.
+        ParameterError: on an invalid pattern, a session name for several files, or a file as dataset.
     """
 
     def __init__(
@@ -79,6 +79,9 @@ class FileImports:
         skip_existing: bool = False,
         progress: Callable[[int, int, str], None] = lambda _done, _total, _part: None,
     ) -> None:
+        if out.is_file():
+            must_be = "a folder: the last argument is the dataset to write"
+            raise ParameterError("import", "OUT", str(out), must_be)
         if session and len(paths) > 1:
             raise ParameterError("import", "--session", session, "left out if there are several files")
         self._out, self._columns, self._make = out, columns, make
@@ -235,9 +238,20 @@ class FileImports:
         if groups:
             lines += [f"groups: {', '.join(f'{name} {count}' for name, count in groups.items())}"]
         lines += [f"warning: {each}" for each in self.warnings]
-        lines += [f"error: {file.error}" for file in self.files if file.error]
+        lines += self._errors()
         new = len(good) - sum(file.existing for file in good)
         return "\n".join([*lines, f"{counted(new, 'session')} of {self._out}"])
+
+    def _errors(self) -> list[str]:
+        """Return the errors of the files; one that many files have is one line."""
+        found = dict[str, list[CheckedFile]]()
+        for file in self.files:
+            if file.error:
+                found.setdefault(file.error.removeprefix(str(file.path)), []).append(file)
+        return [
+            f"error: {first.error}" + (f" (as in {counted(len(rest), 'other file')})" if rest else "")
+            for first, *rest in found.values()
+        ]
 
 
 def sessions_of(paths: Sequence[Path]) -> list[str]:

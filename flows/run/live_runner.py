@@ -14,7 +14,7 @@ from flows.graph.node import Node, check_extras, consumers
 from flows.run.cancellation import contained
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import reason_of, warn
-from flows.run.replay_runner import close_sinks, replayed_recording
+from flows.run.replay_runner import close_sinks, other_destination, replayed_recording
 from flows.run.service_notification import ALIVE, READY, STOPPING, notify_systemd
 from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
@@ -87,6 +87,8 @@ class LiveRunner:
         }
         for queue in self._queues.values():
             self.run.sinks[queue.name] = queue.status
+            if self.run.recording is not None:
+                queue.status.replay_destination = other_destination(queue.sink)
         self._readers_of = {
             node: [self._queues[each] for each in readers if each in self._queues]
             for node, readers in consumers(flow.nodes).items()

@@ -60,13 +60,17 @@ def replayed_recording(sources: Iterable[Source[Any]]) -> str | None:
     return next((name for name in names if name is not None), None)
 
 
+def other_destination(sink: Sink[Any]) -> str | None:
+    """Return the destination of a sink in a replay; None: that of a live run."""
+    return None if sink.replay_destination == sink.destination else sink.replay_destination
+
+
 def log_replay_destinations(flow: Flow) -> None:
     """Log the destinations that differ between a replay and a live run."""
     for node in flow.sinks():
-        sink = cast("Sink[Any]", node.part)
-        if sink.replay_destination != sink.destination:
-            text = f"{node.name}: the replay is written to {sink.replay_destination}"
-            warn("replay_destination", text, sink=node.name, destination=sink.replay_destination)
+        if (destination := other_destination(cast("Sink[Any]", node.part))) is not None:
+            text = f"{node.name}: the replay is written to {destination}"
+            warn("replay_destination", text, sink=node.name, destination=destination)
 
 
 class ReplayRunner:
@@ -118,7 +122,9 @@ class ReplayRunner:
             self.run.describe[node.name] = node.describe()
             self.run.sources[node.name] = SourceStatus()
         for node in self._flow.sinks():
-            self.run.sinks[node.name] = SinkStatus(records=cast("Sink[Any]", node.part).records)
+            sink = cast("Sink[Any]", node.part)
+            destination = other_destination(sink)
+            self.run.sinks[node.name] = SinkStatus(records=sink.records, replay_destination=destination)
 
     async def execute(self, stopped: Callable[[Run], bool] = lambda _: False) -> Run:
         """Run to the end of the recording, or until `stopped` returns True after a slice.

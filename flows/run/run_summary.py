@@ -50,5 +50,6 @@ class Summary:
             lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
         for name, sink in self.sinks.items():
             error = f": {sink.error}" if sink.error else ""
-            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{error}")
+            where = f", to {sink.replay_destination}" if sink.replay_destination else ""
+            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{where}{error}")
         return "\n".join(lines)

@@ -34,7 +34,7 @@ class ForOneFingertip:
         Raises:
             FingertipError: if it is not; it names the operators that convert it.
         """
-        self.fingertip.check_fits(self.name, given)
+        self.fingertip.check_fits(self.model or self.name, given)
 
 
 def check_weights(owner: str, weights: Weights, shapes: Shapes) -> None:

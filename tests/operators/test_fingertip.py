@@ -9,7 +9,8 @@ from operators import Touch, ms
 from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid, measured
 
-POOL = "Pool(groups=(6 groups of cells), gain=(count per steps of 0.01 kPa), unit='count')"
+POOL = "Pool(groups=..., gain=..., unit='count')"
+PAGE = "(docs/how-to/any-fingertip.md)"
 PAD = Fingertip(grid(16), 1000.0, "kPa", 0.01, (0, 4000))
 
 
@@ -48,22 +49,22 @@ def test_an_impossible_fingertip_is_refused(change: dict[str, object], name: str
 @pytest.mark.parametrize(
     ("given", "needs", "fix"),
     [
-        (replace(TAKKTILE, rate=200.0), "100 Hz", "insert Resample(rate=100)"),
-        (replace(TAKKTILE, layout=grid(16)), "6 cells", "insert Pool(groups=(6 groups of cells))"),
+        (replace(TAKKTILE, rate=200.0), "100 Hz", f"Resample(rate=100) in a flow converts it {PAGE}"),
+        (replace(TAKKTILE, layout=grid(16)), "6 cells", f"Pool(groups=...) in a flow converts it {PAGE}"),
         (
             replace(TAKKTILE, unit="kPa"),
             "count",
-            "insert Pool(gain=(count per kPa), unit='count')",
+            f"Pool(gain=..., unit='count') in a flow converts it {PAGE}",
         ),
         (
             replace(TAKKTILE, range=(0, 1023)),
             "count, falling as pressure rises",
-            "insert Pool(gain=-1)",
+            f"Pool(gain=-1) in a flow converts it {PAGE}",
         ),
         (
             PAD,
             "6 cells, count, falling as pressure rises, 100 Hz",
-            f"insert {POOL} and Resample(rate=100)",
+            f"{POOL} and Resample(rate=100) in a flow convert it {PAGE}",
         ),
     ],
 )

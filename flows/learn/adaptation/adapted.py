@@ -69,7 +69,7 @@ def adapt(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> Adapted:
     """
     require_extra("train", "adapt")
     for recording in recordings:
-        tcn.fingertip.check_fits(tcn.name, recording.fingertip)
+        tcn.check_fingertip(recording.fingertip)
     found = [_Part(each.counts, segmented(each.counts, each.fingertip.rate)) for each in recordings]
     _check(recordings, found)
     longest = aligned(tcn, Alignment(max(time_scales(tcn)))).length  # samples, window at any time scale

@@ -54,7 +54,7 @@ def fine_tune(
     require_extra("train", "train")
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
 
-    tcn.fingertip.check_fits(tcn.name, common_fingertip([*recordings, *held_out]))
+    tcn.check_fingertip(common_fingertip([*recordings, *held_out]))
     short = _are_short(tcn, recordings)
     if short and not held_out:
         recordings, held_out = _divided(recordings)

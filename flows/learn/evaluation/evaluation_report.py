@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from flows.learn.evaluation import evaluation_figures as figures
-from flows.learn.evaluation.evaluation_study import PAPER_RULE, Evaluation
+from flows.learn.evaluation.evaluation_study import PAPER_RULE, Evaluation, MethodResult
 from flows.learn.evaluation.event_metrics import AHEAD, EventMetrics
 from flows.learn.evaluation.figures_table import FIGURES_DECIMALS, FIGURES_HEAD, figures_cells
 from flows.learn.evaluation.intervals import DRAWS
@@ -66,9 +66,10 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
         "missing": dict(of.missing),
         "leaks": [leak.json() for leak in of.leaks],
     }
-    first = of.leader
-    reached = quantity(first.confusion.accuracy, "%")
-    title = f"Slip detectors on {of.dataset}: {first.method.name} reaches {reached}"
+    best, first = of.results[0], of.leader
+    title = f"Slip detectors on {of.dataset}: {best.method.name} reaches {_accuracy(best)}"
+    if first is not best:
+        title += f", {first.method.name} {_accuracy(first)}"
     sections = [
         accuracy(of),
         leak_section(of.leaks, of.unchecked),
@@ -319,6 +320,10 @@ def _on_surface(confusions: MotionConfusions, surface: str) -> Confusion:
 
 def _motion_head() -> list[str]:
     return ["motion", *(surface.replace("_", " ") for surface in SURFACES), "all"]
+
+
+def _accuracy(result: MethodResult) -> str:
+    return quantity(result.confusion.accuracy, "%")
 
 
 def _shares(confusion: Confusion) -> Sequence[float]:

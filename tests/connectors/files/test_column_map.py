@@ -98,14 +98,19 @@ def test_one_numbered_column_is_a_cell_only_if_no_other_columns_are() -> None:
 
 @pytest.mark.parametrize("names", [("s2",), ("s1", "s3"), ("s2", "s3"), ("left", "right")])
 def test_other_columns_are_no_fingertip(names: tuple[str, ...]) -> None:
-    with pytest.raises(InputError, match=r"none recognised as counts; map it.* or counts=left,right,"):
+    with pytest.raises(
+        InputError, match=r"none recognised as counts; map it .*ColumnMap.* or counts=left,right,"
+    ):
         ColumnMap().completed(Header(("t", *names), "line 1"))
 
 
 @pytest.mark.parametrize(
     ("names", "complaint"),
     [
-        (("t", "time", *CELLS), "has several candidates for time: 't' or 'time'; map it, for example time=t"),
+        (
+            ("t", "time", *CELLS),
+            "for time: 't' or 'time'; map it (import --map, ColumnMap.parse), for example time=t",
+        ),
         (
             ("t", *CELLS, *(f"c{i}" for i in range(6))),
             "has several candidates for counts: 's1 s2 s3 s4 s5 s6' or 'c0 c1",

@@ -49,7 +49,7 @@ def test_a_range_is_relative_to_the_offsets_of_the_cells(tmp_path: Path) -> None
 
 def test_rising_counts_of_six_cells_are_refused_by_a_detector_for_falling_ones(tmp_path: Path) -> None:
     rising = described(tmp_path, Pad.parse(range="0:4000"), cells=6)
-    with pytest.raises(FingertipError, match=r"needs .*falling as pressure rises; .* insert Pool\(gain=-1\)"):
+    with pytest.raises(FingertipError, match=r"needs .*falling as pressure rises; .* Pool\(gain=-1\)"):
         TAKKTILE.check_fits("tcn", rising)
     TAKKTILE.check_fits("tcn", Pool(gain=-1).output_fingertip(rising))
 

@@ -15,6 +15,7 @@ from operators.batch import EVERY, Motion, Touch, Zeroed, concat
 from operators.errors import InputError, ParameterError
 
 Write = Callable[..., Path]
+MAP_IT = "map it (import --map, ColumnMap.parse), for example"
 HEADER = "t,s1,s2,s3,s4,s5,s6"
 MAT = Path(__file__).parents[4] / "shared" / "real" / "mat_trace.csv"
 
@@ -185,19 +186,19 @@ def test_a_time_in_ns_must_be_a_whole_number(write: Write, time: str) -> None:
         (
             "t,s1,s2,s3,s5,s6",
             (
-                "has the columns 't s1 s2 s3 s5 s6', none recognised as counts; map it, for example "
+                f"has the columns 't s1 s2 s3 s5 s6', none recognised as counts; {MAP_IT} "
                 "counts=p0..p5, or counts=left,right,top,bottom,tip,base"
             ),
         ),
         (
             "s1,s2,s3,s4,s5,s6",
-            "has the columns 's1 s2 s3 s4 s5 s6', none recognised as time; map it, for example time=t",
+            f"has the columns 's1 s2 s3 s4 s5 s6', none recognised as time; {MAP_IT} time=t",
         ),
         ("t,s1,s2,s3,s4,s5,s6,s1", "has two columns s1"),
         ("t,s1,s2,s3,s4,s5,s6, s1", "has two columns s1"),
         (
             "0,1,2,3,4,5,6",
-            "has the columns '0 1 2 3 4 5 6', none recognised as time; map it, for example time=t",
+            f"has the columns '0 1 2 3 4 5 6', none recognised as time; {MAP_IT} time=t",
         ),
     ],
 )

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from connectors import Trace
+from connectors import Replay, Trace
 from flows.cli.event_log import Format
 from flows.cli.execution import execute, report_run, session_name
 from flows.graph import Flow
@@ -41,6 +41,25 @@ def test_a_recording_gives_the_same_rows_at_any_pace(trace: Trace) -> None:
         assert run.recording == "trace.csv"
         given.append(sink.rows(Touch, 0).counts[:, 5].tolist())
     assert given[0] == given[1] == list(range(200))
+
+
+@pytest.mark.parametrize("pace", [None, 0.5, 0.0])
+def test_a_replay_names_another_destination_at_its_start_and_end(
+    trace: Trace, pace: float | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Moved(TestSink):
+        @property
+        def replay_destination(self) -> str:
+            return "the attic"
+
+    made, sink = Flow("pressed"), Moved()
+    declared = pace == 0.0  # the recording is the flow's own source
+    made.source(Replay(trace, Touch) if declared else TestSource(Touch)).to(sink)
+    recording = None if declared else trace
+    run = run_virtually(execute(made, log=Format.TEXT, recording=recording, pace=pace))
+    [status] = run.sinks.values()
+    assert (status.rows, status.replay_destination) == (200, "the attic")
+    assert [text for text in caplog.messages if "the replay is written to the attic" in text]
 
 
 def test_a_limit_ends_a_paced_replay(trace: Trace) -> None:

@@ -67,6 +67,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
         (["import", "lab.csv", "out", "--range", "4000"], "range is '4000', must be LOW:HIGH"),
         (["import", "lab.csv", "out", "--separator", "none"], "separator is 'none', must be one of"),
         (["import", "lab.csv", "lab.csv", "out", "--session", "x"], "left out if there are several files"),
+        (["import", "lab.csv", "lab.csv"], "OUT is 'lab.csv', must be a folder: the last argument is"),
         (["import", "lab.csv", "lab.csv", "out"], "has the same session name as lab.csv"),
         (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
     ],
@@ -88,7 +89,7 @@ def test_rising_counts_with_a_stated_range_are_not_taken_for_falling_ones(tmp_pa
     assert (tips["layout"], tips["range"]) == ([[0, 1], [2, 3], [4, 5]], [0, 4000])
     refused = slipflow("evaluate", "out", "--split", "all", "--method", "tcn", "--json", cwd=tmp_path)
     assert refused.returncode == 2
-    assert "insert Pool(gain=-1)" in refused.stderr
+    assert "Pool(gain=-1)" in refused.stderr
     assert not (tmp_path / "evaluation").exists()
 
 

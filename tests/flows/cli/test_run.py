@@ -46,7 +46,7 @@ def test_a_trace_of_another_rate_is_refused_with_the_operator_that_converts_it(t
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
     assert done.returncode == 2
     assert "fast.csv: the rate is 1e+05 Hz: is the time in another unit?" in done.stderr
-    assert "psd needs 100 Hz; the data has 100000 Hz: insert Resample(rate=100)" in done.stderr
+    assert "psd needs 100 Hz; the data has 100000 Hz: Resample(rate=100)" in done.stderr
 
 
 def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Path) -> None:

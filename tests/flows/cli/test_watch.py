@@ -1,10 +1,13 @@
 import re
 import subprocess
 from dataclasses import replace
+from time import time_ns
 
 import pytest
 
 from connectors import Event
+from connectors.events import timestamp
+from operators import s
 from tests.command import SLIPFLOW, slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
 
@@ -12,18 +15,24 @@ pytestmark = pytest.mark.broker
 
 
 @pytest.mark.parametrize(
-    ("latency", "created", "deviation", "direction"),
-    [(8, "8.0 ms, ", 45, "direction 270 deg  "), (None, "", 46, "")],
+    ("rig", "age", "latency", "deviation", "end"),
+    [
+        ("ur10", 0, 8, 45, r"  direction 270 deg  8\.0 ms, here after -?\d+\.\d m?s"),
+        ("ur10", 0, None, 46, r"  here after -?\d+\.\d m?s"),
+        ("ur10", 90_000, 8, 46, r"  8\.0 ms"),
+        ("ur10-replay", 0, None, 46, ""),
+    ],
 )
-def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
-    broker: TestBroker, latency: float | None, created: str, deviation: int, direction: str
+def test_events_are_printed_on_a_line_each_and_errors_on_stderr(  # noqa: PLR0917
+    broker: TestBroker, rig: str, age: int, latency: float | None, deviation: int, end: str
 ) -> None:
-    onset = Event("lab", "ur10", "0", "ab", 7, onset=True, time=10**9, probability=0.93, latency=latency)
+    time = time_ns() - age * s
+    onset = Event("lab", rig, "0", "ab", 7, onset=True, time=time, probability=0.93, latency=latency)
     event = replace(onset, direction_deg=270, direction_sd_deg=deviation)
-    broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
-    broker.publish("slip/v1/lab/ur10/1/event", "{}", "-r")
+    broker.publish(f"slip/v1/lab/{rig}/0/event", event.encode().decode(), "-r")
+    broker.publish(f"slip/v1/lab/{rig}/1/event", "{}", "-r")
     watch = subprocess.Popen(
-        [*SLIPFLOW, "watch", broker.url, "--rig", "ur10"],
+        [*SLIPFLOW, "watch", broker.url, "--rig", rig],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -31,10 +40,9 @@ def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
     assert watch.stdout
     assert watch.stderr
     line = watch.stdout.readline()
-    text, _, late = line.partition("here after ")
-    assert text == "1970-01-01 00:00:01.000  lab/ur10 finger 0  slip onset  p 0.93  " + direction + created
-    assert re.fullmatch(r"\d{5}\.\d days\n", late)
-    assert watch.stderr.readline().startswith("ignoring malformed message: slip/v1/lab/ur10/1/event: ")
+    shown = f"{timestamp(time)[:23].replace('T', ' ')}  lab/{rig} finger 0  slip onset  p 0.93"
+    assert re.fullmatch(re.escape(shown) + end + "\n", line)
+    assert watch.stderr.readline().startswith(f"ignoring malformed message: slip/v1/lab/{rig}/1/event: ")
     watch.terminate()
     watch.communicate()
 

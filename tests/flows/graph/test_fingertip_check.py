@@ -34,8 +34,8 @@ def flow(fingertip: Fingertip, score: Score) -> Flow:
 @pytest.mark.parametrize(
     ("given", "fix"),
     [
-        (replace(TAKKTILE, rate=200.0), r"insert Resample\(rate=100\)"),
-        (replace(TAKKTILE, layout=grid(16)), r"insert Pool\(groups=\(6 groups of cells\)\)"),
+        (replace(TAKKTILE, rate=200.0), r"Resample\(rate=100\) in a flow converts it"),
+        (replace(TAKKTILE, layout=grid(16)), r"Pool\(groups=\.\.\.\)"),
     ],
 )
 def test_a_detector_for_another_fingertip_is_an_error_that_names_edge_and_operator(
@@ -46,6 +46,11 @@ def test_a_detector_for_another_fingertip_is_an_error_that_names_edge_and_operat
     assert isinstance(problem.__cause__, FingertipError)
     with pytest.raises(FlowError, match=rf"^flow 'live': Zero -> Score: tcn needs .*: {fix}"):
         CompiledFlow(made)
+
+
+def test_the_error_names_the_model_and_not_its_kind() -> None:
+    [problem] = problems(flow(replace(TAKKTILE, rate=200.0), Score(load_detector("tcn_wide"))))
+    assert "tcn_wide needs 100 Hz; the data has 200 Hz" in problem.reason
 
 
 def test_a_detector_that_fits_or_does_not_say_is_accepted() -> None:

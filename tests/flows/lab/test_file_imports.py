@@ -69,6 +69,16 @@ def test_files_that_differ_give_warnings(tmp_path: Path) -> None:
     ]
 
 
+def test_an_error_of_many_files_is_one_line(tmp_path: Path) -> None:
+    for name in "abc":
+        (tmp_path / f"{name}.csv").write_text("clock,p0\n0,1\n" if name < "c" else "t,p0\nsoon,1\n")
+    report = imports([tmp_path / f"{name}.csv" for name in "abc"], tmp_path / "out").report()
+    first, second = (line for line in report.splitlines() if line.startswith("error: "))
+    assert first.startswith(f"error: {tmp_path / 'a.csv'}, line 1: has the columns 'clock p0', none")
+    assert first.endswith("(as in 1 other file)")
+    assert second.startswith(f"error: {tmp_path / 'c.csv'}, line 2, column t: is 'soon'")
+
+
 def test_a_file_that_changes_after_the_check_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

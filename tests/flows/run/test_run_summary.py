@@ -37,6 +37,14 @@ def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
     ]
 
 
+def test_the_summary_of_a_replay_names_another_destination(ended: Run) -> None:
+    ended.sinks["mqtt"] = SinkStatus(rows=7, replay_destination="mqtt://host/slip/v1/lab/mine-replay")
+    assert Summary.of(ended).report().splitlines()[2:] == [
+        "  dataset: 12 rows out, 0 dropped",
+        "  mqtt: 7 rows out, 0 dropped, to mqtt://host/slip/v1/lab/mine-replay",
+    ]
+
+
 def dropped(run: Run) -> None:
     run.sinks["dataset"].dropped = 1
 

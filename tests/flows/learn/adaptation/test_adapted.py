@@ -90,7 +90,7 @@ def test_recordings_without_rest_and_strokes_are_refused(  # noqa: PLR0917
 
 def test_another_rate_or_number_of_cells_is_refused(learned: Tcn, strokes: Stroked) -> None:
     slow = replace(strokes(5), fingertip=replace(TAKKTILE, rate=50.0))
-    with pytest.raises(FingertipError, match=r"tcn needs 100 Hz; the data has 50 Hz: insert Resample"):
+    with pytest.raises(FingertipError, match=r"tcn needs 100 Hz; the data has 50 Hz: Resample"):
         adapt(learned, [slow])
     wide = replace(strokes(5), fingertip=replace(TAKKTILE, layout=((0, 1, 2, 3),)))
     with pytest.raises(FingertipError, match="tcn needs 6 cells"):

@@ -59,7 +59,7 @@ def test_detectors_for_other_fingertips_are_missing(tiny: Path, monkeypatch: pyt
     [point] = found.points
     assert point.name == "psd"
     assert point.core_64 == pytest.approx(point.us_64 * 200 / 1e4)
-    assert "insert Resample(rate=100)" in found.missing["tcn"]
+    assert "Resample(rate=100)" in found.missing["tcn"]
     assert goals(found) == []
     with pytest.raises(InputError, match="tcn needs 100 Hz"):
         chart(tiny, names=["tcn"], span=1e-4)

@@ -50,6 +50,17 @@ def test_the_page_refers_to_nothing_outside(written: dict[str, str]) -> None:
         assert text not in written[".html"]
 
 
+def test_the_title_names_the_most_accurate_method_and_the_default(found: Evaluation) -> None:
+    default = found.leader
+    best = replace(psd(found), confusion=Confusion(np.eye(2)))
+    for results, end in (
+        ((default, psd(found)), f"tcn reaches {default.confusion.accuracy:.1f} %"),
+        ((best, default), f"psd reaches 100.0 %, tcn {default.confusion.accuracy:.1f} %"),
+    ):
+        title = evaluation_report(replace(found, results=results), COMMAND).title
+        assert title == f"Slip detectors on tiny: {end}"
+
+
 def test_findings_contain_numbers(found: Evaluation) -> None:
     first = found.leader
     findings = {each.name: each.finding for each in evaluation_report(found, COMMAND).sections}

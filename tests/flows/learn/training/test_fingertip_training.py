@@ -87,9 +87,7 @@ def test_recordings_of_different_rates_are_not_trained_on_together(
         return mixed
 
     monkeypatch.setattr(trainer, "load", load)
-    with pytest.raises(
-        FingertipError, match=r"data set with train needs 100 Hz; the data has 200 Hz: insert Res"
-    ):
+    with pytest.raises(FingertipError, match=r"data set with train needs 100 Hz; the data has 200 Hz: Res"):
         trainer.train([tmp_path], tmp_path / "model.safetensors", recipe=SMALL)
 
 
@@ -101,7 +99,7 @@ def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: py
 
 def test_a_detector_is_not_evaluated_on_another_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evaluation_study, "load", loading(replace(TAKKTILE, rate=200.0)))
-    misfit = r"tcn needs 100 Hz; the data has 200 Hz: insert Resample\(rate=100"
+    misfit = r"tcn needs 100 Hz; the data has 200 Hz: Resample\(rate=100"
     with pytest.raises(InputError, match=misfit):
         evaluate(tmp_path, names=["tcn"])
     log = list[str]()
