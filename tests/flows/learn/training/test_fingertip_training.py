@@ -62,7 +62,7 @@ def test_a_model_of_16_cells_states_its_fingertip_and_streams_as_it_scores_windo
     scores = Score(detector).push(Zeroed(time, counts, 0 * counts, np.ones(counts.shape, np.bool_)))
     windows = np.lib.stride_tricks.sliding_window_view(counts, detector.length, 0).transpose(0, 2, 1)
     assert scores.probability == pytest.approx(detector.score(windows), abs=1e-5)
-    with pytest.raises(FingertipError, match=r"tcn needs 16 cells, .*; the data has 6 cells"):
+    with pytest.raises(FingertipError, match=r"pad\S* needs 16 cells, .*; the data has 6 cells"):
         probabilities(detector, recordings(TAKKTILE)[3])
 
 
