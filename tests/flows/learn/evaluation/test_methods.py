@@ -33,6 +33,7 @@ def model(path: Path, **about: object) -> Path:
     """A file of the paper's network, with a card."""
     random = np.random.default_rng(0)
     weights = {name: random.normal(size=shape).astype(np.float32) + 1 for name, shape in shapes().items()}
+    weights["std"] = np.abs(weights["std"])
     save_weights(path, weights, {"detector": "paper_tcn"})
     if about:
         path.with_suffix(".json").write_text(json.dumps(about))
