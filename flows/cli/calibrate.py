@@ -52,7 +52,7 @@ def calibrate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Tune the debounce of a detector for a stated rate of false alarms.
+    """Tune the debounce for a stated rate of false alarms.
 
     Chooses threshold, run length and release of the debounce such that false alarms are at most as frequent
     as RATE on data like the given recordings, with the given confidence. The model card records the settings,

@@ -39,7 +39,7 @@ def test_rows_of_any_number_of_cells_are_read_back_bit_for_bit(
 
 
 def test_a_session_has_one_number_of_cells_per_table(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="number of cells of a Touch is 6, must be 16, as in the rows"):
+    with pytest.raises(ParameterError, match="cells of a Touch is 6, must be 16, as in the previous rows"):
         write(tmp_path, new_run(), [BATCHES[0], new_batch(Touch, 1, start=60 * ms)])
 
 

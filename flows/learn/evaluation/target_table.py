@@ -44,7 +44,7 @@ def event_text(alarms: float, missed: float, delay: float) -> str:
 
     >>> event_text(1.04, 2.0, 31.0)
     'raises 1.0 false alarms per static minute, misses 2.0 % of slips, and is 31 ms late (median)'
-    >>> event_text(nan, 2.0, -31.0)
+    >>> event_text(float("nan"), 2.0, -31.0)
     'misses 2.0 % of slips, and is 31 ms early (median); nothing is static'
     """
     known = [
