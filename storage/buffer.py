@@ -1,6 +1,7 @@
 """Rows of one table that are not yet written to a part."""
 
 from itertools import pairwise
+from sys import byteorder
 
 import numpy as np
 
@@ -44,7 +45,7 @@ class Buffer:
         self.rows, self.first, self.last = self.extent_with(batch)
         for name, values in self._columns.items():
             values.extend(getattr(batch, name).tobytes())
-        self._fingers += np.full(len(batch), batch.finger, np.int16).tobytes()
+        self._fingers += batch.finger.to_bytes(2, byteorder, signed=True) * len(batch)
 
     def extent_with(self, batch: Batch) -> tuple[int, int, int]:
         """Return the row count, first and last time if `batch` were added."""

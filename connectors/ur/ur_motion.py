@@ -94,7 +94,9 @@ class UrMotion(Source[Motion]):
                 motion = _decode(client.endpoint, arrivals, rows)
                 new = stamps.new(motion.device_time)
                 self._count(client.endpoint)
-                if new.any():
+                if new.all():
+                    yield motion
+                elif new.any():
                     yield motion[new]
                 if stamps.back:
                     raise EndpointError(client.endpoint, "its clock went back: the controller restarted")
@@ -152,10 +154,10 @@ class UrMotion(Source[Motion]):
 
 
 def _decode(endpoint: str, arrivals: Times, rows: Rows) -> Motion:
-    stamps = rows["timestamp"].astype(np.float64)  # (n,) s
-    if not ((stamps >= 0) & (stamps < _MAX_UPTIME)).all():
-        raise EndpointError(endpoint, f"sent timestamps {stamps.tolist()} s, must be 0 to {_MAX_UPTIME:g} s")
-    device_time = np.rint(stamps * s).astype(np.int64)
+    stamps: list[float] = rows["timestamp"].tolist()  # s; for a few rows, Python is faster than numpy
+    if not all(0 <= stamp < _MAX_UPTIME for stamp in stamps):
+        raise EndpointError(endpoint, f"sent timestamps {stamps} s, must be 0 to {_MAX_UPTIME:g} s")
+    device_time = np.array([round(stamp * s) for stamp in stamps])
     velocity, pose = (rows[name].astype(np.float64) for name in ("actual_TCP_speed", "actual_TCP_pose"))
     return Motion(arrivals, device_time, velocity, pose)
 
@@ -185,15 +187,17 @@ class PackageStamps:
     def new(self, stamps: Times) -> Flags:
         """Mark the new packages, (n,), n >= 1; none from the point where the clock went back."""
         period = round(s / self.rate)
-        first = stamps.item(0)
         if self.first:
+            first = stamps.item(0)
             self.restarts += first < self.newest
-            self.newest = first - period
-        steps = np.diff(stamps, prepend=self.newest)  # (n,) ns
-        intact = np.logical_and.accumulate(steps >= 0)  # (n,)
-        new: Flags = intact & (steps > 0)
-        self.back, self.first = not intact.all(), False
-        self.repeated += int((intact & (steps == 0)).sum())
-        self.missed += int(np.maximum(np.rint(steps[new] / period) - 1, 0).sum())
-        self.newest = stamps[intact].max(initial=self.newest).item()
-        return new
+            self.newest, self.first = first - period, False
+        new, self.back = list[bool](), False
+        for stamp in stamps.tolist():
+            step = stamp - self.newest
+            self.back = self.back or step < 0
+            new.append(step > 0 and not self.back)
+            if not self.back:
+                self.newest = stamp
+                self.repeated += step == 0
+                self.missed += max(round(step / period) - 1, 0)
+        return np.array(new)
