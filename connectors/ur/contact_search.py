@@ -53,12 +53,12 @@ class ContactSearch:
         x, y, z = (each / self.longest for each in path)
         self.direction: Point = x, y, z
         self._start, self._force, self._offset = start, force, offset
-        self._newest = deque[float](maxlen=AVERAGED)  # N
+        self._newest = deque[ArmState](maxlen=AVERAGED)
 
     @property
     def mean(self) -> float:
         """Mean force (N) of the newest states."""
-        return sum(self._newest) / max(1, len(self._newest))
+        return sum(map(self.force, self._newest)) / max(1, len(self._newest))
 
     @property
     def found(self) -> bool:
@@ -66,8 +66,12 @@ class ContactSearch:
         return len(self._newest) == AVERAGED and self.mean >= self._force
 
     def update(self, state: ArmState) -> bool:
-        """Add a state; return True if the arm must come to rest: contact, or the end of the path."""
-        self._newest.append(self.force(state))
+        """Add a state; return True if the arm must come to rest: contact, or the end of the path.
+
+        Adding the newest state again has no effect.
+        """
+        if not (self._newest and self._newest[-1] is state):
+            self._newest.append(state)
         return self.found or self._distance(state) >= self.longest
 
     def force(self, state: ArmState) -> float:

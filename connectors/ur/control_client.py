@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -43,12 +43,15 @@ class ControlClient:
     def start(self) -> None:
         """Start the process."""
         context = get_context("spawn")  # a fork would inherit the event loop and threads
-        self._pipe, theirs = context.Pipe()
-        self.process = context.Process(
+        ours, theirs = context.Pipe()
+        process = context.Process(
             target=serve, args=(theirs, self._host, self._watchdog), name=f"arm {self._host}", daemon=True
         )
-        self.process.start()
-        theirs.close()
+        with theirs, ExitStack() as failing:
+            failing.enter_context(ours)  # closed if the process cannot be started
+            process.start()
+            failing.pop_all()
+        self._pipe, self.process = ours, process
         loop = asyncio.get_running_loop()
         self._replied = loop.time() + START_TIMEOUT
         loop.add_reader(self._pipe.fileno(), self._read_replies)

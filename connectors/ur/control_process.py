@@ -12,6 +12,7 @@ A controller accepts one such client at a time. ur-rtde supports RTDE port 30004
 
 import signal
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import Enum, auto
 from importlib import import_module
@@ -129,9 +130,10 @@ def serve(
     except RuntimeError as error:
         pipe.send(Reply("failed", str(error)))
     finally:
-        commander.stop()
-        control.stopScript()
-        control.disconnect()
+        with ExitStack() as ending:  # each step also after an error of the one before
+            ending.callback(control.disconnect)
+            ending.callback(control.stopScript)
+            commander.stop()
 
 
 class _Commander:

@@ -38,6 +38,11 @@ def test_contact_is_found_by_the_mean_of_the_newest_states() -> None:
     assert down.found
 
 
+def test_a_state_that_is_seen_repeatedly_counts_once() -> None:
+    down, state = search(), at(-0.001, 9.0)
+    assert not any(down.update(state) for _ in range(2 * AVERAGED))
+
+
 def test_a_single_outlier_is_no_contact() -> None:
     down = search()
     for push in (0.0, 0.0, 7.0, 0.0, 0.0):

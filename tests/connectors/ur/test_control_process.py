@@ -225,6 +225,21 @@ def test_the_arm_is_stopped_when_the_commanding_process_is_gone(pipe: tuple[Conn
     assert [call[0] for call in control.sent[-3:]] == ["stopL", "stopScript", "disconnect"]
 
 
+def test_the_process_disconnects_even_if_the_arm_cannot_be_stopped(
+    pipe: tuple[Connection, Connection],
+) -> None:
+    class Unstoppable(TestControl):
+        def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802, FBT001
+            raise RuntimeError("connection lost")
+
+    control, (ours, theirs) = Unstoppable(), pipe
+    ours.send(MoveTo(POSE, 0.1, 0.5))
+    ours.send(Signal.END)
+    with pytest.raises(RuntimeError, match="connection lost"):
+        begin(theirs, control)
+    assert [call[0] for call in control.sent[-2:]] == ["stopScript", "disconnect"]
+
+
 def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]) -> None:
     replies = served(pipe, TestControl(obeys=False), MoveTo(POSE, 0.1, 0.5))
     assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")
