@@ -83,7 +83,8 @@ def read_csv(
     size = (content.count(sign.encode()) + lines) * trace_table.VALUE_SIZE
     trace_table.check_size(where, size, lines, "lines, each with the line of names")
     if header:
-        content = sign.join(f'"{name}"' for name in header).encode() + b"\n" + content
+        quoted = ('"' + name.replace('"', '""') + '"' for name in header)
+        content = sign.join(quoted).encode() + b"\n" + content
         above -= 1  # that line
     named_by = "--header" if header else f"line {above + 1}"
     frame = _frame(where, content, sign, above, named_by)
@@ -100,7 +101,7 @@ def read_csv(
         frame = frame.with_columns(
             pl.when(pl.all().str.contains(_DECIMAL_COMMA)).then(point).otherwise(pl.all())
         )
-    names = [name.strip() for name in frame.columns]
+    names = [name.strip().replace('""', '"') for name in frame.columns]
     columns = dict(zip(reversed(names), reversed(frame.get_columns()), strict=True))  # the first of a name
     return TraceTable(
         columns,
@@ -184,6 +185,8 @@ def _numeric(line: str) -> bool:
 
 def _frame(where: str, content: bytes, sign: str, above: int, named_by: str) -> pl.DataFrame:
     """Parse the columns of a file as text."""
+    if content.partition(b"\n")[0].count(b'"') % 2:  # polars would take the rows below as part of the name
+        raise InputError(f"{where}, {named_by}", 'has a quoted name that is not closed: write "" for a "')
     try:
         frame = pl.read_csv(content, infer_schema=False, separator=sign)
     except pl.exceptions.NoDataError:

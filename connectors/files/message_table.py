@@ -33,7 +33,7 @@ class Message(NamedTuple):
     kind: str  # name of its schema
     time: int  # ns, of recording
     data: bytes
-    decoder: "Callable[[], Decode]"  # makes the function that decodes `data`
+    decoder: "Callable[[], Decode]"  # returns the function that decodes `data`
 
 
 class Recorded(Protocol):
@@ -109,15 +109,14 @@ def _rows(
     messages: Recorded, topic: str, place: str, seen: Counter[tuple[str, str]], left_out: dict[str, str]
 ) -> Iterator[dict[str, object]]:
     """Yield the columns of each message of a topic."""
-    decoders, number = dict[str, Decode](), 0
+    number = 0
     for message in messages():
         seen[message.topic, message.kind] += 1
         if message.topic != topic:
             continue
         try:
-            decode = decoders.get(message.kind) or decoders.setdefault(message.kind, message.decoder())
             row: dict[str, object] = {LOG_TIME: message.time}
-            row.update(_flat("", decode(message.data), left_out))
+            row.update(_flat("", message.decoder()(message.data), left_out))
         except InputError:
             raise
         except Exception as error:  # json, struct, numpy and rosbags each raise their own

@@ -1,6 +1,6 @@
 """Decoding of ROS 2 messages through the rosbags library, an extra."""
 
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Final
 
 from connectors.files.message_table import Decode
@@ -19,6 +19,7 @@ def check_rosbags() -> None:
     require_extra("ros", "ROS 2 import")
 
 
+@lru_cache(maxsize=32)  # read messages of several schemas in turn
 def ros_decoder(where: str, name: str, form: str, definition: str) -> Decode:
     """Return a function that decodes the CDR messages of a type.
 

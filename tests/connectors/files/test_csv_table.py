@@ -94,6 +94,13 @@ def test_a_file_without_names_gets_them(write: Write) -> None:
         read_csv(path, header=NAMES[:2])
 
 
+def test_names_may_have_quotation_marks(write: Write) -> None:
+    assert read_csv(write("0.01,1\n"), header=("t", '2" pad')).reals('2" pad').tolist() == [1]
+    assert read_csv(write('t,"2"" pad"\n0.01,1\n')).header.names == ("t", '2" pad')
+    with pytest.raises(InputError, match='line 1: has a quoted name that is not closed: write "" for a "'):
+        read_csv(write('t,2" pad\n0.01,1\n'))
+
+
 @pytest.mark.parametrize(("separator", "line"), [("", b",,1\n"), ("space", b"1 2  3\n")])
 def test_a_file_of_many_values_is_refused_before_they_fill_the_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, separator: str, line: bytes

@@ -228,6 +228,19 @@ def test_other_encodings_and_broken_definitions_are_refused(tmp_path: Path) -> N
             read_table(path)
 
 
+def test_schemas_of_one_name_may_differ(tmp_path: Path) -> None:
+    path, head = tmp_path / "pads.mcap", b"\0\1\0\0"
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        for definition, data in ((b"uint8 a", b"\x05"), (b"uint16 b", b"\x07\0")):
+            schema = writer.register_schema("pad/msg/Pad", "ros2msg", definition)
+            writer.add_message(writer.register_channel("/pad", "cdr", schema), 1, head + data, 1)
+        writer.finish()
+    table = read_table(path)
+    assert [np.nansum(table.reals(name, lenient=True)) for name in ("a", "b")] == [5, 7]
+
+
 def test_a_bag_is_replayed_like_any_trace(tmp_path: Path) -> None:
     trace = Trace(read_table(BAGS[".mcap"](tmp_path), topic="/pad"))
     fingertip = trace.fingertip(Touch)
