@@ -23,8 +23,8 @@ class HealthReports:
     def next(self) -> dict[str, Json]:
         """Return a report of the current state.
 
-        A source is ``up``, ``stale`` (it has not failed, but there are no rows since the previous report, or
-        for `Source.stale_after`) or ``down``.
+        A source is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or
+        ``down``.
         """
         run, now = self._run, self._run.clock.now()
         elapsed = (now - self._time) / s
@@ -32,10 +32,9 @@ class HealthReports:
         for name, source in run.sources.items():
             before = self._rows.get(name, 0)
             rows, known = source.rows - before, before > 0 and elapsed > 0
-            stale = source.stale or (source.up and not rows)
             self.rates[name] = round(rows / elapsed, 3) if known else None
             sources[name] = {
-                "state": "stale" if stale else "up" if source.up else "down",
+                "state": "up" if source.up else "stale" if source.stale else "down",
                 "rate_hz": self.rates[name],
                 "lag_ms": (now - source.newest) / ms if source.newest else None,
                 "rows": source.rows,

@@ -130,7 +130,7 @@ def serve(
     except RuntimeError as error:
         pipe.send(Reply("failed", str(error)))
     finally:
-        with ExitStack() as ending:  # each step also after an error of the one before
+        with ExitStack() as ending:  # all three, even if the first fails
             ending.callback(control.disconnect)
             ending.callback(control.stopScript)
             commander.stop()

@@ -112,12 +112,12 @@ class Verdicts:
         while now - counts[0][0] > LOST_FOR:
             counts.popleft()
         declared = source.declared_rate
-        if not source.up or declared is None or rate == 0:
+        if not source.up or declared is None:
             return {}  # the state of the source says enough
         found = {"lost": judge_lost(source.lost - counts[0][2], source.rows - counts[0][1])}
         if source.newest:
             found["latency"] = judge_latency(now - source.newest, s / declared)
-        if rate is not None:
+        if rate:  # at 0 the latency judges
             found["rate"] = judge_rate(rate, declared)
         return found
 

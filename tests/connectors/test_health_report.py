@@ -71,8 +71,10 @@ def test_a_source_is_up_stale_or_down(run: Run) -> None:
     run.sources["touch"] = touch = SourceStatus(rows=10, up=True)
     reports = HealthReports(run)
     assert touch_of(reports)["state"] == "up"
+    assert touch_of(reports)["state"] == "up"  # between two rows of a slow source
+    touch.up, touch.stale = False, True
     assert touch_of(reports)["state"] == "stale"
-    touch.up = False
+    touch.stale = False
     assert touch_of(reports)["state"] == "down"
 
 

@@ -23,7 +23,7 @@ export class Health {
         const rate = source.rate_hz === null ? "–" : `${source.rate_hz.toFixed(1)}${wanted === null ? "" : ` of ${number.format(wanted)}`} Hz`;
         return line(
           cell(name),
-          judged("", state(source, errors[name], wanted)),
+          judged("", state(source, errors[name])),
           judged(rate, found.rate),
           judged(source.lag_ms === null || wanted === null ? "–" : `${number.format(Math.round(source.lag_ms))} ms`, found.latency),
           judged(number.format(lost[name]), found.lost),
@@ -76,10 +76,10 @@ export class Health {
   // Show the sum of all verdicts next to the heading.
   #sum() {
     if (!this.report) return;
-    const { sources, sinks, errors, verdicts, declared_hz: declared } = this.report;
+    const { sources, sinks, errors, verdicts } = this.report;
     const levels = [...Object.values(verdicts.sources), ...Object.values(verdicts.sinks)]
       .flatMap((each) => Object.values(each).map(([, level]) => level));
-    levels.push(...Object.entries(sources).map(([name, each]) => state(each, errors[name], declared[name])[1]));
+    levels.push(...Object.entries(sources).map(([name, each]) => state(each, errors[name])[1]));
     levels.push(...Object.values(sinks).map((each) => (each.error ? "bad" : "good")));
     levels.push(...Object.values(this.cells).map(cellLevel));
     const bad = levels.filter((level) => level === "bad").length, warned = levels.filter((level) => level === "warning").length;
@@ -107,9 +107,8 @@ function cellLevel(faults) {
   return kinds.some((kind) => BROKEN.has(kind)) ? "bad" : kinds.length ? "warning" : "good";
 }
 
-// Return the verdict on the state of a source with a declared rate; null: unknown, so its rows may be rare.
-function state({ state: found, gaps }, error, declared) {
+// Return the verdict on the state of a source.
+function state({ state: found, gaps }, error) {
   if (found === "up") return gaps ? [`up, ${gaps} ${gaps === 1 ? "gap" : "gaps"}`, "warning"] : ["up", "good"];
-  if (found === "stale" && declared === null && !error) return ["up, waiting", "good"];
   return [found === "stale" ? "no data" : error ? `down: ${error}` : "down", "bad"];
 }

@@ -92,7 +92,7 @@ def test_health_is_judged_in_words(watched: Watched) -> None:
         expect(touch).to_contain_text("60 ■ losing")
         expect(motion).to_contain_text("● up")
         expect(motion).to_contain_text("0 ● good")
-        expect(rows.filter(has_text="episodes")).to_contain_text("up, waiting")
+        expect(rows.filter(has_text="episodes")).to_contain_text("● up")
         queue = tab.locator("#sinks tr").filter(has_text="mqtt")
         expect(queue).to_contain_text("3 + 12,345 events ■ backlog")
         expect(tab.locator("#cells")).to_have_text("Fingertip 0● good")

@@ -32,6 +32,15 @@ def test_without_declared_rate_or_data_there_is_no_verdict(run: Run) -> None:
     assert Verdicts(run).next({})["sources"] == {"episodes": {}, "touch": {}}
 
 
+def test_without_rows_since_the_last_report_the_latency_judges(run: Run) -> None:
+    now = run.clock.now()
+    run.sources["slow"] = SourceStatus(rows=3, newest=now - 4 * s, declared_rate=0.2, up=True)
+    run.sources["touch"] = SourceStatus(rows=3, newest=now - 4 * s, declared_rate=100.0, up=True)
+    found = Verdicts(run).next({"slow": 0.0, "touch": 0.0})
+    assert words(found, "sources", "slow", "latency") == "good"
+    assert words(found, "sources", "touch", "latency") == "very late"
+
+
 def test_lost_samples_are_forgiven_after_a_minute() -> None:
     clock = SetClock(100 * s)
     run = Run("run1", "live", clock, 90 * s)
