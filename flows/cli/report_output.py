@@ -21,12 +21,12 @@ ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the r
 
 
 def prepare_report(folder: Path) -> None:
-    """Check that the folder of a report can be created, before a long measurement.
+    """Check that a report can be written to a folder, before a long measurement.
 
     Notes that figures need matplotlib. A measurement that fails leaves no empty folder.
 
     Raises:
-        EndpointError: if the folder cannot be created.
+        EndpointError: if the folder cannot be created or written.
     """
     from flows.report.figures import missing_matplotlib
     from flows.report.report_page import check_output_folder

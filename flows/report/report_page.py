@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, Final
 
 from flows.report.colours import variables
@@ -135,16 +136,21 @@ def make_output_folder(folder: Path) -> None:
 
 
 def check_output_folder(folder: Path) -> None:
-    """Check before a long measurement that a folder exists or can be created; leave none behind.
+    """Check before a long measurement that files can be created in a folder; leave no folder behind.
 
     Raises:
-        EndpointError: if it cannot be created.
+        EndpointError: if it cannot be created or written.
     """
     missing = [each for each in (folder, *folder.parents) if not each.exists()]
     make_output_folder(folder)
-    with suppress(OSError):  # another process has written to it
-        for each in missing:
-            each.rmdir()
+    try:
+        TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
+    finally:
+        with suppress(OSError):  # another process has written to it
+            for each in missing:
+                each.rmdir()
 
 
 def _figure_file(page: str, section: Section) -> str:

@@ -78,7 +78,7 @@ class LiveRunner:
             sink_types=self.compiled.sink_types,
             fingertips=self.compiled.fingertips,
         )
-        self._sources, self._stop = sources, asyncio.Event()
+        self._sources, self._stop, self._abandoned = sources, asyncio.Event(), asyncio.Event()
         self._readers = {node: SourceReader(node.name, source, self.run) for node, source in sources.items()}
         self._queues = {
             node: SinkQueue(node.name, node.part, self._stop.set)
@@ -100,9 +100,11 @@ class LiveRunner:
     def stop(self) -> None:
         """End the run: flush the operators, write the queues, close the sinks.
 
-        A second call drops the queued rows; sinks may end their write and close for `sink_queue.GRACE`.
+        A second call drops the queued rows; sinks may end their write and close for `sink_queue.GRACE`. While
+        the sinks are opened, it ends the run at once.
         """
         if self._stop.is_set():
+            self._abandoned.set()
             for queue in self._queues.values():
                 queue.abandon()
         self._stop.set()
@@ -117,11 +119,11 @@ class LiveRunner:
                 earlier output is committed.
         """
         with signals_to(self.stop) if self._signals else nullcontext():
-            if not await self._unless_stopped(self._prepare()):
+            prepared = await _unless(self._stop, self._prepare())
+            self.run.start = self.clock.now()
+            if not prepared or not await _unless(self._abandoned, self._open_sinks()):
                 self.run.error = "was stopped before it began"
                 return self.run
-            self.run.start = self.clock.now()
-            await self._open_sinks()
             writers = [queue.start() for queue in self._queues.values()]
             gc.freeze()  # else a collection searches all modules, which takes 60 ms
             try:
@@ -139,17 +141,6 @@ class LiveRunner:
         for node, source in self._sources.items():
             with contained(partial(OperatorError, self.run.flow, node.name)):
                 await source.prepare()
-
-    async def _unless_stopped(self, work: Coroutine[Any, Any, None]) -> bool:
-        """Run a coroutine; cancel it and return False if `stop` is called before it ends."""
-        task, stopped = asyncio.create_task(work), asyncio.create_task(self._stop.wait())
-        try:
-            await asyncio.wait({task, stopped}, return_when=asyncio.FIRST_COMPLETED)
-            if task.done():
-                task.result()
-            return task.done()
-        finally:
-            await _cancelled([task, stopped])
 
     async def _open_sinks(self) -> None:
         opened: list[SinkQueue] = []
@@ -284,6 +275,18 @@ class LiveRunner:
             self.run.clock_steps.append(ClockStep(self.clock.now(), offset))
             step = f"the host's clock stepped by {(offset - known) / s:+.3f} s"
             warn("clock_set", f"{step}; time stamps are not affected", offset_ns=offset)
+
+
+async def _unless(stop: asyncio.Event, work: Coroutine[Any, Any, None]) -> bool:
+    """Run a coroutine; cancel it and return False if an event is set before it ends."""
+    task, stopped = asyncio.create_task(work), asyncio.create_task(stop.wait())
+    try:
+        await asyncio.wait({task, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        if task.done():
+            task.result()
+        return task.done()
+    finally:
+        await _cancelled([task, stopped])
 
 
 async def _cancelled(tasks: Sequence[asyncio.Task[Any]]) -> list[Exception]:

@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from multiprocessing.resource_tracker import ensure_running
 from typing import Any, Final, Generic, Never, TypeAlias, TypeVar, cast
 
@@ -202,7 +203,16 @@ def _serve(work: Callable[[Any, Stopped], Any], pipe: Pipe) -> None:
                 result = work(item, stopped)
             except Exception as error:  # noqa: BLE001 - raised again in the parent
                 result = _Raised(error)
-            pipe.send(result)
+            pipe.send_bytes(_pickled(result))
+
+
+def _pickled(result: object) -> memoryview:
+    """Return a pickled result, or an error if it cannot be pickled."""
+    try:
+        return ForkingPickler.dumps(result)
+    except Exception as error:  # noqa: BLE001 - any code of the result
+        reason = f"{result!r:.200} cannot be pickled: {error}"
+        return ForkingPickler.dumps(_Raised(SlipflowError(reason)))
 
 
 @contextmanager

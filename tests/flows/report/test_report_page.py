@@ -156,6 +156,16 @@ def test_a_checked_folder_is_left_as_it_was(tmp_path: Path) -> None:
         check_output_folder(tmp_path / "file" / "out")
 
 
+def test_a_folder_without_write_permission_is_refused_before_the_measurement(tmp_path: Path) -> None:
+    refused = OSError(errno.EROFS, os.strerror(errno.EROFS))
+    with (
+        patch("os.open", side_effect=refused),
+        pytest.raises(EndpointError, match="old: cannot be written: Read-only file system; use a writable"),
+    ):
+        check_output_folder(tmp_path / "old")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_error_in_writing_names_the_folder_and_the_fix(tmp_path: Path) -> None:
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with patch.object(Path, "write_text", side_effect=full), pytest.raises(EndpointError) as raised:

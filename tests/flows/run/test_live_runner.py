@@ -1,6 +1,7 @@
 import asyncio
 import gc
 import logging
+import math
 import os
 import re
 import signal
@@ -351,6 +352,26 @@ def test_a_signal_that_follows_the_announcement_of_a_sink_ends_the_run_orderly()
     flow.source(Endless()).to(sink)
     assert not execute(flow).error
     assert sink.closed == 1
+
+
+def test_a_second_signal_ends_a_run_whose_sink_cannot_be_opened() -> None:
+    class Waiting(TestSink):
+        async def open(self, run: Run) -> None:
+            await asyncio.sleep(math.inf)
+
+    flow, opened, waiting = Flow("f"), TestSink(), Waiting()
+    scored = flow.source(Endless())
+    scored.to(opened)
+    scored.to(waiting)
+
+    async def main() -> Run:
+        for seconds in (1, 2):
+            asyncio.get_running_loop().call_later(seconds, os.kill, os.getpid(), signal.SIGTERM)
+        async with asyncio.timeout(10):
+            return await LiveRunner(flow, "test").execute()
+
+    assert run_virtually(main()).error == "was stopped before it began"
+    assert (opened.closed, waiting.opened) == (1, 0)
 
 
 @dataclass

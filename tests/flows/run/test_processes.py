@@ -142,6 +142,11 @@ def test_a_map_reports_a_process_that_died_in_one_line() -> None:
         list(process_map(os._exit, [1, 1], 2))
 
 
+def test_a_result_that_cannot_be_pickled_is_named() -> None:
+    with pytest.raises(SlipflowError, match=r"<memory at .*> cannot be pickled: cannot pickle .*memoryview"):
+        list(process_map(memoryview, [b"", b""], 2))
+
+
 def test_a_map_needs_a_process() -> None:
     with pytest.raises(ParameterError, match="processes: jobs is 0, must be at least 1"):
         process_map(abs, [1], 0)
