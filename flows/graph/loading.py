@@ -122,7 +122,7 @@ def _imported(file: Path) -> types.ModuleType:
     _refuse_clashes(folder)
     if folder != SHIPPED and str(folder) not in sys.path:
         sys.path.append(str(folder))  # last: its modules replace no installed ones
-    spec = importlib.util.spec_from_file_location(f"flow_file_{file.stem}", file)
+    spec = importlib.util.spec_from_file_location(_module_name(file), file)
     if spec is None or spec.loader is None:
         raise InputError(str(file), "is not a Python file: its name must end in .py")
     module = importlib.util.module_from_spec(spec)
@@ -130,6 +130,14 @@ def _imported(file: Path) -> types.ModuleType:
     with _errors_of(file):
         spec.loader.exec_module(module)
     return module
+
+
+def _module_name(file: Path) -> str:
+    """Return a name that no other loaded flow file has; for the first one, it is the same in each process."""
+    name = f"flow_file_{file.stem}"
+    while (loaded := sys.modules.get(name)) and Path(loaded.__file__ or "").resolve() != file.resolve():
+        name += "_"
+    return name
 
 
 def _refuse_clashes(folder: Path) -> None:

@@ -40,10 +40,8 @@ class Table:
 
     def markdown(self) -> str:
         """Return a padded Markdown table, which also reads as plain text."""
-        texts = self._texts()
-        widths = [
-            max(3, *(len(line[column]) for line in [self.head, *texts])) for column in range(len(self.head))
-        ]
+        head, *texts = ([cell.replace("|", r"\|") for cell in line] for line in (self.head, *self._texts()))
+        widths = [max(3, *(len(line[column]) for line in [head, *texts])) for column in range(len(head))]
         left = self._left()
         rule = ["-" * w if text else "-" * (w - 1) + ":" for w, text in zip(widths, left, strict=True)]
         lines = [
@@ -51,7 +49,7 @@ class Table:
                 cell.ljust(w) if text else cell.rjust(w)
                 for cell, w, text in zip(line, widths, left, strict=True)
             )
-            for line in (self.head, rule, *texts)
+            for line in (head, rule, *texts)
         ]
         table = "\n".join(f"| {line} |" for line in lines)
         return f"{self.caption}\n\n{table}" if self.caption else table

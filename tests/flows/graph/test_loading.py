@@ -1,6 +1,8 @@
+import pickle
 import re
 import sys
 from pathlib import Path
+from types import FunctionType
 
 import pytest
 
@@ -158,6 +160,20 @@ def test_a_flow_imports_modules_of_its_folder(tmp_path: Path, monkeypatch: pytes
     code = "from flows.graph import Flow\nfrom own_part_of_a_flow import NAME\n"
     code += "def f() -> Flow:\n    return Flow(NAME)\n"
     assert load(_file(tmp_path, code)).flow().name == "beside"
+
+
+def test_flow_files_of_the_same_name_are_different_modules(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    folders = tmp_path / "a", tmp_path / "b"
+    for folder in folders:
+        folder.mkdir()
+    flows = [load(_file(folder, GOOD + "\nclass Own: pass\n")) for folder in folders]
+    for flow in flows:
+        assert isinstance(flow.build, FunctionType)
+        own = flow.build.__globals__["Own"]
+        assert pickle.dumps(own)  # an operator of this class can be in a snapshot
 
 
 @pytest.mark.parametrize("clash", ["operators.py", "storage/sqlite.py"])

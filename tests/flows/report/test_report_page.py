@@ -104,6 +104,11 @@ def test_text_columns_are_aligned_left_and_numbers_right() -> None:
     ]
 
 
+def test_a_bar_in_a_cell_ends_no_column_of_a_markdown_table() -> None:
+    lines = Table(["group", "|v|"], [["a|b", 1.0]]).markdown().splitlines()
+    assert lines == [r"| group | \|v\| |", "| ----- | ----: |", r"| a\|b  |   1.0 |"]
+
+
 def test_markdown_has_the_tables_and_the_command() -> None:
     markdown = report().markdown("found")
     assert markdown.startswith("# A <page>\n\nof & findings\n\n## one")
