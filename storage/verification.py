@@ -113,7 +113,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         progress: Called after each file.
 
     Raises:
-        InputError: if `path` is neither, cannot be read, or is a dataset of another version.
+        InputError: if `path` is neither, cannot be read, or it or one of its sessions has another version.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     root = Path(path)
@@ -224,6 +224,8 @@ class _SessionCheck:
             about = self.about = read_session(self.folder)
             self._check_ending(about)
             self._check_streams(about)
+        except VersionError:  # nothing is lost
+            raise
         except InputError as error:
             self._add("lost", str(error))
         except (AttributeError, LookupError, TypeError) as error:

@@ -191,6 +191,12 @@ class Trace:
         return replace(found, layout=layout, unit=unit, resolution=self.resolution, range=limits)
 
     @property
+    def extent(self) -> tuple[float, float]:
+        """Lowest and highest reading, in the unit of the counts."""
+        readings = (self.touch.counts + self.offset)[self.touch.valid]
+        return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
+
+    @property
     def name(self) -> str:
         """Path of the file."""
         return self._file

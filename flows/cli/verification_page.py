@@ -1,6 +1,7 @@
 """Report of a verification: its page and its JSON result."""
 
 import shlex
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +13,7 @@ from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError, os_error_reason
-from storage.verification import Verified, Weight, heaviest
+from storage.verification import Checked, SessionFinding, Verified, Weight, heaviest
 
 VERDICTS: Final[Mapping[Weight, str]] = MappingProxyType(
     {
@@ -82,9 +83,14 @@ def report(found: Verified, dataset: Path, command: str) -> Report:
 
 def _sessions(found: Verified) -> Section:
     rows = list[list[Value]]()
+    parts_of = defaultdict[str, list[Checked]](list)
+    for checked in found.parts:
+        parts_of[checked.session].append(checked)
+    findings_of = defaultdict[str, list[SessionFinding]](list)
+    for fault in found.findings:
+        findings_of[fault.session].append(fault)
     for name in found.names:
-        parts = [each for each in found.parts if each.session == name]
-        findings = [each for each in found.findings if each.session == name]
+        parts, findings = parts_of[name], findings_of[name]
         unread = sum(each.part.rows for each in parts if not each.whole)
         readable = sum(each.part.rows for each in parts) - unread
         dated = [each.part for each in parts if each.part.rows]

@@ -10,7 +10,7 @@ from typing import Any, Final, TypeAlias
 
 from connectors.files.column_map import COUNTS, ColumnMap
 from connectors.files.resolution import Steps, common
-from flows.lab.importing import TraceImport, session_name, stored_in
+from flows.lab.importing import TraceImport, session_name, stored
 from flows.report.table import Table, Value, counted
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
 from operators.fingertip import RATE_TOLERANCE
@@ -220,11 +220,11 @@ class FileImports:
         if len(self.files) == 1:
             return self.files[0].report
         lines = list[str]()
-        for interpretation, count in Counter(file.interpretation for file in good).items():
-            first = next(file for file in good if file.interpretation == interpretation)
-            others = f" and {counted(count - 1, 'other file')}" if count > 1 else ""
+        for interpretation in dict.fromkeys(file.interpretation for file in good):
+            first, *rest = (file for file in good if file.interpretation == interpretation)
+            others = f" and {counted(len(rest), 'other file')}" if rest else ""
             lines += [f"{first.path.name}{others}:", *interpretation]
-            lines += stored_in(first.summary["resolution"], first.summary["unit"])
+            lines += stored([file.summary for file in (first, *rest)])
         head = ["file", "group", "rows", "s", "Hz", "slip %", "moving %", "missing", "state"]
         rows = [_row(file) for file in self.files]
         shown = [

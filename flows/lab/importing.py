@@ -1,7 +1,7 @@
 """Import of recorded traces as sessions of a dataset, for replay, training and evaluation."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -138,6 +138,7 @@ class TraceImport:
         """Return the interpretation of the file as JSON data."""
         trace = self.trace
         speeds = trace.speeds  # (n,) m/s
+        lowest, highest = trace.extent
         return {
             **trace.describe(),
             "recognised": [name for name in trace.columns.columns if name not in self._columns.columns],
@@ -146,6 +147,8 @@ class TraceImport:
             "rate": trace.rate,
             "unit": trace.columns.cell_units[1],
             "resolution": trace.resolution,
+            "lowest": lowest,
+            "highest": highest,
             "missing": trace.missing,
             "motion": len(trace.motion),
             "moving": int((speeds > self._label.speed).sum()),
@@ -184,7 +187,7 @@ class TraceImport:
         found, trace = self.summary(), self.trace
         lines = [f"{trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {trace.rate or 0.0:.1f} Hz"]
         lines[0] += f" ({', '.join(trace.notes)})" if trace.notes else ""
-        lines += [*self.interpretation(), *stored_in(trace.resolution, found["unit"])]
+        lines += [*self.interpretation(), *stored([found])]
         if found["motion"]:
             moving = f"{found['moving']} of {found['motion']} rows, above {self._label.speed:g} m/s"
             lines.append(f"  the arm moves in {moving}, at up to {found['fastest']:.3g} m/s")
@@ -201,13 +204,17 @@ class TraceImport:
         return ("zeroed" if self.trace.kind is Zeroed else "raw") + converted
 
 
-def stored_in(resolution: float, unit: str) -> list[str]:
-    """Return a line on the resolution, unless readings are stored as they are.
+def stored(files: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return lines on the range and the resolution of files, given their summaries.
 
-    >>> stored_in(0.01, "kPa"), stored_in(1, "count")
-    (['  stored in steps of 0.01 kPa'], [])
+    >>> stored([{"lowest": 95.2, "highest": 99, "resolution": 0.01, "unit": "kPa"}])
+    ['  readings from 95.2 to 99 kPa', '  stored in steps of 0.01 kPa']
     """
-    return [] if (resolution, unit) == (1, "count") else [f"  stored in steps of {resolution:g} {unit}"]
+    resolution, unit = files[0]["resolution"], files[0]["unit"]
+    lowest, highest = min(each["lowest"] for each in files), max(each["highest"] for each in files)
+    lines = [f"  readings from {lowest:g} to {highest:g} {'counts' if unit == 'count' else unit}"]
+    exact = (resolution, unit) == (1, "count")  # stored as they are
+    return lines if exact else [*lines, f"  stored in steps of {resolution:g} {unit}"]
 
 
 def session_name(file: str) -> str:

@@ -129,7 +129,9 @@ def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
-@pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 2, "session": "one", "sinks": [3]}'])
+@pytest.mark.parametrize(
+    "content", ["{", '{"version": "9"}', '{"version": 2, "session": "one", "sinks": [3]}']
+)
 def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
     if name == "dataset.json" and content != "{":
         content = "[]" if "sinks" in content else "{}"
@@ -137,9 +139,10 @@ def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, con
     assert verify(dataset).code == 1
 
 
-def test_a_dataset_of_another_version_is_refused_because_nothing_is_lost(dataset: Path) -> None:
-    (dataset / "dataset.json").write_text('{"version": 1}')
-    with pytest.raises(InputError, match=r"dataset\.json: has version 1; this slipflow reads version 2"):
+@pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
+def test_data_of_another_version_is_refused_because_nothing_is_lost(dataset: Path, name: str) -> None:
+    (dataset / name).write_text('{"version": 1}')
+    with pytest.raises(InputError, match=rf"{name}: has version 1; this slipflow reads version 2"):
         verify(dataset)
 
 

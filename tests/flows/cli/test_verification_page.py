@@ -48,6 +48,22 @@ def test_lost_rows_are_listed_by_session_and_by_finding(tmp_path: Path) -> None:
     assert len(findings.tables[0].rows) == 2
 
 
+def test_the_time_for_a_report_is_proportional_to_the_number_of_sessions(tmp_path: Path) -> None:
+    class Name(str):
+        __slots__ = ()
+        compared = 0
+        __hash__ = str.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            Name.compared += 1
+            return str.__eq__(self, other)
+
+    names = tuple(Name(number) for number in range(200))
+    parts = tuple(checked(name, 0) for name in names)
+    report(Verified(200, 200, 10_000, (LOST,) * 200, parts, names), tmp_path / "data", "")
+    assert Name.compared < 10 * len(names)
+
+
 def test_the_page_is_one_file_with_its_command(tmp_path: Path) -> None:
     out = tmp_path / "my page.html"
     write(verified(LOST, whole=False), tmp_path / "data", out)

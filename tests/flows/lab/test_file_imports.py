@@ -52,7 +52,7 @@ def test_all_files_get_the_same_resolution(tmp_path: Path) -> None:
         given = pl.read_parquet(path)["p1"].to_numpy()
         assert touch.counts[:, 1] * fingertip.resolution == pytest.approx(given, abs=0.0101)
     assert {file["resolution"] for file in found.summary()["files"]} == {0.02}
-    assert "  stored in steps of 0.02 kPa\n" in found.report()
+    assert "  readings from 90 to 590.16 kPa\n  stored in steps of 0.02 kPa\n" in found.report()
 
 
 def test_files_that_differ_give_warnings(tmp_path: Path) -> None:

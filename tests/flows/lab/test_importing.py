@@ -173,6 +173,7 @@ def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Pat
         "  counts   s1 s2 s3 s4 s5 s6  (raw, recognised by name)",
         "  speed    force  (m/s)",
         "  label    contact",
+        "  readings from 495 to 500 counts",
         "  the arm moves in 10 of 11 rows, above 0.003 m/s, at up to 0.1 m/s",
         "  labels of the file: 5 slip, 6 static",
         f"session trace of {tmp_path / 'out'}, finger 0",
