@@ -77,6 +77,7 @@ bench:  ## run the benchmarks and print their tables
 	.venv/bin/python tests/benchmarks/bench_detectors.py
 	.venv/bin/python tests/benchmarks/bench_rtde.py
 	.venv/bin/python tests/benchmarks/bench_wake_up.py
+	.venv/bin/python tests/benchmarks/bench_start.py
 	.venv/bin/python tests/benchmarks/bench_device_clock.py
 	.venv/bin/python tests/benchmarks/bench_live_path.py
 	.venv/bin/python tests/benchmarks/bench_journal.py

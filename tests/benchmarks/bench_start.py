@@ -1,0 +1,75 @@
+"""CPU that commands take to answer: `--help`, `check live`, and `demo` until its page is served.
+
+Run by `make bench`. Each command runs in a process of its own, in turns; the first turn, which compiles and
+fills caches of files, does not count. CPU is user and system time.
+"""
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from tests.benchmarks.machine import commit, machine
+
+COMMAND: Final = [sys.executable, "-m", "flows.cli"]
+SERVED: Final = "live page: "  # begins the line that names the address of the page
+TICKS: Final = os.sysconf("SC_CLK_TCK")  # per second
+
+
+def answered(*words: str) -> float:
+    """CPU of a command from its start to its end, s."""
+    before = os.times()
+    subprocess.run([*COMMAND, *words], check=True, capture_output=True)
+    after = os.times()
+    return after.children_user + after.children_system - before.children_user - before.children_system
+
+
+def page_served() -> float:
+    """CPU of the demo from its start until its page is served, s."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = ["demo", "--for", "1min", "--no-browser", "--out", f"{folder}/recordings"]
+        words += ["--listen", "127.0.0.1:0", "--outbox", f"{folder}/outbox"]
+        demo = subprocess.Popen(
+            [*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            assert demo.stderr
+            if not any(SERVED in line for line in demo.stderr):
+                raise SystemExit("the demo ended before its page was served")
+            times = Path(f"/proc/{demo.pid}/stat").read_text().rpartition(")")[2].split()
+            return (int(times[11]) + int(times[12])) / TICKS  # utime and stime, see proc(5)
+        finally:
+            demo.terminate()
+            demo.communicate()
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--turns", type=int, default=5)
+    options = parser.parse_args()
+    print(f"medians of {options.turns} turns, commit {commit()}")
+    print(f"{machine()}, load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
+    commands: dict[str, Callable[[], float]] = {
+        "slipflow --help": lambda: answered("--help"),
+        "slipflow check live": lambda: answered("check", "live"),
+        "slipflow demo, until its page is served": page_served,
+    }
+    spent: dict[str, list[float]] = {name: [] for name in commands}
+    for turn in range(options.turns + 1):
+        for name, run in commands.items():
+            cpu = run()
+            if turn:
+                spent[name].append(cpu)
+    print(f"{'':42}{'CPU, s':>8}")
+    for name, found in spent.items():
+        print(f"{name:42}{statistics.median(found):8.2f}")
+
+
+if __name__ == "__main__":
+    main()
