@@ -36,7 +36,8 @@ def fitted(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
     """Return an expected schema with as many cells as a file has, without optional columns that it lacks."""
     kind = _KINDS.get((expected.metadata or {}).get(b"batch", b"").decode())
     optional = {name for name, each in columns(kind).items() if each.optional} if kind else set[str]()
-    kept = [each for each in fields_of(expected) if each.name not in optional - {*found.names}]
+    lacking = optional.difference(found.names)
+    kept = [each for each in fields_of(expected) if each.name not in lacking]
     for field in fields_of(found):
         if field.name in _PER_CELL and pa.types.is_fixed_size_list(field.type):
             kept = [_resized(each, int(field.type.list_size)) for each in kept]
@@ -135,7 +136,7 @@ def fields_of(schema: pa.Schema) -> list[pa.Field[Any]]:
 
 def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:
     """Return the values of a column in one array; FixedSizeLists are flattened."""
-    array: Any = column.combine_chunks()
+    array: Any = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()  # which copies
     values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
     return values
 
