@@ -26,7 +26,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
-from itertools import pairwise, takewhile
+from functools import cached_property
+from itertools import accumulate, pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -75,10 +76,11 @@ class Table:
     finger: bool = True  # each row belongs to a fingertip; False: to all fingertips
     parted: bool = True  # a folder of parts; False: one file, written when the session closes
 
-    @property
+    @cached_property
     def columns(self) -> Mapping[str, Column]:
         """Stored columns of the batch, in order."""
-        return {name: each for name, each in columns(self.kind).items() if name not in self.omits}
+        stored = {name: each for name, each in columns(self.kind).items() if name not in self.omits}
+        return MappingProxyType(stored)
 
     @property
     def pattern(self) -> str:
@@ -155,8 +157,9 @@ def table_files(folder: Path, table: Table) -> list[str]:
     Raises:
         SlipflowError: as `files_of`.
     """
-    found = (path.relative_to(folder).as_posix() for path in files_of(folder, table.pattern))
-    return sorted(filter(is_table_file, found), key=part_number)
+    base = f"{table.name}/" if table.parted else ""
+    found = (base + path.name for path in files_of(folder, table.pattern))
+    return sorted((path for path in found if path == table.file(part_number(path))), key=part_number)
 
 
 def session_folder(root: Path, session: str) -> Path:
@@ -288,15 +291,20 @@ def check_links(folder: Path) -> None:
     if sessions.name == SESSIONS:
         inside(sessions.parent, sessions / folder.name)
 
-    def fail(error: OSError) -> None:
-        if not isinstance(error, FileNotFoundError):  # a recorder deletes its journal meanwhile
+    folders = [os.fspath(folder)]
+    while folders:
+        try:
+            with os.scandir(folders.pop()) as entries:
+                for entry in entries:
+                    if entry.is_symlink():
+                        reason = "is a link; a session must have none: replace it by the files"
+                        raise InputError(entry.path, reason)
+                    if entry.is_dir():
+                        folders.append(entry.path)
+        except FileNotFoundError:  # a recorder deletes its journal meanwhile
+            continue
+        except OSError as error:
             raise read_error(error.filename, error) from error
-
-    for base, folders, names in os.walk(folder, onerror=fail):
-        for name in (*folders, *names):
-            path = os.path.join(base, name)  # noqa: PTH118 - twice as fast as Path
-            if os.path.islink(path):  # noqa: PTH114 - false if access is denied
-                raise InputError(path, "is a link; a session must have none: replace it by the files")
 
 
 def inside(folder: Path, path: Path) -> Path:
@@ -312,7 +320,9 @@ def inside(folder: Path, path: Path) -> Path:
 
 def _has_links(folder: Path, path: Path) -> bool:
     """Return False if no name between `folder` and `path` is a link or leads upwards."""
-    if not path.is_relative_to(folder) or ".." in path.parts:
+    try:
+        names = path.relative_to(folder).parts
+    except ValueError:
         return True
-    between = takewhile(lambda each: each != folder, (path, *path.parents))
-    return any(os.path.islink(each) for each in between)  # noqa: PTH114 - false if access is denied
+    between = [*accumulate((str(folder), *names), os.path.join)][1:]
+    return ".." in names or any(map(os.path.islink, between))  # false if access is denied
