@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import fields
+from functools import cache
 from inspect import signature
 from typing import Any, Final
 
@@ -113,9 +114,14 @@ def _lost_parameters(flow: Flow) -> Iterator[FlowError]:
     for node in flow.nodes:
         if isinstance(node.part, Operator | Join) and type(node.part).reset_copy is Step.reset_copy:
             kept = {f.name for f in fields(node.part) if f.init}
-            for lost in signature(type(node.part)).parameters.keys() - kept:
+            for lost in _parameters(type(node.part)) - kept:
                 reason = f"{lost} would be lost: make it a field of a @dataclass, which needs no __init__"
                 yield FlowError(flow.name, node.name, reason)
+
+
+@cache  # of each class: `signature` takes longer than all other checks
+def _parameters(kind: type[Step]) -> frozenset[str]:
+    return frozenset(signature(kind).parameters)
 
 
 def _wrong_types(flow: Flow) -> Iterator[FlowError]:
