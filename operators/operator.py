@@ -23,6 +23,7 @@ Out = TypeVar("Out", bound=Batch, covariant=True)
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
 _EARLIEST = int(np.iinfo(np.int64).min)
+_prepared = set[str]()  # operators with their parameters, whose loops this process has compiled
 
 
 @dataclass
@@ -57,13 +58,14 @@ class Step(ABC):
     def prepare(self) -> None:
         """Do slow set-up, such as loading compiled code, before the first push; runners call this.
 
-        An operator of slipflow compiles its loops: a copy processes a row of zeros.
+        An operator of slipflow compiles its loops: a copy processes a row of zeros, once per process.
         """
-        kind = type(self)
-        if kind.__module__.startswith("operators."):
+        kind, operator = type(self), repr(self)
+        if kind.__module__.startswith("operators.") and operator not in _prepared:
             copy: Any = self.reset_copy()
             copy.push(*(batch_type.zeros(cells=self._example_cells) for batch_type in input_types(kind)))
             copy.flush()
+            _prepared.add(operator)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip of the output for input of the fingertip `given`, by default the same.
