@@ -219,17 +219,16 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
                 rest[entry] = batch
         if not rest:
             return
-        until = min(int(batch.time.max()) for batch in rest.values())
+        newest = {entry: int(batch.time.max()) for entry, batch in rest.items()}
+        until = min(newest.values())
         slices: dict[Entry, Batch] = {}
         for entry, batch in list(rest.items()):
+            if newest[entry] == until:
+                slices[entry] = rest.pop(entry)
+                continue
             reached = np.maximum.accumulate(batch.time)  # (n,) late rows stay with the rows before them
-            cut = int(np.searchsorted(reached, until, side="right"))
-            if cut:
-                slices[entry] = batch[:cut]
-            if cut == len(batch):
-                del rest[entry]
-            else:
-                rest[entry] = batch[cut:]
+            if cut := int(np.searchsorted(reached, until, side="right")):
+                slices[entry], rest[entry] = batch[:cut], batch[cut:]
         yield slices
 
 
