@@ -26,6 +26,7 @@ from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
 from flows.run.parallel_replay import recordings
 from flows.run.replay_runner import ReplayRunner
+from flows.run.stop_signals import stopping
 from operators import Batch, Debounce, Operator, Score, Sink, Slips, Touch, Zero
 from operators.fingertip import Fingertip
 from operators.ports import Description
@@ -126,7 +127,7 @@ def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], rows: int, wa
     total, began, wall = 0, time.process_time(), time.perf_counter()
     with watch.stage("check and plan"):
         job = flow(sink())
-    with asyncio.Runner() as loop:
+    with stopping(), asyncio.Runner() as loop:
         for number, path in enumerate(paths):
             with watch.stage("open"):
                 session = Session.open(path)
