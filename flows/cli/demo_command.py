@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.event_log import Format, Log, with_json_console
+from flows.cli.event_log import Format, Log, begin_log, with_json_console
 from flows.cli.execution import execute, separate_result
 from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
 from flows.cli.options import AsJson, Recordings, Seed
@@ -52,6 +52,7 @@ def demo(
     from flows.graph.quantity import parse_time
     from flows.run.run_summary import Summary
 
+    begin_log(log)
     limit = None if duration is None else parse_time("demo", "--for", duration)  # ns
     broker = mqtt or demo_summary.local_broker()
     flow = declared.demo(str(out), broker, rig, outbox, seed, connect_required=bool(mqtt))
@@ -63,7 +64,7 @@ def demo(
         add_metrics(flow, metrics)
     typer.echo(flow, err=True)
     with separate_result(as_json=as_json, log=log):
-        done = run_punctually(execute(flow, log=log, limit=limit))
+        done = run_punctually(execute(flow, limit=limit))
     summary = Summary.of(done)
     found = demo_summary.summarize(done, out, broker)
     if as_json:

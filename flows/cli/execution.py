@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
-from flows.cli.event_log import Format, begin_log, logged
+from flows.cli.event_log import Format, logged
 from flows.cli.replay_batch import replays_as_json
 from flows.cli.terminal import note, progress_bar
 
@@ -35,7 +35,6 @@ def session_name(flow: "Flow") -> str:
 async def execute(
     flow: "Flow",
     *,
-    log: Format,
     limit: int | None = None,
     recording: "Recording | None" = None,
     pace: float | None = None,
@@ -44,7 +43,6 @@ async def execute(
 
     Args:
         flow: Flow to run.
-        log: Format of the log.
         limit: Longest duration of a live or paced run, ns.
         recording: Recording to replay; None: run live.
         pace: Speed of the replay as a multiple of real time; None: full speed.
@@ -63,7 +61,6 @@ async def execute(
     )
     from flows.run.stop_signals import signals_to, stopping
 
-    begin_log(log)
     _log_models(flow)
     sources = (cast("Source[Any]", node.part) for node in flow.sources())
     if recording is not None or replayed_recording(sources) is not None:

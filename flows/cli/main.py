@@ -35,6 +35,7 @@ from flows.cli.run import run
 from flows.cli.show import show
 from flows.cli.simulate import simulate
 from flows.cli.stress import stress
+from flows.cli.terminal import note
 from flows.cli.train import train
 from flows.cli.verify import verify
 from flows.cli.watch import watch
@@ -89,7 +90,7 @@ def main() -> NoReturn:
             traceback.print_exc()
         elif text:
             with suppress(OSError):
-                typer.echo(text, err=True)
+                note(text)
     _close_output()
     sys.exit(code)
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.event_log import Format, Log, with_json_console
+from flows.cli.event_log import Format, Log, begin_log, with_json_console
 from flows.cli.execution import execute, report_run, separate_result, session_name
 from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
 from flows.cli.options import AsJson, Duration, Jobs, Settings, Target, load_flow, parse_settings
@@ -86,6 +86,7 @@ def run(
             "--for requires a live run or --pace: a replay at full speed ends with its recording",
         ),
     )
+    begin_log(log)
     flow = load_flow(target, settings)
     given = [*(replay or ()), *(more or ())]
     if cluster:
@@ -116,7 +117,7 @@ def run(
         add_metrics(flow, metrics)
     began = perf_counter()
     with separate_result(as_json=as_json, log=log):
-        done = run_punctually(execute(flow, log=log, limit=limit, recording=recording, pace=pace))
+        done = run_punctually(execute(flow, limit=limit, recording=recording, pace=pace))
     replayed, seconds = next(iter(paths), None), perf_counter() - began
     report_run(done, replayed=replayed, seconds=seconds, log=log, as_json=as_json)
 

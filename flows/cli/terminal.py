@@ -1,5 +1,6 @@
 """Notes, progress and checks that several commands share."""
 
+import logging
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,10 +8,16 @@ from typing import Protocol
 
 import typer
 
+log = logging.getLogger("slipflow")
+
 
 def note(text: str) -> None:
-    """Print a message on stderr; stdout is for the result."""
-    typer.echo(text, err=True)
+    """Print a message on stderr, as stdout is for the result; a JSON log gets it as a record."""
+    if log.isEnabledFor(logging.INFO):  # a JSON log
+        message = text.removeprefix("error: ")
+        log.log(logging.INFO if message == text else logging.ERROR, "%s", message)
+    else:
+        typer.echo(text, err=True)
 
 
 def check_output_file(path: Path) -> None:

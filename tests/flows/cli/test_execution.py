@@ -37,7 +37,7 @@ def test_a_recording_gives_the_same_rows_at_any_pace(trace: Trace) -> None:
     given = list[list[int]]()
     for pace in (None, 0.5):
         made, sink = flow()
-        run = run_virtually(execute(made, log=Format.TEXT, recording=trace, pace=pace))
+        run = run_virtually(execute(made, recording=trace, pace=pace))
         assert run.recording == "trace.csv"
         given.append(sink.rows(Touch, 0).counts[:, 5].tolist())
     assert given[0] == given[1] == list(range(200))
@@ -56,7 +56,7 @@ def test_a_replay_names_another_destination_at_its_start_and_end(
     declared = pace == 0.0  # the recording is the flow's own source
     made.source(Replay(trace, Touch) if declared else TestSource(Touch)).to(sink)
     recording = None if declared else trace
-    run = run_virtually(execute(made, log=Format.TEXT, recording=recording, pace=pace))
+    run = run_virtually(execute(made, recording=recording, pace=pace))
     [status] = run.sinks.values()
     assert (status.rows, status.replay_destination) == (200, "the attic")
     assert [text for text in caplog.messages if "the replay is written to the attic" in text]
@@ -64,13 +64,13 @@ def test_a_replay_names_another_destination_at_its_start_and_end(
 
 def test_a_limit_ends_a_paced_replay(trace: Trace) -> None:
     made, sink = flow()
-    run_virtually(execute(made, log=Format.TEXT, limit=s, recording=trace, pace=1.0))
+    run_virtually(execute(made, limit=s, recording=trace, pace=1.0))
     assert 98 <= len(sink.rows(Touch, 0)) <= 101
 
 
 def test_a_live_run_has_no_recording() -> None:
     made, _ = flow()
-    assert run_virtually(execute(made, log=Format.TEXT)).recording is None
+    assert run_virtually(execute(made)).recording is None
 
 
 def test_the_result_of_a_run_is_text_or_json(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
