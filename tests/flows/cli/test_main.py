@@ -1,5 +1,7 @@
 """The command line in processes of its own: help, version and usage errors."""
 
+import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -10,7 +12,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from flows.cli import experiments, main
+from flows.cli import __main__, experiments, main
 from tests.command import SLIPFLOW, slipflow
 
 
@@ -67,6 +69,26 @@ def test_output_that_cannot_be_written_is_one_line() -> None:
         2,
         "error: standard output: No space left on device; free some space, or use another location\n",
     )
+
+
+def test_a_terminated_command_deletes_its_unfinished_output(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def terminate(*_: object) -> None:
+        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL  # it would end the tests
+        assert (tmp_path / "out.partial").is_dir()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("flows.lab.simulation._record", terminate)
+    monkeypatch.setattr(sys, "argv", ["slipflow", "simulate", str(tmp_path / "out"), "--jobs", "1"])
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            __main__.main()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ended.value.code == 130
+    assert [*tmp_path.iterdir()] == []
 
 
 def test_a_closed_pipe_ends_quietly() -> None:
