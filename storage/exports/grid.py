@@ -137,6 +137,7 @@ def _samples(session: Session, finger: int) -> _Samples:
     time, counts, valid, label, velocity = (np.concatenate(column) for column in zip(*pieces, strict=True))
     order = np.argsort(time, kind="stable")
     filled = forward_fill(counts[order], valid[order])
+    label, _ = session.hand_labels().replace(label, time, finger)
     return _Samples(time[order], filled, valid[order], label[order], velocity[order])
 
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from heapq import merge
 from importlib.util import find_spec
 from itertools import islice
@@ -34,7 +34,7 @@ def export(
 
     Streams are read part by part and merged, so memory does not grow with the session. Late rows are in the
     order of recording; the file's index sorts them by time. session.json becomes the metadata record
-    "session", with JSON text for each key.
+    "session", with JSON text for each key; labels given by hand become "hand_labels", if there are any.
 
     Args:
         session: Session to write.
@@ -55,8 +55,11 @@ def export(
     with partial_file(path) as file:
         writer: Any = Writer(file, chunk_size=_CHUNK, compression=_compression())
         writer.start(profile="", library=str(session.about.get("software", "slipflow")))
-        described = {key: _text(value) for key, value in session.about.items()}
-        writer.add_metadata("session", described)
+        labels = session.hand_labels()
+        described = {"session": session.about, "hand_labels": asdict(labels) if labels.version else {}}
+        for name, content in described.items():
+            if content:
+                writer.add_metadata(name, {key: _text(value) for key, value in content.items()})
         channels = _Channels(writer)
         streams = [
             _rows(session, channels, table, finger, span)

@@ -5,6 +5,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
+from dataclasses import asdict
 from importlib import import_module
 from math import degrees, isnan
 from pathlib import Path
@@ -48,7 +49,7 @@ def export(
     - ``/probability/FINGER``: slip probability by `detector`; raw touch is zeroed first
     - ``/motion/speed``: speed of the tool centre point, m/s; ``/samples/FINGER/speed``: in the contact plane
     - ``/slip/FINGER``: onsets and ends as lines of text; ``/faults``: faults of barometers
-    - ``/session``: contents of session.json
+    - ``/session``: contents of session.json; ``/hand_labels``: labels given by hand, if there are any
 
     Streams are read and written part by part, so memory does not grow with the session.
 
@@ -90,6 +91,9 @@ class _Recording:
         """Write a session; yield the entity and number of rows of each batch."""
         about = json.dumps(dict(session.about), indent=1, default=str)
         self._stream.log("/session", self._rerun.TextDocument(about), static=True)
+        if (labels := session.hand_labels()).version:
+            text = json.dumps(asdict(labels), indent=1)
+            self._stream.log("/hand_labels", self._rerun.TextDocument(text), static=True)
         for finger in session.fingers(Touch):
             yield from self._touch(session, finger, detector)
         for batch in _batches(session, Motion):

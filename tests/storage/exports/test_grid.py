@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from operators.batch import EVERY, Motion, Touch, ms
 from operators.errors import InputError
 from storage.exports.grid import Contents, find_contents, to_frames
+from storage.hand_labels import LabelSpan
 from tests.storage.made import new_batch, new_samples, record
 
 MOVED = Contents((0,), 6, velocity=True, pose=False)
@@ -31,6 +32,13 @@ def test_regular_samples_become_one_frame_each(tmp_path: Path) -> None:
     assert found.label[:, 0].tolist() == samples.label.tolist()
     assert found.velocity.tolist() == samples.velocity.tolist()
     assert found.valid.all()
+
+
+def test_labels_given_by_hand_replace_those_by_arm_speed(tmp_path: Path) -> None:
+    session = record(tmp_path, [new_samples(np.arange(4) * 10 * ms)])
+    session.write_hand_labels([LabelSpan(10 * ms, 30 * ms, 0, "static")], based_on=0)
+    (found,) = to_frames(session, 100, MOVED).stretches
+    assert found.label[:, 0].tolist() == [-1, 0, 0, -1]  # arm: -1, 0, 1, -1
 
 
 @given(

@@ -31,6 +31,7 @@ from storage import Session
 from storage.exports import mcap_file
 from storage.exports.mcap_file import export
 from storage.exports.mcap_messages import topic
+from storage.hand_labels import LabelSpan
 from storage.layout import TABLE_OF
 from tests.storage.made import new_batch, record
 
@@ -171,15 +172,19 @@ def test_late_rows_are_sorted_by_the_index(tmp_path: Path) -> None:
 
 def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path) -> None:
     session = record(tmp_path, [new_batch(Touch, 30, start=s), new_batch(Motion, 20, start=2 * s)])
+    session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
     path = tmp_path / "one.mcap"
     export(session, path)
-    statistics, (metadata,), chunks = summary(path)
+    statistics, (metadata, labels), chunks = summary(path)
     assert (statistics.message_count, statistics.channel_count, statistics.schema_count) == (50, 2, 2)
     assert (statistics.message_start_time, statistics.message_end_time) == (s, 2 * s + 190 * ms)
     assert metadata.name == "session"
     assert set(metadata.metadata) == set(session.about)
     assert metadata.metadata["session"] == "one"
     assert json.loads(metadata.metadata["units"]) == session.about["units"]
+    assert (labels.name, labels.metadata["version"]) == ("hand_labels", "1")
+    [span] = json.loads(labels.metadata["spans"])
+    assert (span["begin"], span["end"], span["value"]) == (s, 2 * s, "slip")
     assert {chunk.compression for chunk in chunks} == {"zstd"}
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from operators.zero import Zero
 from storage import load_detector
 from storage.exports import rrd_file
 from storage.exports.rrd_file import export
+from storage.hand_labels import LabelSpan
 from tests.storage.made import new_batch, record
 
 
@@ -103,11 +105,15 @@ def test_slips_and_faults_are_lines_of_text(tmp_path: Path) -> None:
 
 
 @pytest.mark.rerun
-def test_the_file_has_the_session_description(tmp_path: Path) -> None:
+def test_the_file_has_the_session_description_and_the_labels_given_by_hand(tmp_path: Path) -> None:
     session, path = record(tmp_path, [new_batch(Touch, 5)]), tmp_path / "one.rrd"
+    labels = session.write_hand_labels([LabelSpan(0, 1, 0, "slip")], based_on=0)
     export(session, path)
-    [[text]] = read(path)["/session"]["TextDocument:text"]
+    documents = read(path)
+    [[text]] = documents["/session"]["TextDocument:text"]
     assert json.loads(text) == session.about
+    [[text]] = documents["/hand_labels"]["TextDocument:text"]
+    assert json.loads(text) == json.loads(json.dumps(asdict(labels)))
 
 
 @pytest.mark.rerun
