@@ -17,7 +17,7 @@ from flows.graph.node import Node, Part, check_extras, consumers
 from flows.run.cancellation import contained
 from flows.run.clocks import EventClock
 from flows.run.log_events import reason_of, warn
-from operators.batch import ANNOTATIONS, Batch, Motion, Touch
+from operators.batch import ANNOTATIONS, Batch, Clocks, Faults, Labelled, Motion, Scores, Slips, Touch
 from operators.errors import EndpointError, InputError
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
@@ -233,17 +233,19 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
 
 
 def first_time(recording: Recording) -> int:
-    """Return the first stamp of a recording, ns.
+    """Return the first stamp of a recording, ns: of touch and motion, or without these of derived streams.
 
     Raises:
         InputError: if the recording is empty.
     """
-    times = [
-        int(batch.time[0])
-        for kind in (Touch, Motion)
-        for finger in recording.fingers(kind)
-        for batch in islice(recording.read(kind, finger, 1), 1)
-    ]
-    if not times:
-        raise InputError(recording.name, "is empty: it has no rows to replay")
-    return min(times)
+    derived: tuple[type[Batch], ...] = (Labelled, Scores, Slips, Faults, Clocks, *ANNOTATIONS)
+    for kinds in (Touch, Motion), derived:
+        times = [
+            int(batch.time[0])
+            for kind in kinds
+            for finger in recording.fingers(kind)
+            for batch in islice(recording.read(kind, finger, 1), 1)
+        ]
+        if times:
+            return min(times)
+    raise InputError(recording.name, "is empty: it has no rows to replay")
