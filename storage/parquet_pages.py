@@ -12,6 +12,7 @@ from itertools import chain
 from typing import Any, Final, TypeAlias
 
 Struct: TypeAlias = dict[int, Any]  # values by field number
+Sizes: TypeAlias = tuple[int, int, int]  # rows of a file, and the bytes and values that its pages unpack to
 
 MAGIC: Final = b"PAR1"
 # field numbers in parquet.thrift
@@ -22,8 +23,8 @@ PAGE_KINDS: Final = 5, 7, 8  # of PageHeader: data page, dictionary, data page o
 VALUES: Final = 1  # of each of them
 
 
-def declared_sizes(data: bytes) -> tuple[int, int, int]:
-    """Return the rows of a Parquet file, and the bytes and values that its pages unpack to.
+def declared_sizes(data: bytes) -> Sizes:
+    """Return the sizes that a Parquet file declares.
 
     Raises:
         ValueError: if the file is malformed.

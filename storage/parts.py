@@ -13,7 +13,7 @@ from storage import files
 from storage.arrow import pa, pq
 from storage.layout import Table
 from storage.manifest import Part
-from storage.parquet_pages import declared_sizes
+from storage.parquet_pages import Sizes, declared_sizes
 from storage.schema import fields_of, fitted, flat, schema
 
 UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
@@ -87,13 +87,16 @@ def inspect_part(folder: Path, path: str, table: Table) -> Part:
     return manifest_entry(path, read_part(file, schema(table), sha256), sha256)
 
 
-def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.Table:
+def read_part(
+    path: Path, expected: pa.Schema, sha256: str | None = None, known: dict[str, Sizes] | None = None
+) -> pa.Table:
     """Return the columns of a schema from a Parquet file, which may have others.
 
     Args:
         path: The file.
         expected: Columns that it must have, with their types and units.
         sha256: Its sha256 in the manifest; None: not listed, so only the page checksums are verified.
+        known: Declared sizes of files by their sha256, for files that are read again; gets those of this one.
 
     Raises:
         InputError: if the file is missing, damaged, lacks a column or has more than `UNPACKED_LIMIT` bytes.
@@ -106,7 +109,10 @@ def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         expected = fitted(expected, file.schema_arrow)
         _check_columns(path, file.schema_arrow, expected)
-        _check_size(path, data, expected)
+        sizes = (known or {}).get(sha256 or "") or declared_sizes(data)
+        _check_size(path, sizes, expected)
+        if sha256 and known is not None:
+            known[sha256] = sizes
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
         table: pa.Table = file.read(expected.names, use_threads=False)
         table.validate(full=True)
@@ -153,14 +159,13 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
     return encodings
 
 
-def _check_size(path: Path, data: bytes, expected: pa.Schema) -> None:
+def _check_size(path: Path, sizes: Sizes, expected: pa.Schema) -> None:
     """Check the declared sizes before anything is unpacked.
 
     Raises:
         InputError: if rows or pages have too many bytes.
-        ValueError: if the file is malformed.
     """
-    rows, unpacked, values = declared_sizes(data)
+    rows, unpacked, values = sizes
     row = sum(_row_size(field.type) for field in fields_of(expected))
     if max(unpacked, values, rows * row) > UNPACKED_LIMIT:
         reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"

@@ -34,6 +34,7 @@ from storage.layout import (
 )
 from storage.lock import locked
 from storage.manifest import Part, read_manifest
+from storage.parquet_pages import Sizes
 from storage.parts import read_part, without_copies
 from storage.recovery import recover
 
@@ -82,6 +83,9 @@ class Session:
     )
     _only: dict[str, _Part] = field(  # part of a table with one part, by its name, until it is read
         default_factory=dict[str, _Part], init=False, repr=False, compare=False
+    )
+    _sizes: dict[str, Sizes] = field(  # of files, by sha256, which are read twice in a replay
+        default_factory=dict[str, Sizes], init=False, repr=False, compare=False
     )
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path, Description, Mapping[str, Part]]]:
@@ -276,7 +280,8 @@ class Session:
 
     def _rows(self, path: str, expected: "pa.Schema") -> "pa.Table":
         part = self.listed.get(path)
-        return read_part(inside(self.folder, self.folder / path), expected, part.sha256 if part else None)
+        sha256 = part.sha256 if part else None
+        return read_part(inside(self.folder, self.folder / path), expected, sha256, self._sizes)
 
 
 def _recover(folder: Path) -> None:

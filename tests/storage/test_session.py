@@ -50,6 +50,24 @@ def test_a_session_is_a_recording(dataset: Path) -> None:
     assert recording.describe()["flow"] == "slip"
 
 
+def test_a_file_that_is_replaced_after_its_check_is_refused(folder: Path) -> None:
+    session = Session.open(folder)
+    assert session.fingers(Touch) == (0, 2)
+    copyfile(folder / TOUCH.file(0), folder / TOUCH.file(1))
+    with pytest.raises(InputError, match="sha256 differs from the manifest"):
+        list(session.read(Touch, 0))
+
+
+def test_all_columns_of_a_checked_file_are_held_to_the_limit(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Session.open(folder)
+    session.fingers(Touch)
+    monkeypatch.setattr(parts, "UNPACKED_LIMIT", 100)
+    with pytest.raises(InputError, match="unpacks to more than"):
+        list(session.read(Touch, 0))
+
+
 @pytest.mark.parametrize("rows", [1, 3, 10, 1000])
 def test_rows_come_in_the_order_recorded_and_in_bounded_batches(dataset: Path, rows: int) -> None:
     batches = list(Session.open(dataset).read(Touch, 2, rows))
