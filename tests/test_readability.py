@@ -7,7 +7,7 @@ import pytest
 from flows.report.figures import Figure, grid, styled
 from flows.report.report_page import Report, Section
 from flows.report.table import Table
-from tests.readability import report_faults
+from tests.readability import ReportFaults
 
 
 @styled
@@ -28,7 +28,7 @@ def page(*sections: Section) -> Report:
     return Report("Title", "Text.", sections, "slipflow demo")
 
 
-def test_a_page_without_faults_has_none(tmp_path: Path) -> None:
+def test_a_page_without_faults_has_none(tmp_path: Path, report_faults: ReportFaults) -> None:
     wide = Table([f"column {k}" for k in range(12)], [["`code`", *map(float, range(11))]])
     assert report_faults(page(Section("one", "Finding with `code`", "Text.", [wide])), tmp_path) == []
 
@@ -45,6 +45,8 @@ def test_a_page_without_faults_has_none(tmp_path: Path) -> None:
         (Section("one", "rotation - %", "Text."), 'wording: "- %"'),
     ],
 )  # fmt: skip
-def test_each_kind_of_fault_is_found(section: Section, fault: str, tmp_path: Path) -> None:
+def test_each_kind_of_fault_is_found(
+    section: Section, fault: str, tmp_path: Path, report_faults: ReportFaults
+) -> None:
     found = report_faults(page(section), tmp_path)
     assert any(fault in each for each in found), found

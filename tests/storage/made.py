@@ -104,11 +104,17 @@ def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled
     )
 
 
-def record(root: Path, batches: Sequence[Any], session: str = "one", split: str | None = None) -> Session:
-    """Write batches as a session of a dataset, in parts of 20 rows, and open it."""
+def record(
+    root: Path,
+    batches: Sequence[Any],
+    session: str = "one",
+    split: str | None = None,
+    part_rows: int = 20,
+) -> Session:
+    """Write batches as a session of a dataset, in parts of some rows, and open it."""
 
     async def main() -> None:
-        sink = Dataset(root, part_rows=20)
+        sink = Dataset(root, part_rows=part_rows)
         await sink.open(new_run(session, {"touch": {"split": split}}))
         for batch in batches:
             await sink.write(batch)

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,9 @@ START = 1_700_000_000 * s
 SET = "(slider, to) => { slider.value = to; slider.dispatchEvent(new Event('input')); }"
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Session:
-    """Return a session of 12 s: touch that shakes each other second, with labels, truth and motion."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a dataset of 12 s: touch that shakes each other second, with labels, truth and motion."""
     touch = concat(Touch, shaking(SECONDS))
     time = touch.time + START + 5
     rows = len(time)
@@ -40,8 +41,16 @@ def session(tmp_path: Path) -> Session:
     truth = Truth(time, 0.02 * label, np.ones(rows), np.zeros((rows, 3)), finger=0)
     motion = Motion(time, time, np.full((rows, 6), 0.001), unknown)
     batches = [Touch(time, *values, finger=0), samples, truth, motion]
+    root = tmp_path_factory.mktemp("recorded")
     with ThreadPoolExecutor(1) as pool:  # the browser has an event loop in this thread
-        return pool.submit(record, tmp_path, batches).result()
+        pool.submit(record, root, batches, part_rows=500).result()
+    return root
+
+
+@pytest.fixture
+def session(recorded: Path, tmp_path: Path) -> Session:
+    """Return a copy of the session, to be labelled."""
+    return Session.open(copytree(recorded, tmp_path, dirs_exist_ok=True) / "sessions" / "one")
 
 
 @pytest.fixture

@@ -34,17 +34,17 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
 
 
 def test_benchmark_prints_one_object_and_writes_page_and_figures(tiny: Path, tmp_path: Path) -> None:
-    options = ("--regime", "few-shot", "--method", "logistic", "--jobs", "1", "--json")
+    options = ("--regime", "zero-shot", "--method", "psd", "--jobs", "1", "--json")
     done = slipflow("benchmark", str(tiny), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     [result] = found["datasets"]["tiny"]["results"]
-    assert result["detector"] == "logistic"
-    assert result["balanced"]["low"] <= result["balanced"]["value"] <= result["balanced"]["high"]
+    assert result["detector"] == "psd"
+    assert result["balanced"]["low"] < result["balanced"]["value"] < result["balanced"]["high"]
     assert "min left" in done.stderr
     names = {path.name for path in (tmp_path / "benchmark").iterdir()}
     assert {"benchmark.html", "benchmark.json", "benchmark.md", "benchmark-tiny.svg"} < names
-    command = f"slipflow benchmark {tiny} --regime few-shot --method logistic --steps 400 --seed 0"
+    command = f"slipflow benchmark {tiny} --regime zero-shot --method psd --steps 400 --seed 0"
     assert found["command"] == command
 
 

@@ -12,7 +12,7 @@ from flows.lab.experiments.study import Study
 from flows.lab.experiments.trial import Conditions
 from flows.report import figures
 from tests.flows.lab.experiments.conftest import MakeStudy
-from tests.readability import report_faults
+from tests.readability import ReportFaults
 
 HELD = LiftOutcome("held", False, 3.0, -20.0, 1.5, 1.75)  # noqa: FBT003
 LOST = LiftOutcome("false slip", True, 30.0, -20.0, 1.5, 0.5)  # noqa: FBT003
@@ -74,5 +74,7 @@ def test_the_figure_has_a_line_for_each_method_on_each_axis(study: Study) -> Non
     assert not any(section.draw for section in others)
 
 
-def test_the_page_is_readable_on_a_desk_and_a_phone(study: Study, tmp_path: Path) -> None:
+def test_the_page_is_readable_on_a_desk_and_a_phone(
+    study: Study, tmp_path: Path, report_faults: ReportFaults
+) -> None:
     assert report_faults(break_report(study, "slipflow experiment lift --stress"), tmp_path) == []

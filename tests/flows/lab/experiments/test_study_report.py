@@ -5,7 +5,7 @@ from typing import Any
 from flows.lab.experiments.study import Study
 from flows.lab.experiments.study_report import experiment_report, interval
 from flows.report.report_page import Report
-from tests.readability import report_faults
+from tests.readability import ReportFaults
 
 
 def rows(report: Report, section: str, table: int = 0) -> list[dict[str, Any]]:
@@ -82,5 +82,7 @@ def test_failures_are_counted_by_ending(taps: Study) -> None:
     assert [row["object"] for row in rows(report, "failures") if row["method"] == "psd, ours"] == ["ball"]
 
 
-def test_the_page_is_readable_on_a_desk_and_a_phone(lifts: Study, tmp_path: Path) -> None:
+def test_the_page_is_readable_on_a_desk_and_a_phone(
+    lifts: Study, tmp_path: Path, report_faults: ReportFaults
+) -> None:
     assert report_faults(experiment_report(lifts, "slipflow experiment lift"), tmp_path) == []

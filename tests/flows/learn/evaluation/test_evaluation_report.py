@@ -15,7 +15,7 @@ from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import EDGES, Confusion, Roc
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.leaks.leak import Leak
-from tests.readability import report_faults
+from tests.readability import ReportFaults
 
 COMMAND = "slipflow evaluate tiny"
 
@@ -147,7 +147,9 @@ def test_intervals_contain_the_figure(found: Evaluation) -> None:
     assert row[1:3] == [90.0, "88.0 to 91.0"]
 
 
-def test_single_things_and_missing_values_are_worded_well(found: Evaluation, tmp_path: Path) -> None:
+def test_single_things_and_missing_values_are_worded_well(
+    found: Evaluation, tmp_path: Path, report_faults: ReportFaults
+) -> None:
     nothing = np.zeros(len(EDGES), np.intp)
     truth = np.zeros(2, np.bool_)
     motions = found.leader.motions
@@ -184,5 +186,7 @@ def test_labels_by_hand_are_not_called_labels_by_arm_speed(found: Evaluation) ->
         assert "arm-speed label" not in part.text + part.finding
 
 
-def test_the_page_is_readable_on_a_desk_and_a_phone(found: Evaluation, tmp_path: Path) -> None:
+def test_the_page_is_readable_on_a_desk_and_a_phone(
+    found: Evaluation, tmp_path: Path, report_faults: ReportFaults
+) -> None:
     assert report_faults(evaluation_report(found, COMMAND), tmp_path) == []

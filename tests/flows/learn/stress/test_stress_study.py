@@ -20,7 +20,7 @@ from operators import Debounce
 from operators.batch import SLIP, UNKNOWN, Counts, Reals
 from operators.detectors import Detector, Psd
 from operators.errors import ParameterError
-from tests.readability import report_faults
+from tests.readability import ReportFaults
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
 SEED = 7
@@ -227,5 +227,7 @@ def test_a_negative_seed_or_zero_jobs_are_refused() -> None:
         stress(jobs=0)
 
 
-def test_the_page_is_readable_on_a_desk_and_a_phone(found: Stress, tmp_path: Path) -> None:
+def test_the_page_is_readable_on_a_desk_and_a_phone(
+    found: Stress, tmp_path: Path, report_faults: ReportFaults
+) -> None:
     assert report_faults(stress_report(found, "slipflow stress"), tmp_path) == []
