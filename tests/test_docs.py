@@ -49,7 +49,7 @@ def run(command: list[str], folder: Path) -> str:
 
 def run_shell(script: str, folder: Path) -> str:
     """Run a script, and then in this process the slipflow commands in it, which saves their imports."""
-    if "export" in script:
+    if re.search(r"^export ", script, re.MULTILINE):  # a setting of the process
         return run(["bash", "-euc", script], folder)
     expanded = "slipflow() { printf 'slipflow'; printf '\\t%s' \"$@\"; echo; }\n" + script
     printed = ""

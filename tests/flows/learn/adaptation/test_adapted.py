@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flows.learn.adaptation.adapted import adapt
+from flows.learn.adaptation.adapted import Adapted, adapt
 from flows.learn.adaptation.alignment import Alignment, aligned, best_alignment, logits
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.trained_model import label_scores
@@ -22,29 +22,37 @@ def unlabelled(strokes: Stroked, seed: int, **how: float) -> LabelledRecording:
     return replace(recording, label=np.full_like(recording.label, UNKNOWN))
 
 
+@pytest.fixture(scope="module")
+def adapted(learned: Tcn, strokes: Stroked) -> Adapted:
+    """Return the network adapted, without labels, to longer and weaker strokes."""
+    return adapt(learned, [unlabelled(strokes, 10, **LONG)])
+
+
 def test_adaptation_to_longer_and_weaker_strokes_closes_half_of_the_gap(
-    learned: Tcn, strokes: Stroked
+    learned: Tcn, strokes: Stroked, adapted: Adapted
 ) -> None:
     others = [strokes(seed, **LONG) for seed in range(11, 14)]
     home = label_scores(learned, [strokes(7)])["balanced"]
     before = label_scores(learned, others)["balanced"]
-    adapted = adapt(learned, [unlabelled(strokes, 10, **LONG)])
     after = label_scores(adapted.tcn, others)["balanced"]
     assert adapted.better
     assert after > before + (home - before) / 2
     assert adapted.alignment.time_scale > 1
 
 
-def test_labels_do_not_matter_and_the_result_is_always_the_same(learned: Tcn, strokes: Stroked) -> None:
-    recording = strokes(10, **LONG)
-    first, second = adapt(learned, [recording]), adapt(learned, [unlabelled(strokes, 10, **LONG)])
-    for name, array in first.tcn.weights.items():
-        np.testing.assert_array_equal(array, second.tcn.weights[name])
-    assert (first.before, first.after) == (second.before, second.after)
+def test_labels_do_not_matter_and_the_result_is_always_the_same(
+    learned: Tcn, strokes: Stroked, adapted: Adapted
+) -> None:
+    labelled = adapt(learned, [strokes(10, **LONG)])
+    for name, array in labelled.tcn.weights.items():
+        np.testing.assert_array_equal(array, adapted.tcn.weights[name])
+    assert (labelled.before, labelled.after) == (adapted.before, adapted.after)
 
 
-def test_an_adapted_network_streams_as_it_scores_windows(learned: Tcn, strokes: Stroked) -> None:
-    tcn = adapt(learned, [strokes(10, **LONG)]).tcn
+def test_an_adapted_network_streams_as_it_scores_windows(
+    learned: Tcn, strokes: Stroked, adapted: Adapted
+) -> None:
+    tcn = adapted.tcn
     assert tcn.fingertip == learned.fingertip
     counts = strokes(11, **LONG).counts[:800]
     time = np.arange(len(counts)) * 10 * ms
@@ -63,9 +71,8 @@ def test_the_gain_of_a_sensor_is_found_and_folded(learned: Tcn, strokes: Stroked
     np.testing.assert_allclose(weaker, logits(learned, 4 * counts)[learned.length :], atol=1e-3)
 
 
-def test_a_network_that_is_already_right_is_kept(learned: Tcn, strokes: Stroked) -> None:
-    perfect = adapt(learned, [strokes(10, **LONG)]).tcn
-    again = adapt(perfect, [strokes(10, **LONG)])
+def test_a_network_that_is_already_right_is_kept(strokes: Stroked, adapted: Adapted) -> None:
+    again = adapt(adapted.tcn, [strokes(10, **LONG)])
     assert not again.better or again.after - again.before < 2
 
 

@@ -43,8 +43,12 @@ def of(found: Benchmark, title: str) -> EntrantResult:
 def fitted(surfaces: list[LabelledRecording], tmp_path_factory: pytest.TempPathFactory) -> Benchmark:
     """Return what logistic regression and the majority reach, few-shot and in-domain."""
     folder, parts = tmp_path_factory.mktemp("fitted"), list[tuple[int, int]]()
+
+    def load(_dataset: Path, _rate: float | None = None) -> list[LabelledRecording]:
+        return surfaces
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(folds, "load", lambda *_: list(surfaces))
+        patch.setattr(folds, "load", load)
         found = benchmark(
             {"strokes": folder / "strokes"},
             Course(SMALL, folder / "models"),
