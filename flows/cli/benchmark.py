@@ -68,8 +68,8 @@ def benchmark(
 
     Reports balanced accuracy, AUC, calibration error, events per minute, missed slips and delay with
     intervals over recordings, next to majority, logistic and gradient-boosting baselines, and names what
-    inflates a score. Writes benchmark.html, .md, .json and figures. Four surfaces take about 20 minutes on
-    two idle cores; trained networks are kept in OUT/models. Needs the train extra.
+    inflates a score. Writes benchmark.html, .md, .json and figures. Four surfaces take about 10 minutes of
+    CPU time; trained networks are kept in OUT/models. Needs the train extra.
 
     Examples:
       slipflow benchmark strokes grasps

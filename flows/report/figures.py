@@ -9,6 +9,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
 
+import numpy as np
+
 from flows.report.colours import light, with_variables
 from flows.report.markup import plain_text
 from operators.errors import InputError
@@ -126,7 +128,7 @@ def grid(
 
 
 def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tuple[float, float]) -> None:
-    """Write the name of each point to its right, lower where names would overlap.
+    """Write the name of each point to its right; where names would overlap, lower, else higher.
 
     Args:
         axis: Panel, whose limits are final.
@@ -141,11 +143,12 @@ def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tu
     taken = list[tuple[float, float, float]]()  # left, right and height of names, points
     for depth, left, name, x, y in sorted(marks):
         height = -depth
-        right, lowered = left + _LETTER * len(name), height + _LINE / 2  # above lines through the point
-        while any(a < right and left < b and abs(lowered - c) < _LINE for a, b, c in taken):
-            lowered -= 1
-        taken.append((left, right, lowered))
-        axis.annotate(name, (x, y), (9, lowered - height), textcoords="offset points", va="center",
+        right, best = left + _LETTER * len(name), height + _LINE / 2  # above lines through the point
+        near = [c for a, b, c in taken if a < right and left < b]
+        places = [*np.arange(best, _LINE / 2, -1), *np.arange(best, size[1] * 72)]  # inside the panel
+        place = next((each for each in places if all(abs(each - c) >= _LINE for c in near)), best)
+        taken.append((left, right, place))
+        axis.annotate(name, (x, y), (9, place - height), textcoords="offset points", va="center",
                       arrowprops=_LEADER)  # fmt: skip
 
 

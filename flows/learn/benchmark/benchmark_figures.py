@@ -9,6 +9,7 @@ from flows.report.figures import CELLS, FAINT, WIDTH, Axes, Figure, grid, name_p
 
 _HEIGHT: Final = 0.24  # inches per row
 _CHANCE: Final = 50  # %
+_TICKS: Final = (0, 0.5, 1, 2, 5, 10, 20, 50, 100)  # false alarms per static minute
 
 
 @styled
@@ -53,7 +54,10 @@ def events(of: DatasetResult) -> Figure:
     delay.set(title="Delay of events", ylabel="median from the start of the slip, ms")
     for axis in (missed, delay):
         most = max([1.0, *(alarms for _, alarms, _ in named[axis])])
-        axis.set(xlabel="false alarms per static minute", xlim=(-0.03 * most, 1.35 * most))
+        axis.set_xscale("symlog", linthresh=1)
+        axis.set_xticks(_TICKS, [f"{tick:g}" for tick in _TICKS])
+        axis.minorticks_off()
+        axis.set(xlabel="false alarms per static minute; logarithmic above 1", xlim=(-0.15, 4 * most))
         axis.yaxis.grid(visible=True)
         name_points(axis, named[axis], (4.6, 3.5))
     for regime, color in zip(regimes, CELLS, strict=False):

@@ -126,12 +126,19 @@ def _gap(of: DatasetResult) -> list[Table]:
         return []
     names = [fold.name for fold in of.data.folds]
     rows: list[list[Value]] = [
-        [regime, name, *(percent(own[fold] - low[fold], high[fold] - low[fold]) for fold in names)]
+        [regime, name, *(_closed(own[fold], low[fold], high[fold]) for fold in names)]
         for (regime, name), own in found.items()
         if regime in {"adapted", "few-shot"} and (low := found.get(("zero-shot", name)))
     ]
+    if not any(isinstance(value, float) and isfinite(value) for row in rows for value in row):
+        return []
     caption = f"gap between zero-shot and in-domain {DEFAULT} that is closed, %"
-    return [Table(["regime", "detector", *names], rows, caption, dict.fromkeys(names, 0))] if rows else []
+    return [Table(["regime", "detector", *names], rows, caption, dict.fromkeys(names, 0))]
+
+
+def _closed(own: float, low: float, high: float) -> float:
+    """Return the share of a gap that is closed, %; NaN if there is none."""
+    return percent(own - low, high - low) if high > low else float("nan")
 
 
 def _headline(of: DatasetResult) -> str:
