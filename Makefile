@@ -123,7 +123,7 @@ detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `
 	slipflow evaluate models/paper-0 --out models/pages
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages
-	$(if $(strokes),slipflow benchmark $(strokes) --out models/pages)
+	$(if $(strokes),slipflow benchmark $(strokes) $(addprefix --group ,dvp_flat fabric still tkan) --out models/pages)
 	$(if $(strokes),for seed in 50 51 52 53 54 55 56 57 58 59; do rm -rf models/wide-$$seed; \
 	    slipflow simulate models/wide-$$seed --plan wide --seed $$seed || exit 1; done)
 	$(if $(strokes),slipflow adapt tcn_wide --to $(strokes)/sessions/dvp_flat_vel3 --first 30s -o models/adapted.safetensors)
