@@ -15,9 +15,11 @@ from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import EDGES, Confusion, Roc
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.leaks.leak import Leak
+from flows.report.report_page import Report
 from tests.readability import ReportFaults
 
 COMMAND = "slipflow evaluate tiny"
+LEAK = Leak("shared rows", "", "a (train) and b (test) share 60 rows")
 
 
 def psd(found: Evaluation) -> MethodResult:
@@ -26,8 +28,20 @@ def psd(found: Evaluation) -> MethodResult:
 
 
 @pytest.fixture(scope="module")
-def written(found: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    paths = evaluation_report(found, COMMAND).write(tmp_path_factory.mktemp("out") / "new", "evaluation")
+def report(found: Evaluation) -> Report:
+    return evaluation_report(found, COMMAND)
+
+
+@pytest.fixture(scope="module")
+def flawed(found: Evaluation) -> Report:
+    """Return a report with a leak, an unchecked model and a missing method."""
+    flaws = replace(found, leaks=(LEAK,), unchecked=("old",), missing={"oracle": "there is none"})
+    return evaluation_report(flaws, COMMAND)
+
+
+@pytest.fixture(scope="module")
+def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    paths = report.write(tmp_path_factory.mktemp("out") / "new", "evaluation")
     return {path.suffix: path.read_text() for path in paths}
 
 
@@ -123,20 +137,17 @@ def test_both_targets_and_the_lead_are_in_one_table(written: dict[str, str], fou
     assert sections.sliding(unknown) == []
 
 
-def test_missing_methods_are_named_with_the_reason(found: Evaluation) -> None:
-    report = evaluation_report(replace(found, missing={"oracle": "there is none"}), COMMAND)
-    assert "Not evaluated: oracle, there is none." in report.markdown("evaluation")
-    assert report.json()["missing"] == {"oracle": "there is none"}
+def test_missing_methods_are_named_with_the_reason(flawed: Report) -> None:
+    assert "Not evaluated: oracle, there is none." in flawed.markdown("evaluation")
+    assert flawed.json()["missing"] == {"oracle": "there is none"}
 
 
-def test_leaks_are_named_on_the_page_and_in_the_json(found: Evaluation) -> None:
-    leak = Leak("shared rows", "", "a (train) and b (test) share 60 rows")
-    report = evaluation_report(replace(found, leaks=(leak,), unchecked=("old",)), COMMAND)
-    for text in (report.html(), report.markdown("evaluation"), report.terminal()):
-        assert leak.finding in text
-    assert leak.finding in report.text
-    assert report.json()["leaks"] == [leak.json()]
-    assert "The cards of old do not list" in report.markdown("evaluation")
+def test_leaks_are_named_on_the_page_and_in_the_json(flawed: Report) -> None:
+    for text in (flawed.html(), flawed.markdown("evaluation"), flawed.terminal()):
+        assert LEAK.finding in text
+    assert LEAK.finding in flawed.text
+    assert flawed.json()["leaks"] == [LEAK.json()]
+    assert "The cards of old do not list" in flawed.markdown("evaluation")
 
 
 def test_intervals_contain_the_figure(found: Evaluation) -> None:
@@ -187,6 +198,6 @@ def test_labels_by_hand_are_not_called_labels_by_arm_speed(found: Evaluation) ->
 
 
 def test_the_page_is_readable_on_a_desk_and_a_phone(
-    found: Evaluation, tmp_path: Path, report_faults: ReportFaults
+    report: Report, tmp_path: Path, report_faults: ReportFaults
 ) -> None:
-    assert report_faults(evaluation_report(found, COMMAND), tmp_path) == []
+    assert report_faults(report, tmp_path) == []
