@@ -1,11 +1,12 @@
 """Fixtures that several test folders share."""
 
 import asyncio
+import gc
 import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
@@ -38,6 +39,17 @@ logging.getLogger("slipflow.compilation").setLevel(logging.WARNING)  # any test 
 
 settings.register_profile("slipflow", deadline=None, max_examples=50)  # no deadline: machines vary in speed
 settings.load_profile("slipflow")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Exempt the collected tests from garbage collection, which would visit all of them again and again."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
