@@ -71,6 +71,7 @@ def test_garbage_collections_ignore_older_objects_during_a_run_only() -> None:
             counts.append(gc.get_freeze_count())
             return super().take(batch)
 
+    gc.unfreeze()  # the collected tests
     flow, counts, before = Flow("f"), list[int](), len(gc.get_objects())
     flow.source(TestSource(Scores, scores(0, 2))).to(Frozen())
     execute(flow)
