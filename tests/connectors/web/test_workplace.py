@@ -111,6 +111,7 @@ def test_a_drag_zooms_and_escape_goes_back(watched: Watched, served: ServedRecor
 def test_the_window_has_context_after_the_selected_time(watched: Watched, served: ServedRecording) -> None:
     tab = watched.tab
     tab.goto(served.url)
+    expect(tab.locator("#instant-text")).to_contain_text("UTC")  # it answers keys now
     tab.get_by_role("combobox", name="Window").select_option(label="5 s")
     slider = tab.get_by_role("slider", name="Time in the session")
     slider.press("Home")
