@@ -56,9 +56,9 @@ def main() -> None:
     print(f"medians of {options.turns} turns, commit {commit()}")
     print(f"{machine()}, load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
     commands: dict[str, Callable[[], float]] = {
-        "slipflow --help": lambda: answered("--help"),
-        "slipflow check live": lambda: answered("check", "live"),
-        "slipflow demo, until its page is served": page_served,
+        "--help": lambda: answered("--help"),
+        "check live": lambda: answered("check", "live"),
+        "demo, until its page is served": page_served,
     }
     spent: dict[str, list[float]] = {name: [] for name in commands}
     for turn in range(options.turns + 1):
