@@ -8,12 +8,14 @@ from typing import Protocol
 
 import typer
 
+from flows.cli.event_log import JsonFormatter
+
 log = logging.getLogger("slipflow")
 
 
 def note(text: str) -> None:
     """Print a message on stderr, as stdout is for the result; a JSON log gets it as a record."""
-    if log.isEnabledFor(logging.INFO):  # a JSON log
+    if any(isinstance(each.formatter, JsonFormatter) for each in logging.root.handlers):
         message = text.removeprefix("error: ")
         log.log(logging.INFO if message == text else logging.ERROR, "%s", message)
     else:
