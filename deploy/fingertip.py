@@ -22,8 +22,6 @@ def fingertip(
     rig: str = "fingertip",
     out: Path | None = None,
     false_alarms: Rate | None = None,
-    home_assistant: str | None = None,
-    announce: bool = True,
 ) -> Flow:
     """Detect slip on one fingertip.
 
@@ -36,8 +34,6 @@ def fingertip(
         rig: Rig name used in topics.
         out: Folder of a dataset to record into; None: do not record.
         false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
-        home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
-        announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("fingertip")
     touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
@@ -48,18 +44,7 @@ def fingertip(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        sinks.append(
-            Mqtt(
-                broker,
-                site,
-                rig,
-                identify_detector(detector),
-                *rules,
-                connect_required=False,
-                home_assistant=home_assistant,
-                announce=announce,
-            )
-        )
+        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules, connect_required=False))
     if out:
         dataset = Dataset(out)
         touch.to(dataset)

@@ -15,8 +15,6 @@ def live(
     seed: int = 0,
     *,
     false_alarms: Rate | None = None,
-    home_assistant: str | None = None,
-    announce: bool = True,
 ) -> Flow:
     """Detect slip on the simulated fingertip, and publish events if a broker is given.
 
@@ -27,8 +25,6 @@ def live(
         rig: Rig name used in topics.
         seed: Random seed of the simulation.
         false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
-        home_assistant: Discovery prefix of Home Assistant, usually homeassistant; None: no discovery.
-        announce: False: remove the rig from Home Assistant.
     """
     flow = Flow("live")
     touch = flow.source(SimulatedRig(seed=seed).touch)
@@ -40,8 +36,7 @@ def live(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        names = broker, site, rig, identify_detector(detector)
-        sinks.append(Mqtt(*names, *rules, home_assistant=home_assistant, announce=announce))
+        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules))
     for sink in sinks:
         slips.to(sink)
         faults.to(sink)

@@ -21,7 +21,6 @@ from connectors import Consumer, Event, Mqtt
 from connectors.events import encode
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from operators.batch import Slips, ms
-from operators.errors import ParameterError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.pages import ROOT, block, commands, table
@@ -32,22 +31,6 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 PAGE = ROOT / "docs" / "reference" / "mqtt.md"
 RIG = "slip/v1/lab/rig"
 START = 99_000 * ms  # within the run
-
-# https://www.home-assistant.io/integrations/mqtt/#mqtt-discovery, /binary_sensor.mqtt/ and /sensor.mqtt/
-ROOT_FIELDS = {"device", "origin", "components", "state_topic", "command_topic", "qos", "encoding"} | {
-    *("availability", "availability_mode", "availability_template", "availability_topic"),
-}
-DEVICE_FIELDS = {
-    *("configuration_url", "connections", "hw_version", "identifiers", "manufacturer", "model", "model_id"),
-    *("name", "serial_number", "suggested_area", "sw_version", "via_device"),
-}
-ENTITY_FIELDS = {
-    *("platform", "device_class", "enabled_by_default", "entity_category", "expire_after", "force_update"),
-    *("icon", "json_attributes_template", "json_attributes_topic", "name", "state_topic", "unique_id"),
-    "value_template",
-}
-SENSOR_FIELDS = {"last_reset_value_template", "options", "state_class", "suggested_display_precision"}
-BINARY_FIELDS = {"off_delay", "payload_off", "payload_on"}
 
 
 def shown(name: str) -> Any:  # noqa: ANN401 - JSON
@@ -357,71 +340,3 @@ def test_a_late_event_does_not_change_the_state() -> None:
         )
     assert len(bridge.made["slip/events"].published) == 3
     assert bridge.made["slip/lab_1/ur_10/finger_0"].published == [True, False]
-
-
-# --- Home Assistant --------------------------------------------------------------------------------------
-
-
-def discovered(broker: TestBroker, run: Run, **settings: Any) -> list[Received]:  # noqa: ANN401 - parameters
-    """What a live rig with fingertips 0 and 2 that slip publishes for Home Assistant."""
-    sink = Mqtt(broker.url, home_assistant="homeassistant", **settings)
-    run.sink_types[sink.destination] = {Slips: (0, 2)}
-
-    async def body() -> None:
-        await sink.write(slips(1, finger=2))
-
-    listener = broker.listen("homeassistant/#")
-    use(sink, run, body)
-    return listener.rest()
-
-
-def test_home_assistant_discovers_a_rig_by_documented_fields_of_its_topics(
-    broker: TestBroker, run: Run
-) -> None:
-    [received] = discovered(broker, run)
-    assert received.topic in PAGE.read_text()
-    assert re.fullmatch(r"homeassistant/device/[\w-]+/config", received.topic, re.ASCII)
-    document = json.loads(received.payload)
-    assert document.keys() <= ROOT_FIELDS
-    assert document["device"].keys() <= DEVICE_FIELDS
-    assert document["origin"].keys() <= {"name", "sw_version", "support_url"}
-    components = document["components"]
-    assert components["0-slip"] == shown("component")
-    assert len(components) == len({each["unique_id"] for each in components.values()}) == 6
-    topics = {topic(row): row["retained"] for row in table(PAGE, "## Topics")}
-    for component in components.values():
-        own = BINARY_FIELDS if component["platform"] == "binary_sensor" else SENSOR_FIELDS
-        assert component.keys() <= ENTITY_FIELDS | own
-        assert topics[component["state_topic"].replace("/2/", "/0/")] == "yes"
-    [availability] = document["availability"]
-    assert topics[availability["topic"]] == "yes"
-
-
-def test_the_templates_of_home_assistant_read_published_messages(broker: TestBroker, run: Run) -> None:
-    jinja2 = pytest.importorskip("jinja2", reason="comes with torch")
-    [received] = discovered(broker, run)
-    document = json.loads(received.payload)
-    retained = {each.topic: json.loads(each.payload) for each in broker.listen("slip/#").rest()}
-
-    def read(entity: Any) -> str:  # noqa: ANN401 - JSON
-        source = retained[entity.get("state_topic") or entity["topic"]]
-        return str(jinja2.Template(entity["value_template"]).render(value_json=source))
-
-    entities = [document["components"][f"2-{kind}"] for kind in ("slip", "probability", "quality")]
-    assert [read(each) for each in entities] == ["ON", "0.93", "good"]
-    assert entities[2]["options"] == ["good", "doubtful", "blind"]
-    assert [read(each) for each in document["availability"]] == ["offline"]
-
-
-def test_home_assistant_forgets_a_rig_on_request_and_hears_of_no_replay(broker: TestBroker, run: Run) -> None:
-    [received] = discovered(broker, run)
-    assert discovered(broker, replace(run, recording="stroke-9"))[1:] == []
-    [_, removed] = discovered(broker, run, announce=False)
-    assert (removed.topic, removed.payload) == (received.topic, "")
-    assert not broker.listen("homeassistant/#").rest()
-
-
-@pytest.mark.parametrize("prefix", ["", "a/#", "home+", "a//b"])
-def test_a_discovery_prefix_is_a_topic(prefix: str) -> None:
-    with pytest.raises(ParameterError, match="home_assistant"):
-        Mqtt("mqtt://localhost", home_assistant=prefix)

@@ -11,12 +11,10 @@ from connectors.events import Event, Fault, encode, faults, finger_name, slips, 
 from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.broker_diagnosis import diagnose_broker
-from connectors.mqtt.home_assistant import discovery_document, discovery_topic
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import (
     SUFFIX,
-    is_topic_level,
     name_in_run,
     outbox_path,
     replay_name,
@@ -60,9 +58,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
     rig do not receive old events. A live rig cannot have such a name.
 
-    With `home_assistant` a live rig publishes a retained discovery document, see
-    `connectors.mqtt.home_assistant`.
-
     Raises:
         ParameterError: if a parameter is out of range.
     """
@@ -75,8 +70,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     consecutive: int | None = None  # samples required for an onset, reported in events
     outbox: str | Path | None = None  # folder; None: one per site and rig in $XDG_STATE_HOME/slipflow
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
-    home_assistant: str | None = None  # discovery prefix of Home Assistant, such as homeassistant; None: none
-    announce: bool = True  # False: remove the rig from Home Assistant
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
@@ -90,9 +83,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
         if self.consecutive is not None:
             check_at_least("Mqtt", "consecutive", self.consecutive, 1)
-        if self.home_assistant is not None and not all(map(is_topic_level, self.home_assistant.split("/"))):
-            must_be = "a topic prefix without '+' and '#', such as homeassistant"
-            raise ParameterError("Mqtt", "home_assistant", self.home_assistant, must_be)
 
     @property
     def destination(self) -> str:
@@ -153,7 +143,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents, self._report)
         online = self._status("online", run.clock.now())
         try:
-            documents = online, self._info(), self._head(), self._report(), *self._discovery()
+            documents = online, self._info(), self._head(), self._report()
             will = self._status("offline", None)
             await self._sender.start(identifier, will, *documents, connect_required=self.connect_required)
         except BaseException:
@@ -263,15 +253,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms", "direction_deg": "deg"},
         }
         return self._message("info", {**self._identity(), **document})
-
-    def _discovery(self) -> Iterator[Message]:
-        """Yield the message that adds a live rig to Home Assistant, or removes it."""
-        if self.home_assistant is not None and self._run.recording is None:
-            fingers = self._run.sink_types.get(self.destination, {}).get(Slips, ())
-            names = self.site, self._name
-            document = discovery_document(*names, self._topic, map(finger_name, fingers))
-            payload = encode(document) if self.announce else b""
-            yield Message(discovery_topic(self.home_assistant, *names), payload)
 
     def _head(self) -> Message:
         *before, (epoch, last) = self._outbox.heads()
