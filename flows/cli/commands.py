@@ -1,53 +1,100 @@
-"""Registration of commands: help with panels and examples, and usage errors in one line."""
+"""Commands that are imported when they are first used; help in panels; usage errors in one line."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, MutableMapping
+from importlib import import_module
 from inspect import getdoc
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import typer
+import typer.main
 from typer.core import TyperGroup
 
 if TYPE_CHECKING:
-    from typer._click import Context, HelpFormatter
+    from typer._click import Command, Context, HelpFormatter
+
+
+class Entry(NamedTuple):
+    """A command that is not imported yet."""
+
+    panel: str
+    help: str  # first sentence of the function's docstring; `slipflow --help` prints it
+    module: str  # in flows.cli; contains a function with the name of the command
+
+
+class CommandTable(MutableMapping[str, "Command"]):
+    """Commands by name, imported when they are first used.
+
+    Args:
+        entries: All commands, in the order of the help.
+    """
+
+    def __init__(self, entries: dict[str, Entry]) -> None:
+        self.entries = entries
+        self._loaded: dict[str, Command] = {}
+
+    def __getitem__(self, name: str) -> "Command":
+        if name not in self._loaded:
+            module = import_module(f"flows.cli.{self.entries[name].module}")
+            self._loaded[name] = _command(name, getattr(module, name, None) or getattr(module, f"{name}_"))
+        return self._loaded[name]
+
+    def __setitem__(self, name: str, command: "Command") -> None:
+        self._loaded[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self.entries[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.entries)
+
+    def __len__(self) -> int:
+        return len(self.entries)
 
 
 class PanelGroup(TyperGroup):
-    """A group of commands whose help lists them by panel."""
+    """A group whose help lists its commands by panel, without importing them."""
 
-    def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:
-        """Write a section for each panel, in the order of registration."""
-        width = formatter.width - 6 - max(map(len, self.commands))
+    table: ClassVar[CommandTable]
+
+    def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
+        super().__init__(**settings)
+        self.commands = self.table
+
+    def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:  # noqa: ARG002 - typer's
+        """Write a section for each panel."""
         panels = dict[str, list[tuple[str, str]]]()
-        for name in self.list_commands(ctx):
-            command = self.commands[name]
-            panel = getattr(command, "rich_help_panel", None) or "Commands"
-            panels.setdefault(str(panel), []).append((name, command.get_short_help_str(width)))
+        for name, entry in self.table.entries.items():
+            panels.setdefault(entry.panel, []).append((name, entry.help))
         for panel, rows in panels.items():
             with formatter.section(panel):
-                formatter.write_dl(rows, col_max=max(map(len, self.commands)))
+                formatter.write_dl(rows, col_max=max(map(len, self.table)))
 
 
-def command_group(text: str) -> typer.Typer:
-    """Return a group of commands with the help `text`."""
+def command_group(text: str, table: CommandTable) -> typer.Typer:
+    """Make the group of the commands in a table; `text` is its help."""
+    group = type("Group", (PanelGroup,), {"table": table})
     return typer.Typer(
-        cls=PanelGroup,
-        help=text,
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
+        cls=group, help=text, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
     )
 
 
-def register(app: typer.Typer, function: Callable[..., Any], panel: str | None = None) -> None:
-    """Register a function as the command of the same name.
+def register(app: typer.Typer, function: Callable[..., Any], name: str) -> None:
+    """Register a function as a command.
 
     Its docstring is the help; the lines below ``Examples:`` are not wrapped.
     """
     text, _, lines = (getdoc(function) or "").partition("Examples:\n")
     epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
-    name = function.__name__.rstrip("_")
-    app.command(name, help=text.rstrip(), epilog=epilog, rich_help_panel=panel)(function)
+    app.command(name, help=text.rstrip(), epilog=epilog)(function)
+
+
+def _command(name: str, function: Callable[..., Any] | typer.Typer) -> "Command":
+    if isinstance(function, typer.Typer):
+        return typer.main.get_command(function)
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+    register(app, function, name)
+    return typer.main.get_command(app)
 
 
 def usage_error(error: typer.TyperException) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.cli.commands import command_group, register
+from flows.cli.commands import register
 from flows.cli.options import AsJson, Jobs
 from flows.cli.report_output import ReportFolder, prepare_report, write_report
 from flows.cli.terminal import note, progress_bar
@@ -18,7 +18,12 @@ if TYPE_CHECKING:
     from flows.lab.experiments.rivals import Method
     from flows.lab.experiments.study import Experiment, Trials
 
-app = command_group("Run the paper's robot experiments in closed loop, simulated.")
+experiment = typer.Typer(
+    help="Run the paper's robot experiments in closed loop, simulated.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
 
 Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
 Seed = Annotated[
@@ -134,7 +139,7 @@ def lift(
 
 def _run(  # noqa: PLR0917 - the options of both commands
     context: typer.Context,
-    experiment: "Experiment",
+    run: "Experiment",
     methods: "Sequence[Method]",
     trials: "Trials",
     stress: bool,  # noqa: FBT001
@@ -155,7 +160,7 @@ def _run(  # noqa: PLR0917 - the options of both commands
     prepare_report(out)
     conditions, report = (conditions_of(name), break_report) if stress else (None, experiment_report)
     with progress_bar(name) as update:
-        study = run_study(experiment, methods, trials, conditions, jobs=jobs, progress=update)
+        study = run_study(run, methods, trials, conditions, jobs=jobs, progress=update)
     write_report(
         report(study, command_line(context)), out, f"{name}-stress" if stress else name, as_json=as_json
     )
@@ -256,4 +261,4 @@ def methods_of(detectors: list[str] | None, rules: list[str] | None) -> "list[Me
 
 
 for each in (tap, lift, learn):
-    register(app, each)
+    register(experiment, each, each.__name__)

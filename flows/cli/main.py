@@ -4,51 +4,57 @@ import errno
 import os
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from types import MappingProxyType
 from typing import Annotated, Final, NoReturn
 
 import typer
 
-from flows.cli import experiments
-from flows.cli.adapt import adapt
-from flows.cli.benchmark import benchmark
-from flows.cli.calibrate import calibrate
-from flows.cli.chart import chart
-from flows.cli.check import check
-from flows.cli.collect import collect
-from flows.cli.commands import command_group, register, usage_error
-from flows.cli.demo_command import demo
-from flows.cli.doctor import doctor
-from flows.cli.evaluate import evaluate
-from flows.cli.export import export
-from flows.cli.fetch import fetch
-from flows.cli.graph import graph
-from flows.cli.import_command import import_
-from flows.cli.model_list import models
-from flows.cli.onnx import onnx
-from flows.cli.prune import prune
-from flows.cli.recover import recover
-from flows.cli.rig import rig
-from flows.cli.run import run
-from flows.cli.show import show
-from flows.cli.simulate import simulate
-from flows.cli.stress import stress
+from flows.cli.commands import CommandTable, Entry, command_group, usage_error
 from flows.cli.terminal import note
-from flows.cli.train import train
-from flows.cli.verify import verify
-from flows.cli.watch import watch
 
-app = command_group("Detect slip from barometric fingertips: run flows, record datasets, train detectors.")
-_PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
+_RUN, _VIEW, _LEARN, _ROBOTS, _DATA = (
+    "Record and run",
+    "View",
+    "Train and evaluate",
+    "Robots",
+    "Data",
+)
+TABLE: Final = CommandTable(
     {
-        "Record and run": (run, demo, check, doctor, graph),
-        "View": (show, watch),
-        "Train and evaluate": (train, adapt, calibrate, evaluate, benchmark, chart, stress, models, onnx),
-        "Robots": (collect, rig),
-        "Data": (verify, recover, prune, fetch, import_, export, simulate),
+        "run": Entry(_RUN, "Run a flow live, or replay recordings through it.", "run"),
+        "demo": Entry(_RUN, "Detect slip on a simulated rig; no hardware is needed.", "demo_command"),
+        "check": Entry(_RUN, "Find errors in a flow without running it.", "check"),
+        "doctor": Entry(_RUN, "Check this machine, and the devices that a flow uses.", "doctor"),
+        "graph": Entry(_RUN, "Print a flow as text or, with --mermaid, as a flowchart.", "graph"),
+        "show": Entry(_VIEW, "Show a recorded session in a browser, and label it by hand.", "show"),
+        "watch": Entry(_VIEW, "Print slip events from an MQTT broker, each once.", "watch"),
+        "train": Entry(_LEARN, "Train a slip detector.", "train"),
+        "adapt": Entry(_LEARN, "Adapt a detector to your fingertip without labels.", "adapt"),
+        "calibrate": Entry(_LEARN, "Tune the debounce for a stated rate of false alarms.", "calibrate"),
+        "evaluate": Entry(_LEARN, "Compare detectors on a dataset.", "evaluate"),
+        "benchmark": Entry(_LEARN, "Evaluate detectors on real recordings of unseen surfaces.", "benchmark"),
+        "chart": Entry(_LEARN, "Chart speed against accuracy of every detector.", "chart"),
+        "stress": Entry(_LEARN, "Find the level of each stress at which each detector fails.", "stress"),
+        "models": Entry(_LEARN, "List the shipped detectors and what each is meant for.", "model_list"),
+        "onnx": Entry(_LEARN, "Export a tcn as ONNX for other runtimes.", "onnx"),
+        "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
+        "rig": Entry(_ROBOTS, "Serve the virtual lab: a simulated UR arm and gripper.", "rig"),
+        "experiment": Entry(
+            _ROBOTS, "Run the paper's robot experiments in closed loop, simulated.", "experiments"
+        ),
+        "verify": Entry(_DATA, "Read all files of a dataset and report losses and damage.", "verify"),
+        "recover": Entry(_DATA, "Repair recordings after a crash.", "recover"),
+        "prune": Entry(_DATA, "Delete old sessions of a dataset.", "prune"),
+        "fetch": Entry(_DATA, "Download, verify and import a public dataset of real touch.", "fetch"),
+        "import": Entry(
+            _DATA, "Import recordings of any fingertip as sessions of a dataset.", "import_command"
+        ),
+        "export": Entry(_DATA, "Export recordings to LeRobot, MCAP or Rerun.", "export"),
+        "simulate": Entry(_DATA, "Simulate a collection plan as a labelled dataset.", "simulate"),
     }
+)
+app = command_group(
+    "Detect slip from barometric fingertips: run flows, record datasets, train detectors.", TABLE
 )
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 _debug = False
@@ -136,9 +142,3 @@ def _close_output() -> None:
             stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-for panel, commands in _PANELS.items():
-    for command in commands:
-        register(app, command, panel)
-app.add_typer(experiments.app, name="experiment", rich_help_panel="Robots")

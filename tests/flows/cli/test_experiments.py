@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from flows.cli.experiments import app
+from flows.cli.experiments import experiment as app
 from flows.lab.experiments import lift_trial
 from flows.lab.experiments.break_report import AXES
 from flows.lab.experiments.lift_trial import LiftOutcome
