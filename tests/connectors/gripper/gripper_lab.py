@@ -82,7 +82,7 @@ async def lab(
     server = FaultyGripperServer(
         scene, host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters
     )
-    pass_on = server._trace  # pyright: ignore[reportPrivateUsage]
+    pass_on = server._trace
 
     def listen(sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
         if data and not sending:

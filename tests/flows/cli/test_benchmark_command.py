@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flows.cli.benchmark import (
-    _datasets,  # pyright: ignore[reportPrivateUsage] - before any measurement
+    _datasets,
     benchmark,
 )
 from flows.lab.recipes.fetching import fetch

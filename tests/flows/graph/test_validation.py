@@ -163,7 +163,7 @@ def test_an_operator_without_type_annotations_is_reported() -> None:
 def test_an_operator_whose_process_takes_no_batch_is_reported() -> None:
     class Static(Operator[Scores, Scores]):
         @staticmethod
-        def process(batch: Scores) -> Scores:  # pyright: ignore[reportIncompatibleMethodOverride]
+        def process(batch: Scores) -> Scores:
             return batch
 
     flow = Flow("f")
