@@ -67,31 +67,8 @@ release-check:  ## build wheel and sdist into dist, compare their files with git
 
 bench:  ## run the benchmarks and print their tables
 	@deploy/prepare test
-	.venv/bin/python tests/benchmarks/bench_engine.py
-	.venv/bin/python tests/benchmarks/bench_row_loops.py
-	.venv/bin/python tests/benchmarks/bench_replay.py
-	.venv/bin/python tests/benchmarks/bench_scaling.py
-	.venv/bin/python tests/benchmarks/bench_page.py
-	.venv/bin/python tests/benchmarks/bench_edge.py
-	.venv/bin/python tests/benchmarks/bench_scene.py
-	.venv/bin/python tests/benchmarks/bench_detectors.py
-	.venv/bin/python tests/benchmarks/bench_rtde.py
-	.venv/bin/python tests/benchmarks/bench_wake_up.py
-	.venv/bin/python tests/benchmarks/bench_start.py
-	.venv/bin/python tests/benchmarks/bench_device_clock.py
-	.venv/bin/python tests/benchmarks/bench_live_path.py
-	.venv/bin/python tests/benchmarks/bench_journal.py
-	.venv/bin/python tests/benchmarks/bench_alert.py
-	.venv/bin/python tests/benchmarks/bench_label_delay.py
-	.venv/bin/python tests/benchmarks/bench_assessment.py
-	.venv/bin/python tests/benchmarks/bench_follow.py
-	mkdir -p models
-	test -d models/paper-0 || .venv/bin/slipflow simulate models/paper-0 --plan paper --seed 0
-	.venv/bin/python -m tests.benchmarks.bench_velocity models/paper-0
-	.venv/bin/python tests/benchmarks/bench_training.py
-	.venv/bin/python tests/benchmarks/bench_peers.py
-	.venv/bin/python tests/benchmarks/bench_peers_live.py
-	.venv/bin/python tests/benchmarks/bench_peers_live.py --together
+	for name in start engine peers peers_live live_path replay scaling detectors; do \
+	    .venv/bin/python -m tests.benchmarks.bench_$$name || exit 1; done
 
 models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
@@ -124,11 +101,6 @@ detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages
 	$(if $(strokes),slipflow benchmark $(strokes) $(addprefix --group ,dvp_flat fabric still tkan) --out models/pages)
-	$(if $(strokes),for seed in 50 51 52 53 54 55 56 57 58 59; do rm -rf models/wide-$$seed; \
-	    slipflow simulate models/wide-$$seed --plan wide --seed $$seed || exit 1; done)
-	$(if $(strokes),slipflow adapt tcn_wide --to $(strokes)/sessions/dvp_flat_vel3 --first 30s -o models/adapted.safetensors)
-	$(if $(strokes),.venv/bin/python -m tests.benchmarks.bench_alarms --case wide tcn models/wide-5? \
-	    --case strokes tcn_wide $(strokes) --case adapted models/adapted.safetensors $(strokes) --out models/pages)
 	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## delete everything that was set up or built

@@ -41,18 +41,10 @@ VARIANTS = (
     *(Variant(f"slipflow, batches of {n}", "slipflow", "slipflow_batches", n) for n in (1, 10, 100, 1000)),
     Variant("slipflow, whole", "slipflow", "slipflow_batches", 10_000_000),
     Variant("plain Python push graph, records", "plain", "push_graph"),
-    Variant("asyncio task + queue each, records", "plain", "asyncio_queues"),
     Variant("csp, Python nodes, records", "csp", "csp_python"),
-    Variant("csp, native nodes, records", "csp", "csp_native"),
     Variant("bytewax, records", "bytewax", "bytewax_flow"),
     Variant("bytewax, chunks of 100", "bytewax", "bytewax_flow", 100),
     Variant("bytewax, chunks of 1000", "bytewax", "bytewax_flow", 1000),
-    Variant("ezmsg, records", "ezmsg", "ezmsg_units"),
-    Variant("ezmsg, chunks of 100", "ezmsg", "ezmsg_units", 100),
-    Variant("ezmsg, chunks of 1000", "ezmsg", "ezmsg_units", 1000),
-    Variant("streamz, records", "streamz", "streamz_pipe"),
-    Variant("polars join_asof + numpy, whole", "polars", "polars_asof"),
-    Variant("pandas merge_asof + numpy, whole", "pandas", "pandas_asof"),
 )
 
 

@@ -40,14 +40,10 @@ class Variant(NamedTuple):
 
 VARIANTS = (
     Variant("slipflow", "slipflow", "slipflow_live"),
-    Variant("slipflow, four sinks", "slipflow", "slipflow_sinks_live"),
     Variant("slipflow, detector tcn", "slipflow", "slipflow_live", "tcn"),
     Variant("plain Python, called inline", "plain", "push_live"),
-    Variant("asyncio task + queue each", "plain", "asyncio_live"),
     Variant("csp, Python nodes", "csp", "csp_live"),
     Variant("bytewax", "bytewax", "bytewax_live"),
-    Variant("ezmsg", "ezmsg", "ezmsg_live"),
-    Variant("streamz", "streamz", "streamz_live"),
 )
 PEERS = sorted({variant.peer for variant in VARIANTS})
 

@@ -11,12 +11,8 @@ NUMPY: Final = "numpy==2.4.6"
 PINS: Final = {  # the newest of November 2026
     "slipflow": (),  # ours
     "plain": (NUMPY,),
-    "polars": (NUMPY, "polars==2.1.0"),
-    "pandas": (NUMPY, "pandas==3.1.1"),
     "csp": (NUMPY, "csp==0.19.1"),
     "bytewax": (NUMPY, "bytewax==0.21.1"),
-    "ezmsg": (NUMPY, "ezmsg==3.9.0"),
-    "streamz": (NUMPY, "streamz==0.6.6"),
 }
 
 
