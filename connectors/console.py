@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TextIO
 
-from connectors.events import encode, faults, finger_name, slip_texts, slips, timestamp
+from connectors.events import encode, faults, finger_name, slips, timestamp
 from operators.batch import Faults, Slips, ms
 from operators.checks import check_choice
 from operators.errors import OutputClosedError
@@ -22,9 +22,8 @@ class Console(Sink[Slips | Faults]):
     >>> asyncio.run(Console().write(Slips(time, onset, time, probability, finger=0)))
     1970-01-01 00:00:05.000  finger 0  slip onset  p 0.93
 
-    The direction of sliding and a doubt about the input follow, if the detector has them. With
-    ``format="json"`` each line is a JSON object: latency in ms, doubt and direction in degrees if they are
-    known, null for NaN, and in replays the name of the recording:
+    With ``format="json"`` each line is a JSON object with the latency in ms if it is known, null for NaN, and
+    in replays the name of the recording:
 
     >>> asyncio.run(Console(format="json").write(Slips(time, onset, time, probability, finger=0)))
     {"time":"1970-01-01T00:00:05.000000000Z","event":"slip_onset","finger":"0","p":0.93}
@@ -82,19 +81,13 @@ class Console(Sink[Slips | Faults]):
         for slip in slips(batch):
             latency = self._run.latency(slip.time) if self._run else None
             if self.format == "json":
-                details = {
-                    "latency_ms": None if latency is None else round(latency / ms, 3),
-                    "doubt": None if slip.doubt is None else round(slip.doubt, 3),
-                    "direction_deg": slip.direction_deg,
-                    "direction_sd_deg": slip.direction_sd_deg,
-                }
-                known = {key: value for key, value in details.items() if value is not None}
+                known: dict[str, Json] = {} if latency is None else {"latency_ms": round(latency / ms, 3)}
                 name = "slip_onset" if slip.onset else "slip_end"
                 self._print_json(slip.time, batch.finger, name, {"p": slip.probability, **known})
                 continue
             text, style = ("slip onset", "bold red") if slip.onset else ("slip end  ", "green")
             late = [] if latency is None else [f"{latency / ms:.1f} ms"]
-            self._print(slip.time, batch.finger, "  ".join([text, *slip_texts(slip), *late]), style)
+            self._print(slip.time, batch.finger, "  ".join([text, f"p {slip.probability:.2f}", *late]), style)
 
     def _print_json(self, time: int, finger: int, event: str, details: Mapping[str, Json]) -> None:
         recording = self._run.recording if self._run else None

@@ -7,14 +7,14 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import starmap
-from math import degrees, isfinite
+from math import isfinite
 from typing import Final, NamedTuple
 from urllib.parse import quote, unquote
 
 import numpy as np
 
 from connectors.fields import INT64, Fields
-from operators.batch import CLEAR_DIRECTION, DOUBTFUL, EVERY, SLIP, Faults, Reals, Slips
+from operators.batch import EVERY, SLIP, Faults, Slips
 from operators.fingertip import CELL_LIMIT
 from operators.health import FaultKind
 from operators.ports import Json
@@ -73,12 +73,6 @@ class Event:
     sha256: str | None = field(default=None, kw_only=True)  # SHA-256 of the detector's weights; None: unknown
     degraded: tuple[Fault, ...] = field(default=(), kw_only=True)
     session: str | None = field(default=None, kw_only=True)  # run that raised the event; None: unknown
-    # distance of the input from the detector's training data, relative to the limit; None: unknown
-    doubt: float | None = field(default=None, kw_only=True)
-    # of an onset: in which the fingertip slides over the object, in the fingertip's plane, anticlockwise from
-    # x, 0 to 360 degrees; None: unknown
-    direction_deg: float | None = field(default=None, kw_only=True)
-    direction_sd_deg: float | None = field(default=None, kw_only=True)  # standard deviation; None: unknown
 
     @property
     def state(self) -> str:
@@ -88,12 +82,12 @@ class Event:
     @property
     def quality(self) -> str:
         """``good``, ``doubtful`` or ``blind``; see `quality`."""
-        return quality(self.probability, self.degraded, self.doubt)[0]
+        return quality(self.probability, self.degraded)[0]
 
     @property
     def reason(self) -> str | None:
-        """Reason of a quality other than good, such as ``barometer 2 stuck`` or ``unfamiliar input``."""
-        return quality(self.probability, self.degraded, self.doubt)[1]
+        """Reason of a quality other than good, such as ``barometer 2 stuck``."""
+        return quality(self.probability, self.degraded)[1]
 
     @property
     def identifier(self) -> str:
@@ -125,9 +119,6 @@ class Event:
                     "reason": self.reason,
                     "degraded": [asdict(fault) for fault in self.degraded],
                     "session": self.session,
-                    "doubt": self.doubt,
-                    "direction_deg": self.direction_deg,
-                    "direction_sd_deg": self.direction_sd_deg,
                 },
             }
         )
@@ -178,29 +169,21 @@ class Event:
             sha256=model.nullable(model.text, "sha256"),
             degraded=tuple(degraded),
             session=data.optional(data.text, "session"),
-            doubt=data.optional(data.positive, "doubt"),
-            direction_deg=data.optional(lambda name: data.number(name, 0, 360), "direction_deg"),
-            direction_sd_deg=data.optional(data.positive, "direction_sd_deg"),
         )
 
 
-def quality(
-    probability: float | None, faults: Iterable[Fault], doubt: float | None
-) -> tuple[str, str | None]:
+def quality(probability: float | None, faults: Iterable[Fault]) -> tuple[str, str | None]:
     """Return the quality of a score, and the reason if it is not good.
 
-    It is ``blind`` without a probability; ``doubtful`` while a cell is dead, stuck or drifting, or if the
-    input is unlike the detector's training data; or ``good``. A cell at the end of its range leaves it good:
-    load alone causes it, and tcn tolerates it.
+    It is ``blind`` without a probability; ``doubtful`` while a cell is dead, stuck or drifting; or ``good``.
+    A cell at the end of its range leaves it good: load alone causes it, and tcn tolerates it.
 
-    >>> quality(0.9, [Fault(2, "stuck"), Fault(3, "saturated")], doubt=1.3)
-    ('doubtful', 'barometer 2 stuck, unfamiliar input')
+    >>> quality(0.9, [Fault(2, "stuck"), Fault(3, "saturated")])
+    ('doubtful', 'barometer 2 stuck')
     """
     if probability is None or not isfinite(probability):
         return "blind", "no probability"
     reasons = [f"barometer {fault.barometer} {fault.kind}" for fault in faults if not fault.limit]
-    if doubt is not None and doubt > DOUBTFUL:
-        reasons.append("unfamiliar input")
     return ("doubtful", ", ".join(reasons)) if reasons else ("good", None)
 
 
@@ -240,54 +223,17 @@ class Slip(NamedTuple):
     time: int  # ns
     onset: bool  # False: end
     probability: float
-    doubt: float | None  # None: unknown
-    direction_deg: int | None  # 0 to 359; None: unknown
-    direction_sd_deg: int | None
 
 
 def slips(batch: Slips) -> Iterator[Slip]:
     """Yield the rows of a batch.
 
     >>> time = np.array([5])
-    >>> unknown, direction = np.array([np.nan]), np.array([-np.pi / 2])
-    >>> batch = Slips(time, np.array([1], np.int8), time, time / 10, unknown, direction, direction * 0 + 0.2)
-    >>> next(slips(batch))[1:]
-    (True, 0.5, None, 270, 11)
+    >>> next(slips(Slips(time, np.array([1], np.int8), time, time / 10)))
+    Slip(time=5, onset=True, probability=0.5)
     """
     columns = batch.time.tolist(), (batch.state == SLIP).tolist(), batch.probability.tolist()
-    doubts = (value if isfinite(value) else None for value in batch.doubt.tolist())
-    rows = zip(*columns, doubts, whole_degrees(batch.direction), whole_degrees(batch.deviation), strict=True)
-    return starmap(Slip, rows)
-
-
-def slip_texts(slip: Slip) -> list[str]:
-    """Return probability, clear direction and doubt as text.
-
-    >>> slip_texts(Slip(0, True, 0.931, 1.2, 270, 11))
-    ['p 0.93', 'direction 270 deg (sd 11)', 'doubtful: unfamiliar input']
-    >>> slip_texts(Slip(0, True, 0.931, None, None, None))
-    ['p 0.93']
-    """
-    word, reason = quality(slip.probability, (), slip.doubt)
-    texts = [f"p {slip.probability:.2f}"]
-    if (direction := clear_direction(slip)) is not None:
-        texts.append(f"direction {direction:.0f} deg (sd {slip.direction_sd_deg})")
-    return [*texts, f"{word}: {reason}"] if word == "doubtful" else texts
-
-
-def clear_direction(event: Slip | Event) -> float | None:
-    """Return the direction to display, degrees; None if unknown or with a deviation above 45 degrees.
-
-    >>> [clear_direction(Slip(0, True, 0.9, None, 270, deviation)) for deviation in (45, 46)]
-    [270, None]
-    """
-    clear = (event.direction_sd_deg or 0) <= degrees(CLEAR_DIRECTION)
-    return event.direction_deg if clear else None
-
-
-def whole_degrees(angles: Reals) -> list[int | None]:
-    """Return angles (rad) in degrees from 0 to 359; None for NaN."""
-    return [round(degrees(value)) % 360 if isfinite(value) else None for value in angles.tolist()]
+    return starmap(Slip, zip(*columns, strict=True))
 
 
 def faults(batch: Faults) -> Iterator[tuple[int, Fault, bool]]:

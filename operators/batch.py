@@ -27,8 +27,6 @@ EVERY: Final = -1  # finger of a batch that belongs to all fingertips, such as t
 SLIP: Final = 1
 STATIC: Final = 0
 UNKNOWN: Final = -1
-DOUBTFUL: Final = 1.0  # doubt above which a sample is doubtful
-CLEAR_DIRECTION: Final = np.pi / 4  # rad, largest standard deviation of a direction that is shown to people
 MOTIONS: Final = ("translation", "rotation", "hold", "tap", "lift")
 SURFACES: Final = ("plane", "sphere", "cylinder_x", "cylinder_y")
 us: Final = 1_000  # ns
@@ -45,7 +43,6 @@ class Column:
     shape: tuple[int, ...]
     unit: str
     names: tuple[str, ...] = ()  # names of the codes 0, 1, ..., which files store; empty: not coded
-    optional: bool = False  # files may lack it: the values are NaN
 
     def sizes(self, cells: int) -> tuple[int, ...]:
         """Return the shape of one row of a fingertip with this number of cells; any length is 0."""
@@ -53,10 +50,10 @@ class Column:
 
 
 def column(
-    dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = (), optional: bool = False
+    dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()
 ) -> Mapping[str, Column]:
     """Return the metadata of a batch field; checks, empty batches and Arrow schemas are derived from it."""
-    return MappingProxyType({"column": Column(np.dtype(dtype), shape, unit, names, optional)})
+    return MappingProxyType({"column": Column(np.dtype(dtype), shape, unit, names)})
 
 
 Kind = TypeVar("Kind")
@@ -281,13 +278,6 @@ class Windows(Batch):
     valid: Flags = field(metadata=column(np.bool_, -1, CELLS))  # (n, length, cells)
 
 
-_UNKNOWN: Final = np.empty(0)  # default of an optional column
-
-
-def _unknown() -> Reals:
-    return _UNKNOWN
-
-
 @batch_type
 class Scores(Batch):
     """Probability of slip at each time, from a detector."""
@@ -296,36 +286,12 @@ class Scores(Batch):
 
 
 @batch_type
-class Assessed(Scores):
-    """Scores with the direction of sliding and the doubt about the input, from a detector that has both.
-
-    The direction is that in which the fingertip slides over the object, in the fingertip's plane,
-    anticlockwise from x; the object slides under it in the opposite direction. It is meaningless without
-    slip.
-    """
-
-    # (n,) distance of the input from the training data, relative to the limit: above 1 doubtful; NaN unknown
-    doubt: Reals = field(metadata=column(np.float64))
-    direction: Reals = field(metadata=column(np.float64, unit="rad"))  # (n,) -pi to pi; NaN unknown
-    deviation: Reals = field(metadata=column(np.float64, unit="rad"))  # (n,) standard deviation; NaN unknown
-
-
-@batch_type
 class Slips(Batch):
-    """Slip events: one row per onset and one per end. The last columns are those of `Assessed`."""
+    """Slip events: one row per onset and one per end."""
 
     state: Codes = field(metadata=column(np.int8, unit="1 onset, 0 end"))  # (n,)
     start: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first decision of the onset or end
     probability: Reals = field(metadata=column(np.float64))  # (n,) at `time`
-    doubt: Reals = field(default_factory=_unknown, metadata=column(np.float64, optional=True))  # (n,)
-    # (n,) of an onset; NaN of an end
-    direction: Reals = field(default_factory=_unknown, metadata=column(np.float64, unit="rad", optional=True))
-    deviation: Reals = field(default_factory=_unknown, metadata=column(np.float64, unit="rad", optional=True))
-
-    def __post_init__(self) -> None:
-        for name in ("doubt", "direction", "deviation"):
-            if getattr(self, name) is _UNKNOWN:
-                setattr(self, name, np.full(len(self.time), np.nan))
 
 
 @batch_type

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from operators.batch import SLIP, STATIC, UNKNOWN, Assessed, Reals, Scores, Slips, Times
+from operators.batch import SLIP, STATIC, UNKNOWN, Reals, Scores, Slips, Times
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
@@ -17,7 +17,6 @@ class Debounce(Operator[Scores, Slips]):
 
     A slip starts after `consecutive` decisions for slip in a row, and ends after `release` decisions against
     it. NaN is not a decision and interrupts either run. A slip that is open when the stream ends gets no end.
-    Events of `Assessed` scores have the doubt and, at an onset, the direction of the deciding sample.
 
     Args:
         threshold: Smallest probability that is a decision for slip, above 0, at most 1.
@@ -61,14 +60,8 @@ class Debounce(Operator[Scores, Slips]):
         if not count:
             return Slips.empty()
         rows, starts, states = events[:, :count].copy()  # not views: sinks may keep the few events
-        slips = batch.time[rows], states.astype(np.int8), starts, batch.probability[rows]
-        if not isinstance(batch, Assessed):
-            return Slips(*slips, finger=batch.finger)
-        onset = states == SLIP
-        direction, deviation = (
-            np.where(onset, each[rows], np.nan) for each in (batch.direction, batch.deviation)
-        )
-        return Slips(*slips, batch.doubt[rows], direction, deviation, finger=batch.finger)
+        probability = batch.probability[rows]
+        return Slips(batch.time[rows], states.astype(np.int8), starts, probability, finger=batch.finger)
 
 
 # State: decision of the current run, its length and start (ns); SLIP during a slip, and its earliest end (ns)

@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import Assessed, Counts, Reals, Scores, Zeroed
+from operators.batch import Counts, Reals, Scores, Zeroed
 from operators.checks import check_at_least
-from operators.detectors.detector import Assessing, Detector, ForFingertip, Stream, Streaming
+from operators.detectors.detector import Detector, ForFingertip, Stream, Streaming
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.forward_fill import forward_fill
@@ -26,8 +26,7 @@ class Score(Operator[Zeroed, Scores]):
     newest sample are invalid, the score is NaN.
 
     Streaming detectors process each sample once. If numba, which compiles them, is not installed, they
-    process windows like the other detectors, which takes several times the CPU time. The scores of a stream
-    that assesses its input are `Assessed`; windows are not assessed.
+    process windows like the other detectors, which takes several times the CPU time.
 
     Args:
         detector: Slip detector.
@@ -55,13 +54,11 @@ class Score(Operator[Zeroed, Scores]):
         self._due = self.detector.length
 
     @cached_property
-    def _scorer(
-        self,
-    ) -> "_Streamed | _Assessing | _Windowed":  # created when used: a stream loads numba, which takes 0.8 s
+    def _scorer(self) -> "_Streamed | _Windowed":  # created when used: a stream loads numba, in 0.8 s
         stream = _stream(self.detector)
         if stream is None:
             return _Windowed(self.detector, Window(self.detector.length, self.hop))
-        return _Assessing(stream) if isinstance(stream, Assessing) else _Streamed(stream)
+        return _Streamed(stream)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Check that the detector was made for this fingertip, if it says so.
@@ -86,16 +83,12 @@ class Score(Operator[Zeroed, Scores]):
             rows = slice(self._due - 1, None, self.hop)  # to be scored
             time, valid = time[rows], valid[rows]
         self._due += time.size * self.hop - len(counts)
-        results = self._scorer.score(batch, counts, rows)
+        probability = self._scorer.score(batch, counts, rows)
         if not time.size:
             return Scores.empty()
-        assessed = results.ndim > 1
-        probability = results[0] if assessed else results
         if counts is not batch.counts:
             few = np.count_nonzero(valid, axis=1) * 2 < valid.shape[1]  # (n,) of the cells
             probability = np.where(few, np.nan, probability)
-        if assessed:
-            return Assessed(time, probability, results[1], results[2], results[3], finger=batch.finger)
         return Scores(time, probability, finger=batch.finger)
 
 
@@ -119,18 +112,6 @@ class _Streamed:
         """Return the probability (n,)."""
         probability = self.stream.push(counts[:, None]).ravel()
         return probability if rows is None else probability[rows]
-
-
-@dataclass
-class _Assessing:
-    """Scoring and assessment sample by sample."""
-
-    stream: Assessing
-
-    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002
-        """Return probability, doubt, direction and deviation (4, n)."""
-        results = self.stream.assess(counts[:, None])[:, :, 0]
-        return results if rows is None else results[:, rows]
 
 
 @dataclass

@@ -33,11 +33,8 @@ def schema(table: Table, kind: type[Batch] | None = None, cells: int = BAROMETER
 
 
 def fitted(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
-    """Return an expected schema with as many cells as a file has, without optional columns that it lacks."""
-    kind = _KINDS.get((expected.metadata or {}).get(b"batch", b"").decode())
-    optional = {name for name, each in columns(kind).items() if each.optional} if kind else set[str]()
-    lacking = optional.difference(found.names)
-    kept = [each for each in fields_of(expected) if each.name not in lacking]
+    """Return an expected schema with as many cells as a file has."""
+    kept = fields_of(expected)
     for field in fields_of(found):
         if field.name in _PER_CELL and pa.types.is_fixed_size_list(field.type):
             kept = [_resized(each, int(field.type.list_size)) for each in kept]
@@ -98,8 +95,8 @@ def times(table: Table, rows: pa.Table) -> dict[int, NDArray[np.int64]]:
 def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Batch]:
     """Return the rows as batches of `kind`, by fingertip.
 
-    Columns that samples do not store, and optional ones that a file lacks, are unknown: temperature -1,
-    others NaN, `matched` true if there is a velocity.
+    Columns that samples do not store are unknown: temperature -1, others NaN, `matched` true if there is a
+    velocity.
 
     Raises:
         BatchError: if a name has no code.
@@ -107,7 +104,7 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     values: dict[str, NDArray[Any]] = {}
     cells = next((_width(rows, name) for name in table.columns if name in _PER_CELL), 0)
     for name, each in columns(kind).items():
-        if name in table.columns and not (each.optional and name not in rows.column_names):
+        if name in table.columns:
             if each.names:
                 values[name] = _codes(kind, name, each.names, rows)
             else:

@@ -34,14 +34,14 @@ LABELS: Final = ((0.02, 0.07, "t"), (0.27, 0.36, "s"), (0.36, 0.42, "u"), (0.62,
 
 
 def caught(tab: Page, *, slips: bool) -> bytes:
-    """Return a picture that was taken within one state; with slip, after its direction is known."""
+    """Return a picture that was taken within one state."""
     state = f"#state[data-slip={str(slips).lower()}]"
     while True:
         tab.wait_for_selector(f"#state[data-slip={str(not slips).lower()}]")  # just when it changes
         tab.wait_for_selector(state)
         tab.wait_for_timeout(250)  # the numbers follow
         png = tab.screenshot(full_page=True)
-        if tab.locator(state).count() and tab.locator("#direction").is_visible() == slips:
+        if tab.locator(state).count():
             return png
 
 
@@ -72,7 +72,6 @@ def show_picture(browser: Browser, dataset: Path, folder: Path) -> None:
             tab.keyboard.press(key)
         tab.locator("#instant").evaluate(MOVE, SELECTED)
         tab.mouse.move(5, 5)  # no hairline
-        expect(tab.locator("#direction")).to_be_visible()
         tab.wait_for_timeout(500)
         save(tab.screenshot(full_page=True), folder / "show.png")
 

@@ -210,9 +210,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                 sha256=self._sha256,
                 degraded=self._degraded(finger),
                 session=self._run.session,
-                doubt=slip.doubt,
-                direction_deg=slip.direction_deg,
-                direction_sd_deg=slip.direction_sd_deg,
             )
 
     def _documents(self, sent: Iterable[Entry]) -> Iterator[Message]:
@@ -250,7 +247,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             "model": {"id": self._model, "sha256": self._sha256},
             "threshold": self.threshold,
             "consecutive": self.consecutive,
-            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms", "direction_deg": "deg"},
+            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
         }
         return self._message("info", {**self._identity(), **document})
 

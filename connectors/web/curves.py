@@ -6,10 +6,10 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.events import Fault, Slip, clear_direction, quality, whole_degrees
+from connectors.events import Fault, Slip, quality
 from connectors.sim.truth import SLIDING
 from connectors.web.verdicts import judge_latency
-from operators.batch import Assessed, Motion, Reals, Scores, Times, Touch, Truth, ms
+from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
 from operators.ports import Json, Run
 
 Real = TypeVar("Real", bound=np.floating[Any])
@@ -77,15 +77,7 @@ def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> d
 
 def score_quality(score: Scores, faults: Iterable[Fault]) -> list[Json]:
     """Return the quality of a batch with one score, and the reason if it is not good."""
-    doubt = score.doubt.item() if isinstance(score, Assessed) else None
-    return [*quality(score.probability.item(), faults, doubt)]
-
-
-def score_direction(score: Scores) -> list[Json] | None:
-    """Return the direction of sliding and its standard deviation of a batch with one score, degrees."""
-    if not isinstance(score, Assessed):
-        return None
-    return [*whole_degrees(score.direction), *whole_degrees(score.deviation)]
+    return [*quality(score.probability.item(), faults)]
 
 
 def event_json(
@@ -113,8 +105,7 @@ def event_json(
         "finger": finger,
         "onset": slip.onset,
         "p": round(slip.probability, 3),
-        "direction": clear_direction(slip),
-        "quality": [*quality(slip.probability, faults, slip.doubt)],
+        "quality": [*quality(slip.probability, faults)],
         "latency": None if latency is None else round(latency / ms, 3),
         "verdict": None if latency is None else [*judge_latency(latency)],
     }

@@ -9,8 +9,7 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 - ``events``: numbered onsets and ends of slip with their quality; ``latency``: ms from the deciding sample to
   its arrival here, null in a replay at full speed; ``verdict`` on it: word and level
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
-- ``quality``: quality of the newest score and its reason, by fingertip; ``direction``: direction of sliding
-  and its standard deviation, degrees, of each fingertip that slips
+- ``quality``: quality of the newest score and its reason, by fingertip
 """
 
 from collections import deque
@@ -25,7 +24,6 @@ from connectors.web.curves import (
     curve_json,
     event_json,
     plotted_values,
-    score_direction,
     score_quality,
     stream_name,
     streams_json,
@@ -146,7 +144,7 @@ class Frames:
         return {key: track.rows for key, track in self._tracks.items()}
 
     def state(self) -> dict[str, Json]:
-        """Return the current time, slipping fingertips, faults, quality and direction."""
+        """Return the current time, slipping fingertips, faults and quality."""
         newest = {finger: batch[-1:] for finger, batch in self._scores.items()}
         return {
             "now": (self._run.clock.now() - self._run.start) / ms,
@@ -155,11 +153,6 @@ class Frames:
             "quality": {
                 finger: score_quality(row, fault_list(self._faults.get(finger, NO_FAULTS)))
                 for finger, row in newest.items()
-            },
-            "direction": {
-                finger: found
-                for finger, row in newest.items()
-                if finger in self._slipping and (found := score_direction(row))
             },
         }
 

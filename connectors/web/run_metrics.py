@@ -8,7 +8,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from connectors.events import Fault, faults, finger_name, quality, slips
-from operators.batch import Assessed, Clocks, Faults, Scores, Slips, s
+from operators.batch import Clocks, Faults, Scores, Slips, s
 from operators.ports import Run, SinkStatus, SourceStatus
 
 BUCKETS: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
@@ -102,14 +102,13 @@ class RunMetrics(Collector):
 
     def _add_scores(self, batch: Scores) -> None:
         finger = finger_name(batch.finger)
-        doubts = batch.doubt.tolist() if isinstance(batch, Assessed) else [None] * len(batch)
         found = [
             Fault(int(barometer), kind)
             for (where, barometer, kind), active in self._faults.items()
             if active and where == finger
         ]
-        for probability, doubt in zip(batch.probability.tolist(), doubts, strict=True):
-            key = finger, quality(probability, found, doubt)[0]
+        for probability in batch.probability.tolist():
+            key = finger, quality(probability, found)[0]
             self._scores[key] = self._scores.get(key, 0) + 1
 
     def collect(self) -> Iterator[Metric]:

@@ -15,7 +15,6 @@ from connectors.web.curves import (
     event_json,
     page_fingertip,
     plotted_values,
-    score_direction,
     score_quality,
     stream_name,
     streams_json,
@@ -24,7 +23,6 @@ from connectors.web.curves import (
 from connectors.web.page_frames import FINGERS_MAX
 from operators import Debounce
 from operators.batch import (
-    Assessed,
     Faults,
     Flags,
     Motion,
@@ -127,8 +125,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
             kept = _in_order(time)
             self.curves[key] = time[kept], values[kept]
         for finger, batches in self._scored.items():
-            assessed = all(isinstance(each, Assessed) for each in batches)
-            joined = concat(Assessed if assessed else Scores, batches)
+            joined = concat(Scores, batches)
             self.scores[finger] = scores = joined[_in_order(joined.time)]
             self.curves["scores", finger] = scores.time, scores.probability
         self._arriving.clear()
@@ -181,8 +178,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
     def values_at(self, instant: float) -> dict[str, Json]:
         """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`).
 
-        It also has faults, quality and direction, as a frame of the live page; the direction is meaningless
-        without slip.
+        It also has faults and quality, as a frame of the live page.
         """
         at = self.start + round(instant * ms)
 
@@ -200,7 +196,6 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
             **self._streams(newest),
             "faults": self._faults.json_at(at),
             "quality": {finger: score_quality(each, found[finger]) for finger, each in scores.items()},
-            "direction": {finger: score_direction(each) for finger, each in scores.items()},
         }
 
     def _streams(self, cut: Callable[[Times, Values], dict[str, Json]]) -> dict[str, Json]:

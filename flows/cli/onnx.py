@@ -16,8 +16,7 @@ def onnx(
 ) -> None:
     """Export a tcn as ONNX for other runtimes.
 
-    Input: windows of zeroed counts. Output: the calibrated probability of slip; the estimates of velocity and
-    familiarity are not exported. Needs the train extra.
+    Input: windows of zeroed counts. Output: the calibrated probability of slip. Needs the train extra.
 
     Examples:
       slipflow onnx mine.safetensors mine.onnx

@@ -95,12 +95,10 @@ def train(
     Learns from the train split; the validation split selects the best checkpoint; the test split is
     only reported. Ctrl-C stops the training without a model. Needs the train extra.
 
-    Besides the probability of slip, a tcn estimates the sliding velocity in the fingertip's plane with its
-    uncertainty, if the datasets are simulated, and how far the input is from that of the training. Its
-    probability is calibrated on validation.
+    The probability of a tcn is calibrated on validation.
 
     With --from, a trained tcn learns further from few labels, two minutes for example. It keeps its size, so
-    that --filters, --stretch, --method and --epochs do not apply, and loses velocity and familiarity. Its
+    that --filters, --stretch, --method and --epochs do not apply. Its
     time scale and gain are aligned with the data first. The test split, or else the last 30 % of each
     recording, is held out to compare the new model with the old one. If the new one is not better, nothing
     is written and the exit code is 3.

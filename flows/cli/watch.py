@@ -69,20 +69,18 @@ def watch(
 
 def _line(event: "Event", now: int) -> str:
     """Return the line of an event that arrived at `now` (ns)."""
-    from connectors.events import clear_direction, timestamp
+    from connectors.events import timestamp
     from connectors.mqtt.rig_names import is_replay
 
     where = f"{event.site}/{event.rig} finger {event.finger}"
     probability = "" if event.probability is None else f"  p {event.probability:.2f}"
-    angle = clear_direction(event)
-    direction = "" if angle is None else f"  direction {angle:.0f} deg"
     quality = f"  {event.quality}: {event.reason}" if event.reason else ""
     when = timestamp(event.time)[:23].replace("T", " ")
     delays = [] if event.latency is None else [f"{event.latency:.1f} ms"]
     if not is_replay(event.rig) and abs(now - event.time) < _DAY:
         delays.append(f"here after {span(now - event.time)}")
     delay = f"  {', '.join(delays)}" if delays else ""
-    return f"{when}  {where}  slip {event.state:5}{probability}{direction}{delay}{quality}"
+    return f"{when}  {where}  slip {event.state:5}{probability}{delay}{quality}"
 
 
 def span(time: int) -> str:

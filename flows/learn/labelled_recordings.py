@@ -65,8 +65,6 @@ class LabelledRecording:
     valid: Flags | None = None  # (n, cells) False where a cell has no reading; None: all valid
     force: Reals | None = None  # (n,) N, true normal force in simulation
     sliding: Codes | None = None  # (n,) the same by true sliding of the contact in simulation
-    # (n, 2) mm/s, true velocity of the fingertip over the surface, x and y; NaN where it does not slide
-    velocity: Reals | None = None
     zeroing: int = 0  # samples at the start that determine the baseline
     name: str = ""
     split: str = ""  # train, validation or test
@@ -105,7 +103,6 @@ class LabelledRecording:
             valid=rows_of(self.valid),
             force=rows_of(self.force),
             sliding=rows_of(self.sliding),
-            velocity=rows_of(self.velocity),
             degraded=rows_of(self.degraded),
             by_hand=rows_of(self.by_hand),
             span=None,
@@ -146,7 +143,6 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
     return replace(
         recording,
         sliding=sliding,
-        velocity=_velocity(sliding, truth),
         zeroing=zero.scans,
         name=name,
         split=split,
@@ -314,7 +310,6 @@ def _of_session(session: Session, finger: int, rate: float | None, hand: HandLab
     return replace(
         recording,
         sliding=sliding,
-        velocity=None if sliding is None or len(truth) != len(labelled) else _velocity(sliding, truth),
         name=session.name,
         split=str(session.about.get("split") or ""),
         group=str(session.about.get("group") or ""),
@@ -374,13 +369,6 @@ def _sliding(zeroed: Zeroed, truth: Truth) -> Codes:
     """Return the label of each sample by the true sliding at its time; (n,)."""
     sliding = SlidingMotion()
     return _labelled(zeroed, concat(Motion, [sliding.push(truth), sliding.flush()])).label
-
-
-def _velocity(sliding: Codes, truth: Truth) -> Reals:
-    """Return the velocity in the plane (n, 2), mm/s, of the samples that slide; NaN for the others."""
-    velocity: Reals = 1e3 * truth.velocity[:, :2]
-    slides = (sliding == SLIP) & (np.hypot(*velocity.T) > 1e3 * SLIDING)
-    return np.where(slides[:, None], velocity, np.nan)
 
 
 def _degraded(faults: Faults, time: Times) -> Flags:

@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Score
-from operators.batch import Assessed, Counts, Flags, Reals, Zeroed, columns
+from operators.batch import Counts, Flags, Reals, Zeroed
 from operators.detectors.detector import Detector
 
 
@@ -20,23 +20,14 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
     Raises:
         FingertipError: if the detector was made for another fingertip.
     """
-    return assessed(detector, recording).probability
-
-
-def assessed(detector: Detector, recording: LabelledRecording) -> Assessed:
-    """Return the scores of all samples, as `probabilities`; doubt and direction are NaN if unknown."""
     score = Score(detector)
     score.output_fingertip(recording.fingertip)
-    rows = len(recording)
-    found = Assessed(recording.sampling.times(rows), *(np.full(rows, np.nan) for _ in range(4)))
-    if not rows:
-        return found
-    scores = score.push(_zeroed(recording))
-    for name in columns(type(scores)):
-        getattr(found, name)[rows - len(scores) :] = getattr(scores, name)
-    for each in (found.probability, found.doubt, found.direction, found.deviation):
-        each[: recording.sampling.warm_up] = np.nan
-    return found
+    probability = np.full(len(recording), np.nan)
+    if len(recording):
+        scores = score.push(_zeroed(recording)).probability
+        probability[len(recording) - len(scores) :] = scores
+        probability[: recording.sampling.warm_up] = np.nan
+    return probability
 
 
 def windows(recording: LabelledRecording, length: int, hop: int) -> Counts:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from operators.detectors.detector import Assessing, Detector, Stream, Streaming
+from operators.detectors.detector import Detector, Stream, Streaming
 from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
 from operators.detectors.paper_tcn import PaperTcn
 from operators.detectors.psd import Psd
@@ -12,7 +12,6 @@ from operators.detectors.weights import Weights
 __all__ = [
     "DETECTORS",
     "TRAINED",
-    "Assessing",
     "Detector",
     "FrequencyCnn",
     "GraspTcn",

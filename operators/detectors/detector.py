@@ -61,23 +61,6 @@ class Stream(Protocol):
 
 
 @runtime_checkable
-class Assessing(Stream, Protocol):
-    """Stream of a detector that also assesses its input and estimates the direction of sliding."""
-
-    def assess(self, counts: Counts | Reals) -> Reals:
-        """Process the next samples in order, instead of `push`.
-
-        Args:
-            counts: (n, fingers, cells) zeroed counts
-
-        Returns:
-            (4, n, fingers) probability of slip; doubt, direction and deviation as in
-            `operators.batch.Assessed`, NaN if unknown. Cutting the samples anywhere changes no bit.
-        """
-        ...
-
-
-@runtime_checkable
 class Streaming(Detector, Protocol):
     """Detector that can process samples one by one, at low cost per sample."""
 

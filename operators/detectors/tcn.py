@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, Counts, Reals
 from operators.detectors.causal_layer import CausalLayer
-from operators.detectors.tcn_heads import read_heads
 from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
 from operators.errors import InputError
 
@@ -31,12 +30,11 @@ class Tcn(ForOneFingertip):
     Args:
         weights: ``conv{i}/kernel`` (taps, in, filters) and ``conv{i}/bias``, two per block; ``dense0/...``,
             ``dense1/...``, ``out/...``, kernels (in, out); ``dilations`` (blocks,), ``position_scale`` and
-            ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them. Optional:
-            ``velocity...`` (sliding velocity) and ``familiar/...`` (familiarity), which `head_shapes` lists.
+            ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them; further
+            arrays, such as those of older models, are ignored.
 
     Attributes:
         cells: Number of cells.
-        heads: Sliding velocity and familiarity with the input, if the weights contain them.
 
     Raises:
         InputError: if an array is missing, has a wrong shape, is not finite, or is out of range.
@@ -47,7 +45,6 @@ class Tcn(ForOneFingertip):
     def __init__(self, weights: Weights) -> None:
         _check(weights)
         self.layers = _layers(weights)
-        self.heads = read_heads(weights, self.layers[-len(_DENSE)].kernel.shape[1])
         self.cells = self.layers[0].kernel.shape[1] // 2
         self.position_scale = np.float32(weights["position_scale"][0])
         self.step_scale = np.float32(weights["step_scale"][0])
@@ -73,7 +70,7 @@ class Tcn(ForOneFingertip):
         for name, layer in zip(names, self.layers, strict=True):
             arrays[f"{name}/kernel"] = layer.kernel[0] if name in _DENSE else layer.kernel
             arrays[f"{name}/bias"] = layer.bias
-        return arrays | self.heads.weights
+        return arrays
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells) of zeroed counts; (n,)."""
@@ -94,10 +91,9 @@ class Tcn(ForOneFingertip):
 
     def stream(self, fingers: int = 1) -> "TcnStream":
         """Return a new stream for `fingers` fingertips that are sampled together."""
-        from operators.detectors.tcn_stream import AssessingTcnStream, TcnStream  # noqa: PLC0415 - imports numba
+        from operators.detectors.tcn_stream import TcnStream  # noqa: PLC0415 - imports numba
 
-        kind = AssessingTcnStream if self.heads else TcnStream
-        return kind(self.layers, self.position_scale, self.step_scale, self.heads, fingers)
+        return TcnStream(self.layers, self.position_scale, self.step_scale, fingers)
 
     def _features(self, counts: Floats, before: Floats) -> Floats:
         parts = np.arcsinh(counts / self.position_scale), np.arcsinh((counts - before) / self.step_scale)

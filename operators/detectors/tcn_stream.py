@@ -22,7 +22,6 @@ from operators.batch import Counts, Reals, Times
 from operators.checks import check_at_least
 from operators.compilation import compile_function
 from operators.detectors.causal_layer import CausalLayer
-from operators.detectors.tcn_heads import Heads
 from operators.detectors.weights import Floats
 from operators.errors import ParameterError
 
@@ -31,12 +30,7 @@ _VECTORIZED: Final = {"reassoc", "contract", "nsz"}  # sums in any order
 _TOGETHER: Final = 4  # outputs that are computed together
 _TABLE: Final = 2046  # largest step of a 10-bit count; asinh of whole numbers up to it is tabulated
 _ENTRIES: Final = 2 * _TABLE + 1
-_DENSE: Final = 3  # layers after the features
-_HEAD_ROWS: Final = 6  # at the end of the table of layers, if there are heads
-_UNKNOWN_DIRECTION: Final = math.pi / math.sqrt(3)  # rad, standard deviation of any direction
-_INFINITY: Final = np.float32(np.inf)
-_MISSING: Final = CausalLayer(np.zeros((1, 0, 0), np.float32), np.zeros(0, np.float32))  # of a head
-_Network: TypeAlias = tuple[tuple[CausalLayer, ...], np.float32, np.float32, Heads]  # with its two scales
+_Network: TypeAlias = tuple[tuple[CausalLayer, ...], np.float32, np.float32]  # with its two scales
 _State: TypeAlias = tuple[_Network, Floats, int]
 
 
@@ -84,80 +78,6 @@ def _enter(  # noqa: PLR0917 - a compiled function takes no keywords
         memory[new + cells + cell] = memory[again + cells + cell] = _asinh(step, weights, 1)
 
 
-@compile_function(fastmath=_VECTORIZED)
-def _dense_layer(  # noqa: PLR0917 - a compiled function takes no keywords
-    memory: Floats, run: int, weights: Floats, layers: Times, layer: int, least: np.float32
-) -> None:
-    """Compute a dense layer of a head for the inputs from `run` on; no output is below `least`."""
-    reach, outputs = layers[layer, _CHANNELS], layers[layer + 1, _CHANNELS]
-    kernel, result = layers[layer, _KERNEL], layers[layer + 1, _RINGS]
-    bias, inputs = kernel + outputs * reach, memory[run : run + reach]
-    for output in range(0, outputs, _TOGETHER):
-        row = kernel + output * reach
-        four = _products(
-            weights[row : row + reach],
-            weights[row + reach : row + 2 * reach],
-            weights[row + 2 * reach : row + 3 * reach],
-            weights[row + 3 * reach : row + 4 * reach],
-            inputs,
-        )
-        for i in range(_TOGETHER):
-            memory[result + output + i] = max(four[i] + weights[bias + output + i], least)
-
-
-@compile_function(fastmath=_VECTORIZED)
-def _doubt(  # noqa: PLR0917 - a compiled function takes no keywords
-    memory: Floats, features: int, weights: Floats, layers: Times, layer: int, since: int
-) -> float:
-    """Update the mean of the features, less that of the training data; return its distance : limit.
-
-    The mean begins with the features `since` sample 0.
-    """
-    count, mean, result = layers[layer, _CHANNELS], layers[layer, _RINGS], layers[layer + 1, _RINGS]
-    trained = layers[layer, _KERNEL] + count * count + count
-    share = weights[trained + count] if since > 0 else np.float32(1)
-    total = np.float32(0)
-    for i in range(count):
-        total += memory[features + i]
-    if not math.isfinite(total):
-        return np.nan
-    for i in range(count):
-        memory[mean + i] += share * (memory[features + i] - weights[trained + i] - memory[mean + i])
-    _dense_layer(memory, mean, weights, layers, layer, -_INFINITY)
-    distance = np.float32(0)
-    for i in range(count):
-        distance += memory[result + i] * memory[result + i]
-    return float(distance) / float(weights[trained + count + 1])
-
-
-@compile_function(fastmath=_VECTORIZED)
-def _direction(memory: Floats, velocity: int) -> tuple[float, float]:
-    """Return direction and standard deviation (rad) of a velocity with the logarithms of its deviations."""
-    x, y = float(memory[velocity]), float(memory[velocity + 1])
-    across = math.hypot(y * math.exp(memory[velocity + 2]), x * math.exp(memory[velocity + 3]))
-    return math.atan2(y, x), min(across / (x * x + y * y), _UNKNOWN_DIRECTION)
-
-
-@compile_function(fastmath=_VECTORIZED)
-def _assess(  # noqa: PLR0917 - a compiled function takes no keywords
-    memory: Floats, features: int, time: int, weights: Floats, layers: Times, results: Reals
-) -> None:
-    """Write doubt, direction and its deviation of each fingertip (3, fingers); NaN without such a head."""
-    velocity = len(layers) - _HEAD_ROWS
-    whitening = velocity + _DENSE + 1
-    since = time - layers[whitening, _DILATION]
-    for finger in range(results.shape[1]):
-        own, doubt, direction, deviation = memory[finger], np.nan, np.nan, np.nan
-        if layers[velocity, _CHANNELS] > 0:
-            _dense_layer(own, features, weights, layers, velocity, np.float32(0))
-            _dense_layer(own, layers[velocity + 1, _RINGS], weights, layers, velocity + 1, np.float32(0))
-            _dense_layer(own, layers[velocity + 2, _RINGS], weights, layers, velocity + 2, -_INFINITY)
-            direction, deviation = _direction(own, layers[velocity + 3, _RINGS])
-        if layers[whitening, _CHANNELS] > 0 and since >= 0:
-            doubt = _doubt(own, features, weights, layers, whitening, since)
-        results[0, finger], results[1, finger], results[2, finger] = doubt, direction, deviation
-
-
 def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     counts: Counts | Reals, results: Reals, memory: Floats, seen: int, weights: Floats, layers: Times
 ) -> None:
@@ -165,22 +85,17 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
 
     Args:
         counts: (n, fingers, cells)
-        results: (n, fingers) probability, output; with heads (4 n, fingers), followed by doubt, direction and
-            deviation
+        results: (n, fingers) probability, output
         memory: (fingers, size) previous counts, then the rings of each layer; changed in place
         seen: Number of samples before.
         weights: (m,) scales of counts and of steps; a table of asinh for each; kernel (outputs, taps,
             inputs) and bias of each layer
         layers: (layers + 1, 6) taps, input channels, dilation, offset of the rings in `memory`, offset of the
             kernel in `weights`, and whether the input of the previous layer is added; the last row is the
-            logit. If there are heads, the layers of the velocity, its outputs, the whitening and its
-            outputs follow, without channels where a head is missing. The inputs of the whitening are the mean
-            features; its dilation is the first sample with a full window, and its weights are followed by the
-            mean of the training data, 1 / time constant and the limit
+            logit
     """
     size, fingers, _ = counts.shape
-    assessed = len(results) > size
-    last = len(layers) - 1 - (_HEAD_ROWS if assessed else 0)
+    last = len(layers) - 1
     for time in range(seen, seen + size):
         old = new = _slot(layers, 0, time)
         again = new + layers[0, _TAPS] * layers[0, _CHANNELS]
@@ -210,9 +125,6 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
                         memory[finger, new + output + i] = memory[finger, again + output + i] = value
         for finger in range(fingers):
             results[time - seen, finger] = 1 / (1 + math.exp(-np.float64(memory[finger, new])))
-        if assessed:
-            features = _slot(layers, last - _DENSE, time)
-            _assess(memory, features, time, weights, layers, results[time - seen + size :: size])
 
 
 @cache
@@ -229,49 +141,25 @@ def _compiled(code: str) -> Callable[..., None]:
     return compile_function(types.void(counts, *arrays), fastmath=_VECTORIZED)(advance)
 
 
-class _Packing:
-    """Table of layers and weights for `advance`, and the size of a fingertip's memory."""
-
-    def __init__(self, size: int) -> None:
-        self.rows, self.weights, self.size = list[list[int]](), list[Floats](), size
-
-    def add(self, layers: Sequence[CausalLayer]) -> None:
-        """Append layers, each of which reads the outputs of the previous one, then a row for the outputs."""
-        rounded = 0
-        for layer in layers:
-            taps, inputs, outputs = layer.kernel.shape
-            channels, rounded = (count + -count % _TOGETHER for count in (inputs, outputs))
-            kernel, bias = np.zeros((taps, channels, rounded), np.float32), np.zeros(rounded, np.float32)
-            kernel[:, :inputs, :outputs], bias[:outputs] = layer.kernel, layer.bias
-            self.rows.append(
-                [taps, channels, layer.dilation, self.size, sum(map(len, self.weights)), layer.skip]
-            )
-            self.weights += [kernel.transpose(2, 0, 1).ravel(), bias]
-            self.size += layer.dilation * 2 * taps * channels
-        self.rows.append([1, rounded, 1, self.size, 0, 0])
-        self.size += 2 * rounded
-
-
 @lru_cache(4)  # streams of one detector share the arrays
 def _packed(
-    layers: tuple[CausalLayer, ...], position_scale: np.float32, step_scale: np.float32, heads: Heads
+    layers: tuple[CausalLayer, ...], position_scale: np.float32, step_scale: np.float32
 ) -> tuple[Times, Floats, int]:
     """Return the table of layers and the weights for `advance`, and the size of a fingertip's memory."""
     whole = np.arange(-_TABLE, _TABLE + 1, dtype=np.float32)
     scales = np.array([position_scale, step_scale])
-    packing = _Packing(layers[0].kernel.shape[1] // 2)  # cells
-    packing.weights += [scales, *(np.arcsinh(whole / scale) for scale in scales)]
-    packing.add(layers)
-    if heads:
-        packing.add(heads.velocity or [_MISSING] * 3)
-        familiar = heads.familiarity
-        packing.add([_MISSING if familiar is None else familiar.whitening_layer])
-        if familiar is not None:
-            packing.rows[-2][_DILATION] = 1 + sum((len(each.kernel) - 1) * each.dilation for each in layers)
-            mean = np.zeros(packing.rows[-2][_CHANNELS], np.float32)
-            mean[: familiar.mean.size] = familiar.mean
-            packing.weights += [mean, np.array([1 / familiar.samples, familiar.limit], np.float32)]
-    return np.array(packing.rows, np.int64), np.concatenate(packing.weights), packing.size
+    size, channels = layers[0].kernel.shape[1] // 2, 0  # the memory begins with the previous counts
+    rows, weights = list[list[int]](), [scales, *(np.arcsinh(whole / scale) for scale in scales)]
+    for layer in layers:
+        taps, inputs, outputs = layer.kernel.shape
+        reads, channels = (count + -count % _TOGETHER for count in (inputs, outputs))
+        kernel, bias = np.zeros((taps, reads, channels), np.float32), np.zeros(channels, np.float32)
+        kernel[:, :inputs, :outputs], bias[:outputs] = layer.kernel, layer.bias
+        rows.append([taps, reads, layer.dilation, size, sum(map(len, weights)), layer.skip])
+        weights += [kernel.transpose(2, 0, 1).ravel(), bias]
+        size += layer.dilation * 2 * taps * reads
+    rows.append([1, channels, 1, size, 0, 0])
+    return np.array(rows, np.int64), np.concatenate(weights), size + 2 * channels
 
 
 class TcnStream:
@@ -284,25 +172,21 @@ class TcnStream:
         layers: Layers of the network.
         position_scale: Scale of the counts.
         step_scale: Scale of the steps.
-        heads: Heads of the network.
         fingers: Number of fingertips.
 
     Raises:
         ParameterError: if `fingers` is below 1.
     """
 
-    _results = 1  # of each sample
-
     def __init__(
         self,
         layers: Sequence[CausalLayer],
         position_scale: np.float32,
         step_scale: np.float32,
-        heads: Heads,
         fingers: int = 1,
     ) -> None:
         check_at_least("TcnStream", "fingers", fingers, 1)
-        network = tuple(layers), position_scale, step_scale, heads
+        network = tuple(layers), position_scale, step_scale
         size = _packed(*network)[2]
         self.__setstate__((network, np.zeros((fingers, size), np.float32), 0))
         _compiled("h")  # before the first sample
@@ -326,27 +210,8 @@ class TcnStream:
         if shape[1:] != self._shape:
             expected = f"(n, {self._shape[0]}, {self._shape[1]})"
             raise ParameterError("TcnStream", "shape of the counts", shape, expected)
-        results = np.empty((shape[0] * self._results, shape[1]))
+        results = np.empty(shape[:2])
         kernel = _compiled(counts.dtype.char)
         kernel(counts, results, self._memory, self._seen, self._weights, self._layers)
         self._seen += shape[0]
         return results
-
-
-class AssessingTcnStream(TcnStream):
-    """State of a TCN with heads."""
-
-    _results = 4
-
-    def push(self, counts: Counts | Reals) -> Reals:
-        """Return the probability of slip, as without heads."""
-        probability: Reals = self.assess(counts)[0]
-        return probability
-
-    def assess(self, counts: Counts | Reals) -> Reals:
-        """Return probability, doubt, direction and deviation (4, n, fingers), as `Assessed` scores have them.
-
-        Raises:
-            ParameterError: if the counts have a wrong shape.
-        """
-        return super().push(counts).reshape(4, -1, counts.shape[1])

@@ -7,14 +7,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import asdict
 from importlib import import_module
-from math import degrees, isnan
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from operators.batch import (
-    CLEAR_DIRECTION,
     SLIP,
     AnyBatch,
     Batch,
@@ -167,13 +165,8 @@ def _batches(session: Session, kind: type[AnyBatch]) -> Iterator[AnyBatch]:
 
 
 def _slip_texts(batch: Slips) -> list[str]:
-    clear = np.where(batch.deviation > CLEAR_DIRECTION, np.nan, batch.direction)
-    rows = zip(batch.state.tolist(), batch.probability.tolist(), clear.tolist(), strict=True)
-    return [
-        f"slip {'onset' if state == SLIP else 'end'}  p {probability:.2f}"
-        + ("" if isnan(direction) else f"  direction {degrees(direction) % 360:.0f} deg")
-        for state, probability, direction in rows
-    ]
+    rows = zip(batch.state.tolist(), batch.probability.tolist(), strict=True)
+    return [f"slip {'onset' if state == SLIP else 'end'}  p {probability:.2f}" for state, probability in rows]
 
 
 def _fault_texts(batch: Faults) -> list[str]:

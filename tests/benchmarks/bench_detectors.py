@@ -1,11 +1,10 @@
 """What a sample costs our TCN, by its filters: streaming, and on windows; batch 1, one core, CPU time.
 
 Run by `make bench`. Streaming takes sample after sample, of one fingertip or of 64 or 1000 that are sampled
-together, then per fingertip; live is one fingertip's batches of one through `Score`. Heads are the
-familiarity with the input alone, or with the velocity. Windowed takes a whole
+together, then per fingertip; live is one fingertip's batches of one through `Score`. Windowed takes a whole
 window for each sample, as those must who do not stream. Weights are random: they cost what trained ones do.
-The live path compares a network without heads and one with both, as `tcn` ships, with the operators around
-it. All variants take turns, so that a change of the machine's speed hits all of them; tables show medians.
+The live path is `Score` with the operators around it. All variants take turns, so that a change of the
+machine's speed affects all of them; tables show medians.
 """
 
 import argparse
@@ -14,8 +13,6 @@ import os
 import statistics
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,11 +20,10 @@ import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from flows.learn.chart.windowed_runtimes import OnnxWindowed, TorchEager
-from operators import Assessed, Debounce, Follow, Score, Touch, Zero, Zeroed, ms
+from operators import Debounce, Score, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Counts, Scores
-from operators.detectors import Assessing, Detector, Tcn
+from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
-from operators.detectors.tcn_heads import head_shapes
 from operators.operator import Operator
 from tests.benchmarks.machine import commit, machine
 
@@ -37,18 +33,11 @@ SAMPLES = 2000  # of one fingertip
 Run = Callable[[], int]  # says how many samples it scored
 
 
-BOTH = " + both heads"
-HEADS = {"": "-", " + familiarity": "familiar", BOTH: ""}  # prefix of their arrays
-
-
-def network(filters: int, seed: int, heads: str = "-") -> Tcn:
-    """Our TCN with random weights: a receptive field of 100 samples; heads whose arrays have this prefix."""
+def network(filters: int, seed: int) -> Tcn:
+    """Our TCN with random weights: a receptive field of 100 samples."""
     rng = np.random.default_rng([seed, filters])
     sizes = shapes(taps=8, filters=filters, units=24, blocks=3)
-    sizes |= {name: shape for name, shape in head_shapes(filters).items() if name.startswith(heads)}
     weights = {name: rng.normal(size=shape) / np.sqrt(np.prod(shape[:-1])) for name, shape in sizes.items()}
-    if heads != "-":
-        weights |= {"familiar/limit": np.array([50.0]), "familiar/samples": np.array([100.0])}
     scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
     return Tcn(weights | scales | {"dilations": np.array([1, 2, 4])})
 
@@ -56,11 +45,10 @@ def network(filters: int, seed: int, heads: str = "-") -> Tcn:
 def streaming(tcn: Tcn, counts: Counts, fingers: int) -> Run:
     """Sample after sample, of some fingertips at once."""
     stream, rows = tcn.stream(fingers), [row[None, None].repeat(fingers, axis=1) for row in counts]
-    process = stream.assess if isinstance(stream, Assessing) else stream.push
 
     def run() -> int:
         for row in rows:
-            process(row)
+            stream.push(row)
         return len(rows) * fingers
 
     return run
@@ -90,12 +78,9 @@ def around(counts: Counts, seed: int) -> dict[str, Run]:
     time = np.arange(len(counts)) * 10 * ms
     touch = Touch(time, counts + 700, counts, np.ones_like(counts, np.bool_), finger=0)
     probability = np.random.default_rng(seed).random(len(counts))
-    assessed = Assessed(time, probability, probability, probability, probability, finger=0)
     return {
         "Zero": in_rows(Zero(), touch),
-        "Follow": in_rows(Follow(), touch),
         "Debounce": in_rows(Debounce(), Scores(time, probability, finger=0)),
-        "Debounce, assessed": in_rows(Debounce(), assessed),
     }
 
 
@@ -120,19 +105,11 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
     for same in (tcn.score(windows), eager.score(windows), runtime.score(windows)):
         np.testing.assert_allclose(same, streamed, atol=1e-5)
     return {
+        "streaming": streaming(tcn, counts, 1),
+        "live, through Score": live(tcn, counts),
         **{
-            f"{name}{extra}": of(network(filters, seed, heads), counts)
-            for extra, heads in HEADS.items()
-            for name, of in (("streaming", partial(streaming, fingers=1)), ("live, through Score", live))
-        },
-        **{
-            f"streaming, {fingers} fingertips, each{extra}": streaming(
-                network(filters, seed, heads), counts[: SAMPLES // fingers], fingers
-            )
-            for fingers, extra, heads in (
-                *((fingers, "", "-") for fingers in FINGERS),
-                (FINGERS[0], BOTH, HEADS[BOTH]),
-            )
+            f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
+            for fingers in FINGERS
         },
         "windowed, numpy": windowed(tcn, counts, 200),
         "windowed, onnxruntime": windowed(runtime, counts, 100),
@@ -173,34 +150,21 @@ def main() -> None:
     for name in dict.fromkeys(name for name, filters in cost if filters):
         medians = [statistics.median(cost[name, filters]) for filters in options.filters]
         print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
-    for extra in list(HEADS)[1:]:
-        pairs = [
-            (cost[f"live, through Score{extra}", filters], cost["live, through Score", filters])
-            for filters in options.filters
-        ]
-        added = [statistics.median(a / b - 1 for a, b in zip(*pair, strict=True)) for pair in pairs]
-        print(
-            f"{'Score' + extra + ' : Score':46}" + "".join(f"{f'+{100 * part:.0f} %':>9}" for part in added)
-        )
-    for name, extra in product(("windowed, onnxruntime", "windowed, torch eager"), ("", BOTH)):
-        pairs = [(cost[name, filters], cost[f"streaming{extra}", filters]) for filters in options.filters]
+    for name in ("windowed, onnxruntime", "windowed, torch eager"):
+        pairs = [(cost[name, filters], cost["streaming", filters]) for filters in options.filters]
         ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
-        print(f"{f'{name} : streaming{extra}':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
+        print(f"{f'{name} : streaming':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
     print_live_path({key: statistics.median(found) for key, found in cost.items()}, options.filters)
 
 
 def print_live_path(cost: dict[tuple[str, int], float], filters: Sequence[int]) -> None:
-    """Print the cost of each operator of one fingertip without heads and with both, by filters."""
+    """Print the cost of each operator of one fingertip, by filters."""
     scores = "live, through Score"
     for each in filters:
-        headless = [cost["Zero", 0], cost[scores, each], cost["Debounce", 0]]
-        shipped = [cost["Zero", 0], cost[f"{scores}{BOTH}", each], cost["Debounce, assessed", 0]]
-        print(f"{f'us per sample, live, {each} filters':46} no heads    both")
-        for name, *pair in zip(("Zero", "Score", "Debounce"), headless, shipped, strict=True):
-            print(f"{name:46}" + "".join(f"{value:9.2f}" for value in pair))
-        print(f"{'all':46}{sum(headless):9.2f}{sum(shipped):9.2f}")
-        print(f"{'Score + familiarity':46}{'':9}{cost[f'{scores} + familiarity', each]:9.2f}")
-        print(f"{'Follow, in place of Zero':46}{cost['Follow', 0]:9.2f}{cost['Follow', 0]:9.2f}")
+        costs = {"Zero": cost["Zero", 0], "Score": cost[scores, each], "Debounce": cost["Debounce", 0]}
+        print(f"us per sample, live, {each} filters")
+        for name, value in {**costs, "all": sum(costs.values())}.items():
+            print(f"{name:46}{value:9.2f}")
 
 
 if __name__ == "__main__":

@@ -54,27 +54,6 @@ def test_each_onset_and_each_end_is_one_line_with_its_latency(run: Run) -> None:
     ]
 
 
-def test_an_onset_shows_its_direction_and_a_doubt_about_the_input(run: Run) -> None:
-    run.live = False
-    batch = replace(
-        slips(0),
-        doubt=np.array([1.2345, 0.5]),
-        direction=np.array([-np.pi / 2, np.nan]),
-        deviation=np.array([0.2, np.nan]),
-    )
-    onset, end = printed(io.StringIO(), run, batch)
-    assert onset.endswith("  slip onset  p 0.93  direction 270 deg (sd 11)  doubtful: unfamiliar input")
-    assert end.endswith("  slip end    p nan")
-    unclear = replace(batch, deviation=np.array([np.radians(46), np.nan]))
-    assert printed(io.StringIO(), run, unclear)[0].endswith(
-        "  slip onset  p 0.93  doubtful: unfamiliar input"
-    )
-    onset, end = map(json.loads, printed(io.StringIO(), run, batch, form="json"))
-    expected = {"p": 0.931, "doubt": 1.234, "direction_deg": 270, "direction_sd_deg": 11}
-    assert {key: onset[key] for key in expected} == expected
-    assert end.keys() & expected.keys() == {"p", "doubt"}
-
-
 def test_a_replay_prints_no_latency(run: Run) -> None:
     run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))

@@ -41,9 +41,6 @@ events = st.builds(
         st.builds(Fault, st.integers(0, CELL_LIMIT - 1), names | st.just("saturated")), max_size=3
     ).map(tuple),
     session=st.none() | names,
-    doubt=st.none() | st.floats(0, 1e9),
-    direction_deg=st.none() | st.floats(0, 360) | st.integers(0, 359),
-    direction_sd_deg=st.none() | st.floats(0, 104),
 )
 
 EVENT = Event(
@@ -61,9 +58,6 @@ EVENT = Event(
 READ: list[tuple[str | int, ...]] = [
     *[(name,) for name in SCHEMA["required"] if name not in ("time", "datacontenttype")],
     *[("data", name) for name in SCHEMA["properties"]["data"]["required"] if name != "quality"],
-    ("data", "doubt"),
-    ("data", "direction_deg"),
-    ("data", "direction_sd_deg"),
     ("data", "model", "id"),
     ("data", "model", "sha256"),
     ("data", "degraded", 0),
@@ -72,7 +66,7 @@ READ: list[tuple[str | int, ...]] = [
 ]
 
 
-OPTIONAL = {("doubt",), ("direction_deg",), ("direction_sd_deg",), ("degraded", 0)}
+OPTIONAL = {("degraded", 0)}
 
 
 def altered(path: tuple[str | int, ...], *value: Json) -> bytes:
@@ -127,25 +121,14 @@ def test_broken_cells_make_an_event_doubtful_and_a_missing_probability_makes_it_
     event = replace(EVENT, probability=probability, degraded=faults)
     assert (event.quality, event.reason) == (quality, reason)
     assert is_valid(event.encode())
-
-
-@pytest.mark.parametrize(("doubt", "quality"), [(None, "good"), (1.0, "good"), (1.1, "doubtful")])
-def test_an_input_unlike_the_training_data_makes_an_event_doubtful(doubt: float | None, quality: str) -> None:
-    event = replace(EVENT, degraded=(), doubt=doubt)
-    assert (event.quality, event.reason) == (quality, "unfamiliar input" if quality == "doubtful" else None)
-    assert is_valid(event.encode())
-    worn = replace(event, degraded=(Fault(2, "stuck"),))
-    assert worn.reason == "barometer 2 stuck" + (", unfamiliar input" if quality == "doubtful" else "")
-    assert is_valid(worn.encode())
     document = json.loads(event.encode())
-    document["data"]["quality"] = "good" if quality == "doubtful" else "doubtful"
+    document["data"]["quality"] = "doubtful" if quality == "good" else "good"
     assert not is_valid(json.dumps(document).encode())
 
 
-def test_an_event_from_before_doubt_and_direction_is_valid() -> None:
+def test_fields_that_an_older_version_sent_are_ignored() -> None:
     document = json.loads(EVENT.encode())
-    for (name,) in (path for path in OPTIONAL if len(path) == 1):
-        del document["data"][name]
+    document["data"].update(doubt=1.5, direction_deg=270, direction_sd_deg=None)
     payload = json.dumps(document).encode()
     assert is_valid(payload)
     assert Event.decode(payload) == EVENT

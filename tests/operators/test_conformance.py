@@ -19,7 +19,6 @@ from operators import (
     STATIC,
     UNKNOWN,
     Align,
-    Assessed,
     Batch,
     Debounce,
     DeviceClock,
@@ -58,7 +57,6 @@ from operators.detectors import (
     paper_tcn,
     tcn,
 )
-from operators.detectors.tcn_heads import head_shapes
 from operators.operator import Step, input_types, output_type
 from tests.operators.plain_loops import use_plain_loops
 
@@ -146,11 +144,6 @@ def _scores(rng: np.random.Generator, rows: int) -> Scores:
     return Scores(_times(rng, rows, 10 * ms), level - rng.random(rows) / 20, finger=_FINGER)
 
 
-def _assessed(rng: np.random.Generator, rows: int) -> Assessed:
-    scores = _scores(rng, rows)
-    return Assessed(scores.time, scores.probability, *rng.normal(size=(3, rows)), finger=_FINGER)
-
-
 def _truth(rng: np.random.Generator, rows: int) -> Truth:
     sliding = _held(rng, (0.0, 0.003, 0.05), (rows, 1), 6)[:, 0] * rng.random(rows)
     return Truth(_times(rng, rows, 10 * ms), sliding, np.ones(rows), np.zeros((rows, 3)), finger=_FINGER)
@@ -179,13 +172,11 @@ def _frequency_cnn(kind: type[FrequencyCnn]) -> FrequencyCnn:
     return kind(weights | {"std": np.abs(weights["std"])})
 
 
-def _tcn(*, heads: bool = False) -> Tcn:
+def _tcn() -> Tcn:
     rng = np.random.default_rng(0)
     sizes = tcn.shapes(taps=3, filters=5, units=4, blocks=2)
     weights = {name: rng.normal(size=shape) / 3 for name, shape in sizes.items()}
     scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
-    for name, shape in head_shapes(5).items() if heads else ():
-        weights[name] = np.full(shape, 9.0) if shape == (1,) else rng.normal(size=shape) / 3
     return Tcn(weights | scales | {"dilations": np.array([1, 3])})
 
 
@@ -236,10 +227,7 @@ CASES: Final = [
     Case(Score(_frequency_cnn(InterleavedFrequencyCnn), hop=5), (_touch(Zeroed),), snapshot=150_000),
     Case(Score(_tcn()), (_touch(Zeroed),), snapshot=10_000),
     Case(Score(_tcn(), hop=4), (_touch(Zeroed),), snapshot=10_000),
-    Case(Score(_tcn(heads=True)), (_touch(Zeroed),), snapshot=30_000),
-    Case(Score(_tcn(heads=True), hop=4), (_touch(Zeroed),), snapshot=30_000),
     Case(Debounce(), (_scores,)),
-    Case(Debounce(), (_assessed,)),
     Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
     Case(Grip(), (_scores,)),
     Case(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import SLIP, STATIC, Assessed, Debounce, ParameterError, Scores, ms
+from operators import SLIP, STATIC, Debounce, ParameterError, Scores, ms
 
 HIGH, LOW, NONE = 0.9, 0.1, float("nan")
 Event = tuple[int, int, int]  # state, row, row of the start
@@ -69,16 +69,6 @@ def test_nan_breaks_both_runs() -> None:
 def test_an_end_waits_until_the_minimum_from_the_start_has_passed() -> None:
     debounce = Debounce(minimum=60 * ms)
     assert _events(debounce, HIGH, HIGH, LOW, LOW, LOW, LOW, LOW) == [(SLIP, 1, 0), (STATIC, 6, 2)]
-
-
-def test_events_have_the_doubt_and_onsets_the_direction_of_the_deciding_sample() -> None:
-    time, probability = np.arange(5), np.array([HIGH, HIGH, HIGH, LOW, LOW])
-    slips = Debounce().push(Assessed(time, probability, time / 2, time / 4, time / 8))
-    np.testing.assert_array_equal(slips.doubt, [0.5, 2.0])
-    np.testing.assert_array_equal(slips.direction, [0.25, np.nan])
-    np.testing.assert_array_equal(slips.deviation, [0.125, np.nan])
-    without = Debounce().push(Scores(time, probability)).check()
-    assert np.isnan([without.doubt, without.direction, without.deviation]).all()
 
 
 def test_a_new_slip_within_the_minimum_continues_the_slip() -> None:

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Assessed, ParameterError, Score, Scores, Zeroed, ms
+from operators import ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
 
 
@@ -33,14 +33,6 @@ class _Runner(_Keeper):
         return counts[:, :, 0] / 1000
 
 
-@dataclass
-class _Assessor(_Runner):
-    """The same, with doubt, direction and deviation."""
-
-    def assess(self, counts: Counts | Reals) -> Reals:
-        return np.multiply.outer([0.001, 1.0, 2.0, 3.0], counts[:, :, 0])
-
-
 def _touch(*first: int, rows: int = 0) -> Zeroed:
     counts = np.zeros((len(first) or rows, 6), np.int16)
     counts[:, 0] = first or np.arange(rows)
@@ -52,20 +44,6 @@ def test_there_is_a_score_for_each_full_window_at_the_time_of_its_newest_sample(
     assert scores.probability.tolist() == [0.2, 0.3]
     assert scores.time.tolist() == [10 * ms, 20 * ms]
     assert scores.finger == 6
-
-
-@pytest.mark.parametrize("hop", [1, 2])
-def test_a_detector_that_assesses_its_input_gives_assessed_scores(hop: int) -> None:
-    touch = _touch(7, 8, 9, 10, 11)
-    touch.valid[4] = False
-    scores = Score(_Assessor(), hop=hop).push(touch).check()
-    assert isinstance(scores, Assessed)
-    counts = [8, 9, 10, 10][::hop]  # the last one is forward-filled
-    np.testing.assert_array_equal(scores.doubt, counts)
-    np.testing.assert_array_equal(scores.direction, 2.0 * np.array(counts))
-    np.testing.assert_array_equal(scores.deviation, 3.0 * np.array(counts))
-    assert scores.finger == 6
-    assert type(Score(_Runner()).push(touch)) is Scores
 
 
 def test_the_name_of_a_detector_is_an_error_that_says_how_to_load_it() -> None:

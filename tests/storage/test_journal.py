@@ -111,7 +111,7 @@ def test_a_record_is_as_the_format_says() -> None:
             ["time", "<i8", [], []],
             ["state", "|i1", [], []],
             ["start", "<i8", [], []],
-            *([name, "<f8", [], []] for name in ("probability", "doubt", "direction", "deviation")),
+            ["probability", "<f8", [], []],
         ],
     }
 

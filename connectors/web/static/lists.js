@@ -4,7 +4,6 @@ import { element, write } from "./pad.js";
 
 const LIVE_MAX = 100; // events kept of a run
 const LISTED_MAX = 1000; // events listed of a recording
-const ARROWS = "→↗↑↖←↙↓↘"; // of 0, 45, ... degrees
 const MARKS = { good: "●", warning: "▲", bad: "■" }; // by level
 const QUALITIES = { doubtful: "warning", blind: "bad" }; // levels
 export const number = new Intl.NumberFormat("en");
@@ -56,11 +55,6 @@ export class Events {
     return spans;
   }
 
-  // True if an event has a direction.
-  get directed() {
-    return this.all.some((event) => event.direction !== null);
-  }
-
   // Return true if a fingertip has an event up to a time.
   any(finger, end) {
     return this.all.some((event) => event.t <= end && (event.finger === finger || event.finger === "every"));
@@ -99,19 +93,15 @@ function row(event, time, go) {
   return tr;
 }
 
-// Return the cell of an onset or end, with its direction and a quality other than good.
-function happened({ onset, direction, quality: [word, reason] }) {
-  const td = cell(onset ? `slip onset${towards(direction)}` : "slip end", onset ? "onset" : "");
+// Return the cell of an onset or end, with a quality other than good.
+function happened({ onset, quality: [word, reason] }) {
+  const td = cell(onset ? "slip onset" : "slip end", onset ? "onset" : "");
   if (word in QUALITIES) {
-    const doubt = element("span");
-    mark(doubt, `${word}: ${reason}`, QUALITIES[word]);
-    td.append(doubt);
+    const reservation = element("span");
+    mark(reservation, `${word}: ${reason}`, QUALITIES[word]);
+    td.append(reservation);
   }
   return td;
-}
-
-function towards(direction) {
-  return direction === null ? "" : ` ${ARROWS[Math.round(direction / 45) % 8]}\u00a0${direction}°`;
 }
 
 export function line(...cells) {

@@ -77,7 +77,6 @@ export function live(view) {
     view.slipping = new Set(document_.slipping);
     view.faults = document_.faults;
     view.quality = document_.quality;
-    view.direction = document_.direction;
     const added = view.events.add(document_.events);
     if (announced) for (const each of added) announce(`${each.onset ? "slip onset" : "slip end"}: ${title(each.finger).toLowerCase()}`);
     view.events.show(when);
@@ -99,7 +98,6 @@ export function live(view) {
     end(each) {
       ended = each;
       view.slipping.clear();
-      view.direction = {};
       health.end(each);
       view.dirty();
       showLink();

@@ -39,7 +39,6 @@ class View {
     this.faults = {};
     this.slipping = new Set();
     this.quality = {}; // of the newest score: word and reason, by fingertip
-    this.direction = {}; // of sliding: angle and standard deviation, degrees, by fingertip; used while it slips
     this.events.clear();
     this.deepest = 100;
     this.hasMotion = false;
@@ -234,19 +233,14 @@ class View {
     };
     write($("probability"), near(figures.scoring(this.finger), 2));
     write($("speed"), near(figures.speed, 1));
-    this.#showAssessment();
+    this.#showQuality();
   }
 
-  #showAssessment() {
-    const of = (known) => known[this.finger] ?? known.every ?? [];
-    const [word, reason] = of(this.quality), [angle, deviation] = of(this.direction);
+  #showQuality() {
+    const [word, reason] = this.quality[this.finger] ?? this.quality.every ?? [];
     $("quality").hidden = !word;
     $("quality").classList.toggle("bad", word !== "good");
     write($("quality"), reason ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : `Quality: ${word}`);
-    $("direction").hidden = !this.slips(this.finger) || (angle ?? null) === null;
-    $("directed").hidden = $("direction").hidden && !this.events.directed;
-    $("arrow").style.rotate = `${-angle}deg`;
-    write($("angle"), `${angle}° ± ${deviation}°`);
   }
 }
 

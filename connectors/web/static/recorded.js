@@ -111,7 +111,7 @@ export function recorded(view, about) {
       const answer = await load(...shown(), t, view.charts.columns);
       figures = new Streams(view.sign);
       figures.take(answer.at);
-      for (const name of ["faults", "quality", "direction"]) view[name] = answer.at[name];
+      for (const name of ["faults", "quality"]) view[name] = answer.at[name];
       loaded = answer.bands;
       view.take(answer, "replace");
       showTime(instant()); // the fingertip is known now

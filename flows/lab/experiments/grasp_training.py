@@ -29,7 +29,7 @@ STROKES: Final = PaperPlan(repeats=3, rotations=2, vary=varied)
 AUGMENTATION: Final = Augmentation(  # weaker than for strokes: a box changes its cells by 6 to 10 counts
     gain=0.3, load=0.1, noise_range=(0.3, 5.0), dead=0.1
 )
-RECIPE: Final = Recipe(filters=24, steps=2600, batch=40, crop=412, velocity=0.0, augmentation=AUGMENTATION)
+RECIPE: Final = Recipe(filters=24, steps=2600, batch=40, crop=412, augmentation=AUGMENTATION)
 PAPER: Final = PaperRecipe(epochs=5)
 GRACE: Final = 8  # samples with unknown label from the onset of a short slip, such as by a blow
 LONG_GRACE: Final = 20  # the same of a long slip, which begins like the rise of load in a firm grasp

@@ -59,12 +59,11 @@ def panels(of: Stress, measure: Measure, target: Target = "arm-speed") -> Figure
 
 @styled
 def abstention(of: Stress) -> Figure:
-    """Draw the shares of samples during which a fault is reported, without a score, and in doubt."""
+    """Draw the shares of samples during which a fault is reported, and without a score."""
     first = of.names[0]
     lines: Sequence[_Line] = (
         ("a fault is reported", lambda field, value: of.outcome(field, value).degraded),
         ("no score", lambda field, value: of.outcome(field, value).unscored[first]),
-        ("unfamiliar input", lambda field, value: of.outcome(field, value).doubtful[first]),
     )
     figure, axes = _panels(lines, "samples, %")
     for axis in axes:

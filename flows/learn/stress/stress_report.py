@@ -118,28 +118,20 @@ def sliding(of: Stress) -> Section:
 
 
 def abstention(of: Stress) -> Section:
-    """Return the section with the shares of samples that are degraded, doubtful or have no score."""
+    """Return the section with the shares of samples that are degraded or have no score."""
     first, nominal = of.names[0], of.outcome(*_first())
-    heads = "degraded %", "at nominal %", "no score %", "doubtful %", "right if good %", "right if doubtful %"
+    heads = "degraded %", "at nominal %", "no score %"
     rows = list[list[Value]]()
     for field, grid in FIELDS.items():
         for side, values in grid.sides.items():
             first_value, hardest = (of.outcome(field, value) for value in (values[0], values[-1]))
-            shares = [
-                hardest.degraded,
-                first_value.degraded,
-                hardest.unscored[first],
-                hardest.doubtful[first],
-            ]
-            rows.append([_side_name(field, side), grid.show(values[-1]), *shares, *hardest.right[first]])
+            shares = [hardest.degraded, first_value.degraded, hardest.unscored[first]]
+            rows.append([_side_name(field, side), grid.show(values[-1]), *shares])
     return Section(
         "abstention",
         f"A fault is reported during {nominal.degraded:.1f} % of nominal samples",
         "A fingertip is degraded while `Health` reports a cell as dead, stuck, saturated or drifting; "
-        "overload alone saturates cells. There is no score if more than three cells have no reading. A "
-        f"sample is doubtful if the input is unlike the training data of {first}: "
-        f"{quantity(nominal.doubtful[first], '%')} at nominal. Right: samples whose score agrees with the "
-        "label by the arm's speed.",
+        "overload alone saturates cells. There is no score if more than three cells have no reading.",
         [Table(["field", "hardest", *heads], rows)],
         lambda: stress_figure.abstention(of),
         terminal=False,

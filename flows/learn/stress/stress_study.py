@@ -16,16 +16,16 @@ import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan as Plan
 from flows.learn.evaluation.debounce_tuning import tuned_on
-from flows.learn.evaluation.event_metrics import DECISION, Performance, performances
+from flows.learn.evaluation.event_metrics import Performance, performances
 from flows.learn.evaluation.methods import trained_methods, with_baselines
 from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.labelled_recordings import Target, simulated_recordings
 from flows.learn.sampling import WARM_UP
-from flows.learn.scoring import assessed
+from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import FIELDS, breaking_point, plan_of, stressed
 from flows.run.processes import one_thread, process_map
 from operators import Debounce
-from operators.batch import DOUBTFUL, SLIP, UNKNOWN, Flags
+from operators.batch import Flags
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector
 from operators.extras import require_extra
@@ -46,8 +46,6 @@ class Outcome:
 
     degraded: float  # % of samples during which `Health` reports a fault
     unscored: Mapping[str, float]  # % of samples, by detector
-    doubtful: Mapping[str, float]  # % of samples, by detector
-    right: Mapping[str, tuple[float, float]]  # % of good and of doubtful samples, by detector and arm speed
     performance: Mapping[tuple[str, Target], Performance]  # by detector
 
 
@@ -161,22 +159,13 @@ def _outcome(
     field, value = condition
     recordings = simulated_recordings(plan_of(field, plan), seed, lambda scene: stressed(scene, field, value))
     unscored, performance = dict[str, float](), dict[tuple[str, Target], Performance]()
-    doubtful, right = dict[str, float](), dict[str, tuple[float, float]]()
-    label = np.concatenate([recording.label[WARM_UP:] for recording in recordings])
     for name, (detector, debounce) in detectors.items():
-        each = [assessed(detector, recording) for recording in recordings]
-        scores = [found.probability for found in each]
+        scores = [probabilities(detector, recording) for recording in recordings]
         unscored[name] = _share([np.isnan(score)[WARM_UP:] for score in scores])
-        doubts = np.concatenate([found.doubt[WARM_UP:] for found in each]) > DOUBTFUL
-        probability = np.concatenate([score[WARM_UP:] for score in scores])
-        known = (label != UNKNOWN) & ~np.isnan(probability)
-        hits = (probability >= DECISION) == (label == SLIP)
-        doubtful[name] = _share([doubts])
-        right[name] = _share([hits[known & ~doubts]]), _share([hits[known & doubts]])
         for target, found in performances(recordings, scores, debounce).items():
             performance[name, target] = found
     degraded = [each.degraded[WARM_UP:] for each in recordings if each.degraded is not None]
-    return Outcome(_share(degraded), unscored, doubtful, right, performance)
+    return Outcome(_share(degraded), unscored, performance)
 
 
 def _distinct(condition: Condition) -> Condition:

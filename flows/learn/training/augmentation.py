@@ -29,12 +29,8 @@ def stretches(crops: int, stretch: int, generator: torch.Generator) -> tuple[Ten
 
 def augmented(
     counts: Tensor, how: Augmentation, generator: torch.Generator, fingertip: Fingertip = TAKKTILE
-) -> tuple[Tensor, Tensor]:
-    """Augment counts (b, cells, n) of a fingertip at random, each crop independently.
-
-    Returns:
-        Counts, and the signs (b, 2) by which flips multiply velocities along x and y.
-    """
+) -> Tensor:
+    """Augment counts (b, cells, n) of a fingertip at random, each crop independently."""
     crops, cells, samples = counts.shape
     device = counts.device
 
@@ -50,7 +46,6 @@ def augmented(
     flips = chosen(how.flip), chosen(how.flip)  # along x, along y
     x = torch.where(flips[0], counts[:, fingertip.mirrored()], counts)
     x = torch.where(flips[1], x[:, fingertip.mirrored(upside_down=True)], x)
-    signs = 1.0 - 2.0 * torch.cat(flips, 1)[..., 0].to(counts.dtype)
     if how.gain:
         spread = how.gain_spread * (normal(crops, 1, 1) + 0.8 * normal(crops, cells, 1))
         x = x * torch.exp(chosen(how.gain) * spread)
@@ -69,4 +64,4 @@ def augmented(
         order = uniform(crops, cells).argsort(1)[:, :, None]  # (b, cells, 1)
         dead = (order == 0) | ((order == 1) & chosen(0.5))
         x = x.masked_fill(dead & chosen(how.dead), 0.0)
-    return x, signs
+    return x

@@ -21,7 +21,6 @@ from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_crops import Crops
 from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, set_seed, training_device
-from flows.learn.training.velocity_head import velocity_loss
 from flows.run.processes import one_thread
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.detectors import Tcn
@@ -96,11 +95,7 @@ class _DenseTask(TrainingTask):
         set_seed(recipe.seed)
         self._fingertip = train[0].fingertip
         cells = self._crops.counts.shape[1]
-        directed = recipe.velocity > 0 and self._crops.velocity is not None
-        self._tcn = (
-            DenseTcn(recipe, cells, velocity=directed) if start is None else DenseTcn.of_detector(start)
-        )
-        self.network = self._tcn
+        self.network = DenseTcn(recipe, cells) if start is None else DenseTcn.of_detector(start)
         self.network.to(self._device)
         learned = [each for each in self.network.parameters() if each.requires_grad]
         self.optimiser = torch.optim.AdamW(learned, recipe.rate, weight_decay=recipe.decay)
@@ -118,17 +113,13 @@ class _DenseTask(TrainingTask):
         factor, gain = stretches(recipe.batch, recipe.stretch, generator)  # (b,) each
         counts, rows = self._crops.stretched(self._first[chosen], factor)
         counts = counts * gain[:, None, None]
-        counts, signs = augmented(counts, recipe.augmentation, generator, self._fingertip)
-        hidden = self._tcn.hidden(counts)
-        logit = self._tcn.classified(hidden)[:, self._warm_up :]
+        counts = augmented(counts, recipe.augmentation, generator, self._fingertip)
+        logit = self.network(counts)[:, self._warm_up :]
         evaluated = rows[:, self._warm_up :]
         weight, slip = self._weight[evaluated], self._slip[evaluated]
         each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")
-        loss = (each * weight).sum() / weight.sum().clamp(min=1)
-        if self._tcn.velocity is None or self._crops.velocity is None:
-            return loss
-        true = self._crops.velocity[evaluated] * (signs / factor[:, None])[:, None]  # (b, n, 2) mm/s
-        return loss + recipe.velocity * velocity_loss(self._tcn.velocity(hidden[..., self._warm_up :]), true)
+        loss: Tensor = (each * weight).sum() / weight.sum().clamp(min=1)
+        return loss
 
     def clip(self) -> None:
         utils.clip_grad_norm_(self.network.parameters(), _CLIP)

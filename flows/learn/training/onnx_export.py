@@ -20,8 +20,6 @@ def _asinh(graph: Any, x: Any) -> Any:  # noqa: ANN401 - nodes of torch's graph
 def export_onnx(tcn: Tcn, path: Path) -> None:
     """Write a TCN as ONNX: input ``counts`` (n, length, cells) float32, zeroed; output ``probability`` (n,).
 
-    The heads for velocity and familiarity are left out.
-
     Raises:
         InputError: if the train extra is missing.
         OSError: if the file cannot be written.

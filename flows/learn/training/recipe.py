@@ -15,8 +15,7 @@ LONGEST: Final = 400  # samples, maximum receptive field
 class Augmentation:
     """Random changes of counts that make a detector robust to conditions that the recordings lack.
 
-    Each is applied to a crop with its probability, in this order. Labels do not change, but flips turn the
-    velocity.
+    Each is applied to a crop with its probability, in this order. Labels do not change.
     """
 
     flip: float = 0.5  # probability of mirroring along x, and again along y
@@ -62,7 +61,6 @@ class Recipe:
     checks: int = 20  # on the validation split
     patience: int = 8  # checks without a better score before training ends
     seed: int = 0
-    velocity: float = 0.1  # weight of the loss of the velocity head; without it or without truth: no head
     stretch: int = 1  # strokes last this many times as long as those of the recordings; see `stretched_by`
     augmentation: Augmentation = field(default_factory=Augmentation)
 
@@ -80,7 +78,7 @@ class Recipe:
 
         Each crop is stretched by about this factor and gets a gain, both at random. The dilations grow by the
         same factor, so that the network sees as much of a stroke with as many weights. Noise is added as to
-        real touch. There is no velocity head: the directions of other fingertips are unknown.
+        real touch.
 
         >>> Recipe().stretched_by(2).receptive_field
         198
@@ -91,7 +89,6 @@ class Recipe:
             self,
             stretch=factor,
             dilations=tuple(factor * each for each in self.dilations),
-            velocity=0.0,
             augmentation=replace(self.augmentation, noise_range=REAL_TOUCH.noise_range),
         )
 

@@ -37,7 +37,6 @@ def stretched(recording: LabelledRecording, factor: int) -> LabelledRecording:
         counts=counts,
         label=recording.label[rows],
         sliding=None if recording.sliding is None else recording.sliding[rows],
-        velocity=None if recording.velocity is None else recording.velocity[rows] / factor,
         valid=None,
         force=None,
         oblique=None,

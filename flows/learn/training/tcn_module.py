@@ -10,7 +10,6 @@ from torch.nn import functional
 
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.training_loop import Arrays, Network
-from flows.learn.training.velocity_head import VelocityHead
 from operators.batch import BAROMETERS
 from operators.detectors.tcn import Tcn
 
@@ -29,17 +28,9 @@ class DenseTcn(Network):
         recipe: Size of the network.
         cells: Number of cells.
         fixed_norms: Batch norms always use their running statistics, also in training.
-        velocity: Add a head that estimates the sliding velocity.
     """
 
-    def __init__(
-        self,
-        recipe: Recipe,
-        cells: int = BAROMETERS,
-        *,
-        fixed_norms: bool = False,
-        velocity: bool = False,
-    ) -> None:
+    def __init__(self, recipe: Recipe, cells: int = BAROMETERS, *, fixed_norms: bool = False) -> None:
         super().__init__()
         self.recipe, self._fixed_norms = recipe, fixed_norms
         convs: list[_Layer] = []
@@ -52,7 +43,6 @@ class DenseTcn(Network):
         self._convs, self._dense = tuple(convs), tuple(dense)  # typed
         self.convs, self.dense = nn.ModuleList(convs), nn.ModuleList(dense)  # registered with torch
         self.out = nn.Conv1d(recipe.units, 1, 1)
-        self.velocity = VelocityHead(width) if velocity else None
 
     @classmethod
     def of_detector(cls, tcn: Tcn) -> "DenseTcn":
@@ -145,7 +135,7 @@ class DenseTcn(Network):
             arrays[f"dense{number}/kernel"] = kernel[0]
         arrays["out/kernel"] = _array(self.out.weight[:, :, 0].T)
         arrays["out/bias"] = _array(self.out.bias)
-        return arrays if self.velocity is None else arrays | self.velocity.arrays()
+        return arrays
 
 
 class _Layer(nn.Module):

@@ -28,10 +28,9 @@ from flows.learn.training.probability_calibration import calibration_of
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
 from flows.learn.training.stretching import stretched
 from flows.learn.training.trained_model import Arrays, Model, label_scores, provenance, unchanged, write_model
-from flows.learn.training.velocity_scores import velocity_scores
 from operators.batch import s
 from operators.checks import check_at_least, check_between, check_choice
-from operators.detectors import TRAINED, Detector, Tcn
+from operators.detectors import TRAINED, Detector
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
 from operators.extras import require_extra
@@ -48,7 +47,6 @@ Progress: TypeAlias = Callable[
 ]  # seed, steps done, all steps, new check
 
 OURS: Final = "tcn"
-_DIRECTION: Final = 0.05  # points of accuracy that one point of right directions is worth between seeds
 METHODS: Final = (OURS, *PAPER_NETWORKS)
 
 
@@ -88,11 +86,6 @@ class Training:
             )
             origin = "kept from an earlier run" if model.path in self.kept else "trained now"
             lines.append(f"{model.path}: accuracy {shown} (seed {model.card['seed']}, {origin})")
-            for split, each in model.card.get("velocity", {}).items():
-                lines.append(
-                    f"{model.path}: direction within 45 degrees for {each['direction']:.1f} % of "
-                    f"{each['slips']} slips on {split}"
-                )
         for split in ("validation", "test"):
             found = [m.card["scores"][split]["accuracy"] for m in self.models if split in m.card["scores"]]
             if len(found) > 1:
@@ -180,7 +173,6 @@ def train(
             trained = _train(method, {**learned, "train": shifted["train"]}, own, progress)
             calibration, about_it = calibration_of(_detector(method, trained.arrays, fingertip), learned)
             arrays = calibration.fold(trained.arrays)
-            arrays = {**arrays, **_familiarity(_detector(method, arrays, fingertip), judged)}
             results = {**_results(_detector(method, arrays, fingertip), judged), "calibration": about_it}
             curve = [asdict(check) for check in trained.curve]
             found = {"leaks": [leak.json() for leak in leaks], SEEN: seen}
@@ -212,10 +204,9 @@ def _earlier(
 
 
 def _merit(model: Model) -> float:
-    """Return the score that compares seeds, on validation: balanced accuracy and some of the direction, %."""
-    direction: float = model.card.get("velocity", {}).get("validation", {}).get("direction", 0.0)
+    """Return the balanced accuracy on validation, %, which compares seeds."""
     balanced: float = model.card["scores"]["validation"]["balanced"]
-    return balanced + _DIRECTION * direction
+    return balanced
 
 
 def _interval(scores: Mapping[str, float]) -> str:
@@ -285,21 +276,11 @@ def _detector(method: str, arrays: Arrays, fingertip: Fingertip) -> Detector:
     return detector
 
 
-def _familiarity(detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]) -> Arrays:
-    """Return the weights of the familiarity of our network with its input; empty for others."""
-    from flows.learn.training.familiarity_fit import familiarity_of  # noqa: PLC0415 - imports torch
-
-    return familiarity_of(detector, parts["train"], parts["validation"]) if isinstance(detector, Tcn) else {}
-
-
 def _results(detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]) -> dict[str, Any]:
-    """Return scores and debounce of a trained detector for its card, and those of its velocity head."""
+    """Return scores and debounce of a trained detector for its card."""
     debounce = tuned_on(parts["validation"], detector)
     judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
-    found = {split: velocity_scores(detector, each) for split, each in judged.items()}
-    velocity = {split: asdict(each) for split, each in found.items() if each is not None}
     return {
-        **({"velocity": velocity} if velocity else {}),
         "scores": {split: label_scores(detector, each) for split, each in judged.items()},
         "debounce": {name: getattr(debounce, name) for name in ("threshold", "consecutive", "release")},
     }

@@ -11,8 +11,6 @@ from torch import Tensor
 from flows.learn.labelled_recordings import LabelledRecording
 from operators.batch import Codes
 
-_PLANE = 2  # x and y
-
 
 class Crops:
     """Recordings joined on a device, and the crops of one length that lie within a recording.
@@ -21,9 +19,6 @@ class Crops:
         recordings: Recordings; those shorter than a crop are left out.
         length: Samples of a crop.
         device: Device of the counts.
-
-    Attributes:
-        velocity: (n, 2) mm/s, NaN where unknown; None if no recording has a velocity.
     """
 
     def __init__(self, recordings: Sequence[LabelledRecording], length: int, device: torch.device) -> None:
@@ -37,10 +32,6 @@ class Crops:
         self.counts = torch.as_tensor(counts).to(device)  # (n, cells) int16
         self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
-        self.velocity: Tensor | None = None
-        if any(each.velocity is not None for each in usable):
-            known = [np.full((len(e), _PLANE), np.nan) if e.velocity is None else e.velocity for e in usable]
-            self.velocity = torch.as_tensor(np.concatenate(known)).to(device, torch.float32)
         self._offsets = torch.arange(length, device=device)
 
     def rows(self, first: Tensor) -> Tensor:

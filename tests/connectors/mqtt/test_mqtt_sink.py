@@ -41,13 +41,6 @@ def slips(*states: int, finger: int = 0, probability: float = 0.9) -> Slips:
     return Slips(time, np.array(states, np.int8), time, np.full(len(states), probability), finger=finger)
 
 
-def assessed(doubt: float, direction: float) -> Slips:
-    """One onset."""
-    columns = (np.array([value]) for value in (doubt, direction, 0.2))
-    time = np.array([NOW])
-    return Slips(time, np.array([1], np.int8), time, np.array([0.9]), *columns, finger=0)
-
-
 def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
     columns = np.array([barometer], np.int8), np.array([kind], np.int8), np.array([begins])
     return Faults(np.array([NOW]), *columns, finger=0)
@@ -107,18 +100,6 @@ async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker,
     assert found == [first, second, third]
 
 
-async def test_an_event_has_the_doubt_and_the_direction_of_its_slip(broker: TestBroker, run: Run) -> None:
-    listener = broker.listen(f"{RIG}/+/event")
-    sink = Mqtt(broker.url)
-    async with opened(sink, run):
-        await sink.write(assessed(1.5, -np.pi / 2))
-        await sink.write(assessed(np.nan, np.nan))
-    first, second = event(listener), event(listener)
-    assert (first.doubt, first.direction_deg, first.direction_sd_deg) == (1.5, 270, 11)
-    assert (first.quality, first.reason) == ("doubtful", "unfamiliar input")
-    assert (second.doubt, second.direction_deg, second.quality) == (None, None, "good")
-
-
 async def test_a_late_subscriber_gets_the_retained_documents(broker: TestBroker, run: Run) -> None:
     run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
     found: dict[str, Any] = {}
@@ -149,7 +130,7 @@ async def test_a_late_subscriber_gets_the_retained_documents(broker: TestBroker,
             "model": {"id": "unknown", "sha256": None},
             "threshold": None,
             "consecutive": None,
-            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms", "direction_deg": "deg"},
+            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
         },
         "head": {"epoch": epoch, "last_seq": 3},
         "0/state": {

@@ -14,7 +14,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Assessed, Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
+from operators import Debounce, FaultKind, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
 from operators.fingertip import Fingertip, grid
 from storage import load_detector
 from tests.connectors.web.browsing import Served, ServedPage, ServedRecording, Watched, shaking
@@ -187,29 +187,18 @@ def test_a_slip_is_announced_and_shown_in_the_title(watched: Watched) -> None:
         expect(tab.get_by_role("table", name="Pressure of fingertip 0")).to_be_visible()
 
 
-def test_quality_and_direction_of_a_slip_are_shown(watched: Watched) -> None:
+def test_the_quality_of_the_newest_score_is_shown(watched: Watched) -> None:
     tab = watched.tab
-
-    def assessed(time: int, doubt: float) -> Assessed:
-        columns = (np.array([value]) for value in (0.9, doubt, np.pi / 3, 0.2))
-        return Assessed(np.array([time]), *columns, finger=0)
-
     with ServedPage() as served:
         tab.goto(served.url)
         served.touch(-40)
-        served.write(assessed(served.run.clock.now(), 0.4))
+        served.write(scored(served.run.clock.now(), 0.9))
         expect(tab.locator("#quality")).to_have_text("Quality: good")
-        expect(tab.locator("#direction")).to_be_hidden()
+        codes = np.array([4], np.int8), np.array([FaultKind.DEAD], np.int8)
+        served.write(Faults(np.array([0]), *codes, np.array([True]), finger=0))
         served.touch(-90)
-        now, columns = served.run.clock.now(), np.array([[0.9], [1.4], [np.pi / 3], [0.2]])
-        served.write(assessed(now, 1.4))
-        served.write(Slips(np.array([now]), np.ones(1, np.int8), np.array([now]), *columns, finger=0))
-        expect(tab.locator("#quality")).to_have_text("Doubtful: unfamiliar input")
-        expect(tab.locator("#angle")).to_have_text("60° ± 11°")
-        expect(tab.locator("#arrow")).to_have_css("rotate", "-60deg")
-        expect(tab.locator("#events tr").first).to_contain_text("slip onset ↗ 60°")
-        served.slip(0)
-        expect(tab.locator("#direction")).to_be_hidden()
+        served.write(scored(served.run.clock.now(), 0.9))
+        expect(tab.locator("#quality")).to_have_text("Doubtful: barometer 4 dead")
     assert watched.complaints == []
 
 

@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,7 +6,7 @@ import pytest
 
 from connectors.events import encode
 from connectors.web.page_frames import EVENTS_KEPT, FINGERS_MAX, KEPT, STEP, Frames, Track, rows_json
-from operators.batch import EVERY, Assessed, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
+from operators.batch import EVERY, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
 from operators.health import FaultKind
 from operators.ports import Json, Run
 
@@ -49,9 +48,8 @@ def test_a_frame_has_the_new_rows_of_each_stream(frames: Frames) -> None:
         "slipping": [],
         "faults": {},
         "quality": {"2": ["good", None]},
-        "direction": {},
     }
-    state: dict[str, Any] = {"slipping": [], "faults": {}, "quality": {"2": ["good", None]}, "direction": {}}
+    state: dict[str, Any] = {"slipping": [], "faults": {}, "quality": {"2": ["good", None]}}
     assert document(frames.next()) == {"now": 10_000.0, **state}
     assert document(rows_json(frames.rows(), START))["touch"]["2"]["t"] == [10.0]
 
@@ -75,7 +73,6 @@ def test_an_event_has_its_latency_and_a_fingertip_slips_from_onset_to_end(frames
             "finger": "1",
             "onset": True,
             "p": 0.9,
-            "direction": None,
             "quality": ["good", None],
             "latency": 8.0,
             "verdict": ["good", "good"],
@@ -88,35 +85,17 @@ def test_an_event_has_its_latency_and_a_fingertip_slips_from_onset_to_end(frames
     assert [event["id"] for event in frame["events"]] == [2]
 
 
-@pytest.mark.parametrize(("deviation", "shown"), [(0.7, 90), (0.8, None), (np.nan, 90)])
-def test_a_direction_with_a_deviation_above_45_degrees_is_not_shown(
-    frames: Frames, deviation: float, shown: int | None
-) -> None:
-    frames.add(replace(slips(NOW, 1), direction=np.array([np.pi / 2]), deviation=np.array([deviation])))
-    [event] = document(frames.next())["events"]
-    assert event["direction"] == shown
+def test_the_quality_is_that_of_the_newest_score(frames: Frames) -> None:
+    def quality(probability: float) -> object:
+        time = np.array([START, START + 10 * ms])
+        frames.add(Scores(time, np.array([0.5, probability]), finger=1))
+        return document(frames.next())["quality"]
 
-
-def test_quality_and_direction_are_those_of_the_newest_score(frames: Frames) -> None:
-    def score(doubt: float, direction: float, finger: int = 1) -> Assessed:
-        columns = (np.array([0.5, value]) for value in (0.9, doubt, direction, 0.2))
-        return Assessed(np.array([START, START + 10 * ms]), *columns, finger=finger)
-
-    def state() -> tuple[Any, Any]:
-        frame = document(frames.next())
-        return frame["quality"], frame["direction"]
-
-    frames.add(score(0.5, np.pi / 2))
-    assert state() == ({"1": ["good", None]}, {})  # no direction without slip
-    frames.add(slips(START, 1, finger=1))
-    frames.add(score(1.5, -np.pi / 2))
-    assert state() == ({"1": ["doubtful", "unfamiliar input"]}, {"1": [270, 11]})
+    assert quality(0.9) == {"1": ["good", None]}
     kinds = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
     frames.add(Faults(np.array([START]), *kinds, finger=1))
-    frames.add(score(0.5, np.nan))
-    assert state() == ({"1": ["doubtful", "barometer 3 stuck"]}, {"1": [None, 11]})
-    frames.add(Scores(np.array([START + 20 * ms]), np.array([np.nan]), finger=1))
-    assert state() == ({"1": ["blind", "no probability"]}, {})
+    assert quality(0.9) == {"1": ["doubtful", "barometer 3 stuck"]}
+    assert quality(np.nan) == {"1": ["blind", "no probability"]}
 
 
 def test_a_replay_at_full_speed_has_no_latency(frames: Frames, run: Run) -> None:

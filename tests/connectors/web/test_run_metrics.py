@@ -5,7 +5,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from connectors.web.run_metrics import RunMetrics
-from operators.batch import Assessed, Clocks, Faults, Scores, Slips, ms, s
+from operators.batch import Clocks, Faults, Scores, Slips, ms, s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 
@@ -106,13 +106,11 @@ def test_a_fault_metric_is_1_while_it_lasts(run: Run) -> None:
 def test_scored_samples_are_counted_by_quality(run: Run) -> None:
     measures, time = RunMetrics(run), np.arange(3)
     measures.add(Scores(time, np.array([0.1, np.nan, 0.9]), finger=1))
-    doubt = np.array([0.9, 1.1, 2.0])
-    measures.add(Assessed(time, np.full(3, 0.1), doubt, doubt, doubt, finger=1))
     kinds = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
     measures.add(Faults(time[:1], *kinds, finger=2))
     measures.add(Scores(time, np.zeros(3), finger=2))
     found = read(measures)
-    expected = {("1", "good"): 3, ("1", "blind"): 1, ("1", "doubtful"): 2, ("2", "doubtful"): 3}
+    expected = {("1", "good"): 2, ("1", "blind"): 1, ("2", "doubtful"): 3}
     for (finger, quality), count in expected.items():
         assert at(found, "slipflow_scores_total", finger=finger, quality=quality) == count
 

@@ -13,9 +13,8 @@ from torch.nn.functional import conv1d, pad
 
 from operators import InputError, ParameterError
 from operators.batch import Counts, Reals
-from operators.detectors import TRAINED, Assessing, Streaming, Tcn
+from operators.detectors import TRAINED, Streaming, Tcn
 from operators.detectors.tcn import shapes
-from operators.detectors.tcn_heads import head_shapes
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
 Size: TypeAlias = tuple[int, int, int, tuple[int, ...]]  # taps, filters, units, dilations
@@ -42,22 +41,6 @@ def _weights(size: Size = SMALL, seed: int = 0) -> Arrays:
     return weights | scales | {"dilations": np.array(dilations)}
 
 
-def _with_heads(size: Size = SMALL, seed: int = 0) -> Arrays:
-    rng = np.random.default_rng([seed, 1])
-    heads: Arrays = {
-        name: (rng.normal(size=shape) / np.sqrt(shape[0])).astype(np.float32)
-        for name, shape in head_shapes(size[1]).items()
-    }
-    familiar = {"familiar/limit": np.full(1, 9, np.float32), "familiar/samples": np.full(1, 20, np.float32)}
-    return _weights(size, seed) | heads | familiar
-
-
-def _assessing(tcn: Tcn, fingers: int = 1) -> Assessing:
-    stream = tcn.stream(fingers)
-    assert isinstance(stream, Assessing)
-    return stream
-
-
 def _counts(rows: int, fingers: int = 1) -> Counts:
     """Return counts of fingertips that are pressed, dragged and released."""
     rng = np.random.default_rng(1)
@@ -74,11 +57,6 @@ def _windows(counts: NDArray[Any], length: int) -> Counts:
 
 def _reference(weights: Arrays, counts: Counts) -> Reals:
     """The network over a whole recording (n, 6) in torch, each convolution padded with zeros before; (n,)."""
-    return _network(weights, counts)[0]
-
-
-def _network(weights: Arrays, counts: Counts) -> tuple[Reals, Reals]:
-    """Probability (n,) and features (n, filters)."""
     tensors = {name: torch.tensor(array).double() for name, array in weights.items()}
     readings = torch.tensor(counts.T).double()[None]  # (1, 6, n)
     steps = torch.diff(readings, prepend=readings[..., :1])
@@ -95,29 +73,10 @@ def _network(weights: Arrays, counts: Counts) -> tuple[Reals, Reals]:
         inner = layer(values, f"conv{2 * block}", dilation).relu()
         outer = layer(inner, f"conv{2 * block + 1}", dilation).relu()
         values = outer + values if outer.shape == values.shape else outer
-    features: Reals = values[0].T.numpy()
     for dense in ("dense0", "dense1"):
         values = layer(values, dense).relu()
     probability: Reals = layer(values, "out").sigmoid()[0, 0].numpy()
-    return probability, features
-
-
-def _assessed(weights: Arrays, counts: Counts) -> Reals:
-    """Doubt, direction and its deviation over a whole recording (n, 6) in numpy; (3, n)."""
-    features, length = _network(weights, counts)[1], Tcn(weights).length
-    values = features
-    for name in ("velocity0", "velocity1"):
-        values = np.maximum(values @ weights[f"{name}/kernel"] + weights[f"{name}/bias"], 0)
-    x, y, *logs = (values @ weights["velocity/kernel"] + weights["velocity/bias"]).T.astype(np.float64)
-    direction, speed, (along_x, along_y) = np.arctan2(y, x), np.hypot(x, y), np.exp(logs)
-    deviation = np.hypot(along_x * np.sin(direction), along_y * np.cos(direction)) / speed
-    doubt = np.full(len(counts), np.nan)
-    mean = features[length - 1]
-    for row in range(length - 1, len(counts)):
-        mean = mean + (features[row] - mean) / weights["familiar/samples"]
-        away = (mean - weights["familiar/mean"]) @ weights["familiar/whitening"]
-        doubt[row] = (away**2).sum() / weights["familiar/limit"][0]
-    return np.stack((doubt, direction, np.minimum(deviation, np.pi / np.sqrt(3))))
+    return probability
 
 
 @sized
@@ -129,30 +88,6 @@ def test_streaming_windowed_and_dense_are_the_same_function(size: Size) -> None:
     streamed = tcn.stream().push(counts)[:, 0]
     np.testing.assert_allclose(tcn.score(_windows(counts[:, 0], tcn.length)), expected[judged], atol=1e-5)
     np.testing.assert_allclose(streamed, expected, atol=1e-5)  # before a window is full, too
-
-
-@sized
-def test_the_heads_agree_with_a_plain_reference(size: Size) -> None:
-    weights, counts = _with_heads(size), _counts(400)
-    tcn, expected = Tcn(weights), _assessed(weights, counts[:, 0])
-    found = _assessing(tcn).assess(counts)[:, :, 0]
-    np.testing.assert_array_equal(found[0], Tcn(_weights(size)).stream().push(counts)[:, 0])
-    np.testing.assert_allclose(found[1], expected[0], rtol=1e-4)
-    turned = np.remainder(found[2] - expected[1] + np.pi, 2 * np.pi) - np.pi
-    np.testing.assert_allclose(turned, 0, atol=1e-3)
-    np.testing.assert_allclose(found[3], expected[2], rtol=1e-3)
-    assert np.ptp(found[1, tcn.length :]) > 0.1 * np.nanmean(found[1])
-    assert np.ptp(found[2]) > 0.1
-
-
-@pytest.mark.parametrize(("head", "unknown"), [("velocity", [2, 3]), ("familiar", [1])])
-def test_a_missing_head_leaves_its_results_unknown(head: str, unknown: list[int]) -> None:
-    weights, counts = _with_heads(), _counts(60)
-    expected = _assessing(Tcn(weights)).assess(counts)
-    expected[unknown] = np.nan
-    without = {name: array for name, array in weights.items() if not name.startswith(head)}
-    np.testing.assert_array_equal(_assessing(Tcn(without)).assess(counts), expected)
-    assert not isinstance(Tcn(_weights()).stream(), Assessing)
 
 
 @sized
@@ -175,27 +110,27 @@ def test_the_default_size_judges_by_a_second() -> None:
 
 
 def test_fingertips_are_scored_independently() -> None:
-    tcn, counts = Tcn(_with_heads(SIZES[0])), _counts(200, fingers=7)
-    together = _assessing(tcn, 7).assess(counts)
-    alone = [_assessing(tcn).assess(counts[:, [finger]]) for finger in range(7)]
-    np.testing.assert_array_equal(together, np.concatenate(alone, axis=2))
-    assert np.nanmax(np.ptp(together, axis=2), axis=1).min() > 0.01
+    tcn, counts = Tcn(_weights(SIZES[0])), _counts(200, fingers=7)
+    together = tcn.stream(7).push(counts)
+    alone = [tcn.stream().push(counts[:, [finger]]) for finger in range(7)]
+    np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
+    assert np.ptp(together, axis=1).max() > 0.01
 
 
 @given(cuts=st.lists(st.integers(0, 120), max_size=8), fingers=st.sampled_from([1, 3]))
 def test_however_the_samples_are_cut_the_bits_are_the_same(cuts: list[int], fingers: int) -> None:
-    tcn, counts = Tcn(_with_heads()), _counts(120, fingers)
-    stream = _assessing(tcn, fingers)
-    pieces = [stream.assess(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
-    np.testing.assert_array_equal(np.concatenate(pieces, axis=1), _assessing(tcn, fingers).assess(counts))
+    tcn, counts = Tcn(_weights()), _counts(120, fingers)
+    stream = tcn.stream(fingers)
+    pieces = [stream.push(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
+    np.testing.assert_array_equal(np.concatenate(pieces), tcn.stream(fingers).push(counts))
 
 
 @given(cut=st.integers(0, 120))
 def test_pickling_midstream_and_going_on_changes_nothing(cut: int) -> None:
-    stream, counts = _assessing(Tcn(_with_heads()), 2), _counts(120, fingers=2)
+    stream, counts = Tcn(_weights()).stream(2), _counts(120, fingers=2)
     stream.push(counts[:cut])
     again = pickle.loads(pickle.dumps(stream))  # noqa: S301 our own bytes
-    np.testing.assert_array_equal(again.assess(counts[cut:]), stream.assess(counts[cut:]))
+    np.testing.assert_array_equal(again.push(counts[cut:]), stream.push(counts[cut:]))
 
 
 def test_a_new_stream_has_seen_nothing() -> None:
@@ -238,12 +173,10 @@ def test_counts_that_are_no_10_bit_integers_are_judged_as_in_windows() -> None:
 
 
 def test_a_count_that_is_nan_is_not_judged_and_is_forgotten_after_a_window() -> None:
-    tcn, counts = Tcn(_with_heads()), _counts(60).astype(np.float64)
+    tcn, counts = Tcn(_weights()), _counts(60).astype(np.float64)
     counts[20, 0, 3] = np.nan
     windows = _windows(counts[:, 0], tcn.length)
-    unknown, *heads = np.isnan(_assessing(tcn).assess(counts)[..., 0])
-    for head in heads:
-        np.testing.assert_array_equal(head[20:], unknown[20:])
+    unknown = np.isnan(tcn.stream().push(counts)[:, 0])
     assert np.flatnonzero(unknown)[0] == 20
     assert not unknown[20 + tcn.length :].any()
     np.testing.assert_array_equal(unknown[tcn.length - 1 :], np.isnan(tcn.score(windows)))
@@ -273,6 +206,12 @@ def test_no_fingertip_is_refused() -> None:
         Tcn(_weights()).stream(0)
 
 
+def test_arrays_of_an_older_version_are_ignored() -> None:
+    older = _weights() | {"velocity/kernel": np.ones((32, 4)), "familiar/limit": np.zeros(1)}
+    counts = _counts(60)
+    np.testing.assert_array_equal(Tcn(older).stream().push(counts), Tcn(_weights()).stream().push(counts))
+
+
 def test_it_streams_and_is_known_by_its_name() -> None:
     assert isinstance(Tcn(_weights()), Streaming)
     assert {name: TRAINED[name] for name in (Tcn.name,)} == {"tcn": Tcn}
@@ -288,20 +227,20 @@ def test_changing_the_arrays_afterwards_changes_nothing() -> None:
     np.testing.assert_array_equal(tcn.score(windows), before)
 
 
-@pytest.mark.parametrize("name", sorted(_with_heads()))
+@pytest.mark.parametrize("name", sorted(_weights()))
 def test_a_missing_array_is_named(name: str) -> None:
-    weights = _with_heads()
+    weights = _weights()
     del weights[name]
     with pytest.raises(InputError, match=f"^Tcn weights: {name} is missing$"):
         Tcn(weights)
 
 
-@pytest.mark.parametrize("name", sorted(set(_with_heads()) - {"dilations"}))
+@pytest.mark.parametrize("name", sorted(set(_weights()) - {"dilations"}))
 def test_an_array_of_another_shape_is_named(name: str) -> None:
     with pytest.raises(InputError, match=r"^Tcn weights: .* has shape .*, must be \("):
-        Tcn(_with_heads() | {name: np.ones((3, 2, 1, 1))})
+        Tcn(_weights() | {name: np.ones((3, 2, 1, 1))})
     with pytest.raises(InputError, match=f"^Tcn weights: {name} has shape"):
-        Tcn(_with_heads() | {name: np.ones(0)})
+        Tcn(_weights() | {name: np.ones(0)})
 
 
 def test_an_array_that_is_not_finite_is_named() -> None:
@@ -331,24 +270,9 @@ def test_a_scale_that_is_not_above_0_is_refused(name: str, scale: float) -> None
         Tcn(_weights() | {name: np.array([scale], np.float32)})
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "least"),
-    [("limit", 0, "above 0"), ("limit", -1, "above 0"), ("samples", 0.5, "at least 1")],
-)
-def test_a_familiarity_out_of_range_is_refused(name: str, value: float, least: str) -> None:
-    with pytest.raises(InputError, match=f"familiar/{name} is {value}.*, must be {least}"):
-        Tcn(_with_heads() | {f"familiar/{name}": np.array([value], np.float32)})
-
-
-@pytest.mark.parametrize("head", ["velocity", "familiar"])
-def test_a_network_may_have_either_head(head: str) -> None:
-    weights = {k: v for k, v in _with_heads().items() if not k.startswith(head)}
-    assert Tcn(weights).weights.keys() == weights.keys()
-
-
 @sized
 def test_a_network_states_the_weights_that_it_was_made_of(size: Size) -> None:
-    weights = _with_heads(size)
+    weights = _weights(size)
     found = Tcn(weights).weights
     assert found.keys() == weights.keys()
     for name, array in weights.items():

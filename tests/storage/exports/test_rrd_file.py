@@ -84,18 +84,17 @@ def test_the_probability_is_the_detectors_output(tmp_path: Path) -> None:
 @pytest.mark.rerun
 def test_slips_and_faults_are_lines_of_text(tmp_path: Path) -> None:
     time = np.array([s, 2 * s, 3 * s])
-    turned, deviation = np.array([-np.pi / 2, np.nan, 0.0]), np.array([0.2, np.nan, 1.0])
     states, shares = np.array([1, 0, 1], np.int8), np.array([0.93, 0.1, 0.9])
-    slips = Slips(time, states, time, shares, direction=turned, deviation=deviation, finger=2)
+    slips = Slips(time, states, time, shares, finger=2)
     cells, kinds = np.array([3, 3], np.int8), np.array([1, 1], np.int8)
     faults = Faults(time[:2], cells, kinds, np.array([True, False]), finger=0)
     path = tmp_path / "one.rrd"
     export(record(tmp_path, [slips, faults]), path)
     found = read(path)
     assert found["/slip/2"]["TextLog:text"] == [
-        ["slip onset  p 0.93  direction 270 deg"],
+        ["slip onset  p 0.93"],
         ["slip end  p 0.10"],
-        ["slip onset  p 0.90"],  # its direction is not clear
+        ["slip onset  p 0.90"],
     ]
     assert found["/slip/2"]["time"] == time.tolist()
     assert [text for [text] in found["/faults"]["TextLog:text"]] == [

@@ -10,7 +10,6 @@ from connectors.sim.paper_plan import PaperPlan
 from flows.learn.evaluation.event_metrics import performances
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
-from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import probabilities
 from flows.learn.stress import stress_figure
 from flows.learn.stress.stress_fields import FIELDS, GOALS, stressed
@@ -18,7 +17,7 @@ from flows.learn.stress.stress_report import stress_report
 from flows.learn.stress.stress_study import Stress, run_stress, stress
 from flows.report.report_page import Report
 from operators import Debounce
-from operators.batch import SLIP, UNKNOWN, Counts, Reals
+from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd
 from operators.errors import ParameterError
 from tests.readability import ReportFaults
@@ -99,43 +98,6 @@ def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None
     answers = [probabilities(Psd(), recording) for recording in recordings]
     expected = performances(recordings, answers, Debounce())["arm-speed"]
     assert repr(found.at("psd", "friction", 0.3)) == repr(expected)  # NaN differs from itself
-
-
-@dataclass(frozen=True)
-class Wary(Always):
-    """Detector that also doubts every input of pressed cells."""
-
-    name = "wary"
-
-    def stream(self, fingers: int = 1) -> "Wary":
-        return self
-
-    def push(self, counts: Counts | Reals) -> Reals:
-        return np.ones(counts.shape[:2])
-
-    def assess(self, counts: Counts | Reals) -> Reals:
-        doubt = np.where(counts.min(axis=2) < -100, 1.5, 0.5)
-        return np.stack([self.push(counts), doubt, doubt, doubt])
-
-
-def test_doubtful_samples_are_counted_and_compared_with_the_others(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    few = {"dead": replace(FIELDS["dead"], values=(0, 1))}
-    monkeypatch.setattr("flows.learn.stress.stress_study.FIELDS", few)
-    subjects: dict[str, tuple[Detector, Debounce]] = {
-        "wary": (Wary(), Debounce()),
-        "psd": (Psd(), Debounce()),
-    }
-    outcome = run_stress(subjects, {}, SEED, TINY, jobs=1).outcome("dead", 0)
-    recordings = simulated_recordings(TINY, SEED, lambda scene: stressed(scene, "dead", 0))
-    doubtful = np.concatenate([each.counts[WARM_UP:].min(axis=1) < -100 for each in recordings])
-    label = np.concatenate([each.label[WARM_UP:] for each in recordings])
-    slip, known = label == SLIP, label != UNKNOWN
-    assert outcome.doubtful == {"wary": pytest.approx(100 * doubtful.mean()), "psd": 0}
-    right = [100 * slip[known & chosen].mean() for chosen in (~doubtful, doubtful)]
-    assert outcome.right["wary"] == pytest.approx(right)
-    assert np.isnan(outcome.right["psd"][1])
 
 
 def test_two_processes_find_what_one_finds(found: Stress, monkeypatch: pytest.MonkeyPatch) -> None:

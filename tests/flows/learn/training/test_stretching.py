@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -13,8 +11,7 @@ from flows.learn.training.training_crops import Crops
 @pytest.fixture
 def ramp() -> LabelledRecording:
     counts = np.arange(100, dtype=np.int16)[:, None] * np.ones(6, np.int16)
-    velocity = np.full((100, 2), 50.0)
-    return LabelledRecording(counts, (np.arange(100) >= 50).astype(np.int8), "plane", velocity=velocity)
+    return LabelledRecording(counts, (np.arange(100) >= 50).astype(np.int8), "plane")
 
 
 def test_a_stretched_recording_is_longer_with_its_labels_in_place(ramp: LabelledRecording) -> None:
@@ -23,8 +20,6 @@ def test_a_stretched_recording_is_longer_with_its_labels_in_place(ramp: Labelled
     gain = (GAIN[0] * GAIN[1]) ** 0.5
     np.testing.assert_allclose(found.counts[:, 0], np.arange(199) / 2 * gain, atol=0.51)
     assert abs(int(found.label.argmax()) - 100) <= 1
-    assert found.velocity is not None
-    assert (found.velocity == 25).all()
 
 
 def test_a_recording_that_is_not_stretched_stays_as_it_is(ramp: LabelledRecording) -> None:
@@ -32,14 +27,12 @@ def test_a_recording_that_is_not_stretched_stays_as_it_is(ramp: LabelledRecordin
 
 
 def test_crops_end_at_the_same_sample_whatever_their_stretch(ramp: LabelledRecording) -> None:
-    crops = Crops([ramp, replace(ramp, velocity=None)], 41, torch.device("cpu"))
+    crops = Crops([ramp, ramp], 41, torch.device("cpu"))
     counts, rows = crops.stretched(torch.tensor([10, 10]), torch.tensor([1.0, 2.0]))
     np.testing.assert_array_equal(counts[0, 3].numpy(), np.arange(10, 51))
     np.testing.assert_array_equal(rows[0].numpy(), np.arange(10, 51))
     np.testing.assert_array_equal(counts[1, 3].numpy(), 30 + np.arange(41) / 2)
     assert rows[1, 40] == 50
-    assert crops.velocity is not None
-    assert crops.velocity.isnan().any(1).sum() == 100
 
 
 def test_stretches_and_gains_stay_in_their_ranges() -> None:

@@ -47,28 +47,13 @@ def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
 
 
-def test_a_model_of_simulated_strokes_knows_their_velocity_and_familiar_input(
-    tiny: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "model.safetensors"
-    outcome = train([tiny], out, recipe=replace(SMALL, steps=6))
-    tcn = load_detector(out)
-    assert isinstance(tcn, Tcn)
-    assert len(tcn.heads.velocity) == 3
-    assert tcn.heads.familiarity is not None
-    assert outcome.models[0].card["velocity"]["test"]["slips"] > 0
-    assert "direction within 45 degrees for" in outcome.report()
-
-
-def test_a_stretched_model_has_a_longer_window_and_no_velocity(tiny: Path, tmp_path: Path) -> None:
+def test_a_stretched_model_has_a_longer_window(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.safetensors"
     [model] = train([tiny], out, recipe=replace(SMALL, steps=6).stretched_by(2)).models
     tcn = load_detector(out)
     assert isinstance(tcn, Tcn)
     assert tcn.length == 198
-    assert tcn.heads.velocity == ()
     assert model.card["recipe"]["stretch"] == 2
-    assert "velocity" not in model.card
     unstretched = [recording for recording in load(tiny) if recording.split == "test"]
     assert model.card["scores"]["test"] != label_scores(tcn, unstretched)
     assert SMALL.stretched_by(1) is SMALL
