@@ -22,6 +22,7 @@ EXTRAS: Final[Mapping[str, str]] = MappingProxyType(  # use of each extra
         "mcap": "MCAP files",
         "ros": "import of ROS 2 bags",
         "rerun": "export to Rerun",
+        "cluster": "work on a Dask cluster",
     }
 )
 _LIMITS: Final = {"ur": ("x86_64", (3, 13))}  # machine, and first Python without its packages

@@ -54,6 +54,14 @@ Labels = Annotated[
     ),
 ]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="URL",
+        help="Run on this Dask cluster instead of local processes, such as tcp://127.0.0.1:8786; all its"
+        " machines share the folders of input and output.",
+    ),
+]
 Delay = Annotated[
     str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
 ]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Delay, Jobs, Seed
+from flows.cli.options import AsJson, Cluster, Delay, Jobs, Seed
 from flows.cli.terminal import progress_bar
 
 
@@ -23,6 +23,7 @@ def simulate(
     seed: Seed = 0,
     delay: Delay = "0s",
     jobs: Jobs = None,
+    cluster: Cluster = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a collection plan as a labelled dataset.
@@ -35,14 +36,9 @@ def simulate(
     """
     from flows.graph.quantity import parse_time
     from flows.lab import simulation
+    from flows.run.executor import workers
 
-    with progress_bar(f"simulating {plan}") as update:
-        done = simulation.simulate(
-            out,
-            plan,
-            seed,
-            delay=parse_time("simulate", "--delay", delay),
-            jobs=jobs,
-            progress=update,
-        )
+    lag = parse_time("simulate", "--delay", delay)
+    with workers(jobs, cluster) as executor, progress_bar(f"simulating {plan}") as update:
+        done = simulation.simulate(out, plan, seed, delay=lag, executor=executor, progress=update)
     typer.echo(json.dumps(done.json()) if as_json else done.text())

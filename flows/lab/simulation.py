@@ -8,7 +8,7 @@ never by window, about 70/10/20 for every surface, speed and kind of motion. The
 import asyncio
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from connectors.sim.simulated_rig import episode
 from flows.graph import Flow
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
-from flows.run.processes import process_map
+from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
 from operators import Label
 from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, concat, s
@@ -154,7 +154,7 @@ def simulate(
     seed: int = 0,
     *,
     delay: int = 0,
-    jobs: int | None = None,
+    executor: Executor | None = None,
     progress: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> SimulatedDataset:
     """Simulate a plan into a new dataset.
@@ -164,26 +164,22 @@ def simulate(
         plan: One of `PLANS`.
         seed: Random seed.
         delay: Delay of the arm's velocity behind the barometers, ns; see `Label`.
-        jobs: Number of processes; None: one per core.
+        executor: Executor of `flows.run.executor.workers`; None: this process.
         progress: Called with the number of recordings done and their total.
 
     Raises:
-        ParameterError: on an unknown plan, a negative seed, or less than one job.
+        ParameterError: on an unknown plan or a negative seed.
         EndpointError: if the folder is not empty or cannot be written to.
         SlipflowError: if a recording cannot be simulated; the folder is deleted then.
     """
     began = perf_counter()
     planned = planned_recordings(plan, seed)
     splits: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
-    with (
-        partial_folder(out.resolve()) as root,
-        closing(process_map(partial(_record, root, delay), planned, jobs)) as recorded,
-    ):
+    with partial_folder(out.resolve()) as root:
         describe_dataset(root)
-        progress(0, len(planned))
-        for done, (split, counts) in enumerate(recorded, 1):
+        work = partial(_record, root, delay)
+        for split, counts in map_tasks(work, planned, executor, progress=progress):
             splits[split].update(counts)
-            progress(done, len(planned))
     return SimulatedDataset(out, plan, seed, splits, perf_counter() - began)
 
 

@@ -6,20 +6,16 @@ when its end of the pipe closes, which also happens when the parent is killed.
 
 import os
 import signal
-import sys
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import ForkingPickler
 from multiprocessing.resource_tracker import ensure_running
-from typing import Any, Final, Generic, Never, TypeAlias, TypeVar, cast
+from typing import Any, Final, Generic, TypeAlias, TypeVar, cast
 
 from operators.checks import check_at_least
 from operators.errors import SlipflowError
@@ -32,25 +28,6 @@ Stopped: TypeAlias = Callable[[], bool]  # returns True to stop
 _POLL_INTERVAL: Final = 0.2  # s, between two checks for a request to stop
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
 _NOT_STARTED: Final = "was not started: interrupted"
-
-
-def process_map(
-    work: Callable[[Item], Result], items: Sequence[Item], jobs: int | None = None
-) -> Generator[Result]:
-    """Apply a function to many items in several processes and yield the results in order.
-
-    Close the generator to end the processes early.
-
-    Args:
-        work: Function of a module; it is pickled, as are items and results. Its errors are raised here.
-        items: Arguments.
-        jobs: Number of processes; None: one per core. 1: this process only.
-
-    Raises:
-        ParameterError: if `jobs` is below 1.
-        SlipflowError: if a process died.
-    """
-    return WorkerPool(partial(_without_stop, work), items, _raise_lost).results(jobs)
 
 
 @dataclass(frozen=True)
@@ -178,14 +155,6 @@ def _send(pipe: Pipe, item: object) -> None:
         pipe.send(item)
 
 
-def _without_stop(work: Callable[[Item], Result], item: Item, _stopped: Stopped) -> Result:
-    return work(item)
-
-
-def _raise_lost(_item: object, reason: str) -> Never:
-    raise SlipflowError(f"an item was lost: {reason}; use fewer jobs")
-
-
 def _serve(work: Callable[[Any, Stopped], Any], pipe: Pipe) -> None:
     """Run in a worker: process items until the pipe closes or the parent requests a stop."""
     stopping = False
@@ -233,20 +202,3 @@ def _worker_environment() -> Generator[None]:
             if value is None:
                 del os.environ[name]
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-@contextmanager
-def one_thread() -> Generator[None]:
-    """Limit torch, if imported, scikit-learn and numpy's libraries to one thread.
-
-    For timing on one core, or for one process per core.
-    """
-    with ExitStack() as stack:
-        if torch := sys.modules.get("torch"):
-            stack.callback(torch.set_num_threads, torch.get_num_threads())
-            torch.set_num_threads(1)
-        if find_spec("sklearn") and find_spec("threadpoolctl"):  # installed together
-            import_module("sklearn")  # only loaded thread pools can be limited
-            pools: Any = import_module("threadpoolctl")
-            stack.enter_context(pools.threadpool_limits(1))
-        yield

@@ -1,7 +1,9 @@
 """Fixtures of several modules: a tiny simulated dataset, and a flow to draw."""
 
 import fcntl
+import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "tiny"
     with out.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return out if out.exists() else simulate(out, "tiny", seed=0, jobs=1).out
+        return out if out.exists() else simulate(out, "tiny", seed=0).out
 
 
 @pytest.fixture
@@ -32,3 +34,20 @@ def drawn() -> Flow:
     (zeroed & motion | Align(within=10 * ms) | Label()).to(sink)
     zeroed.to(sink)
     return flow
+
+
+@pytest.fixture(scope="session")
+def dask() -> Iterator[str]:
+    """URL of a Dask scheduler in this process with two workers of one thread."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp://",
+        host="127.0.0.1",
+        dashboard_address=None,
+        worker_dashboard_address=None,
+        silence_logs=logging.CRITICAL,
+    ) as cluster:
+        yield cluster.scheduler_address

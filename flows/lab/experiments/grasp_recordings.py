@@ -27,7 +27,7 @@ from flows.learn.evaluation.event_metrics import filled
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.onsets import runs
 from flows.learn.sampling import WARM_UP, Sampling
-from flows.run.processes import process_map
+from flows.run.executor import process_map
 from operators import Zero
 from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Reals, Touch, Zeroed, concat, ms
 

@@ -13,7 +13,7 @@ from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.experiments.trial import Conditions, Trace, Trial
 from flows.report.table import counted
-from flows.run.processes import process_map
+from flows.run.executor import process_map
 from operators import GripController
 from operators.checks import check_at_least, check_choice
 from operators.detectors import Detector

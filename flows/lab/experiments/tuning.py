@@ -10,7 +10,7 @@ import numpy as np
 from flows.lab.experiments.grasp_recordings import draw_fingertip, draw_object
 from flows.lab.experiments.tap_trial import judge_tap, tap_trace
 from flows.lab.experiments.trial import FIRM, Conditions, Trace, Trial
-from flows.run.processes import process_map
+from flows.run.executor import process_map
 from operators import StepGrip
 from operators.detectors import Detector
 

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_loop import Arrays
-from flows.run.processes import one_thread
+from flows.run.executor import one_thread
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import Tcn
 

@@ -30,7 +30,7 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.leaks.leak import Leak, card_leaks, constant_leaks, lists_recordings
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
-from flows.run.processes import one_thread, process_map
+from flows.run.executor import one_thread, process_map
 from operators.checks import check_choice
 from operators.errors import SlipflowError
 from operators.extras import require_extra

@@ -14,7 +14,7 @@ from flows.learn.evaluation.event_metrics import Performance, performances
 from flows.learn.evaluation.methods import for_fingertip, trained_methods, with_baselines
 from flows.learn.labelled_recordings import Target, by_split, common_fingertip, hand_label_summary, load
 from flows.learn.scoring import probabilities
-from flows.run.processes import one_thread
+from flows.run.executor import one_thread
 from operators.detectors.detector import Detector, Streaming
 from operators.detectors.tcn import Tcn
 from operators.errors import InputError

@@ -40,7 +40,7 @@ from flows.learn.leaks.leak import (
 from flows.learn.provenance import dataset_digest
 from flows.learn.sampling import Sampling
 from flows.learn.scoring import probabilities
-from flows.run.processes import one_thread
+from flows.run.executor import one_thread
 from operators import Debounce
 from operators.batch import SLIP, STATIC, UNKNOWN, Reals
 from operators.errors import InputError

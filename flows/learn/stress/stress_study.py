@@ -23,7 +23,7 @@ from flows.learn.labelled_recordings import Target, simulated_recordings
 from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import FIELDS, breaking_point, plan_of, stressed
-from flows.run.processes import one_thread, process_map
+from flows.run.executor import one_thread, process_map
 from operators import Debounce
 from operators.batch import Flags
 from operators.checks import check_at_least

@@ -21,7 +21,7 @@ from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_crops import Crops
 from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, set_seed, training_device
-from flows.run.processes import one_thread
+from flows.run.executor import one_thread
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.detectors import Tcn
 from operators.errors import ParameterError

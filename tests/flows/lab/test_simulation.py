@@ -23,6 +23,7 @@ from flows.lab.simulation import SimulatedDataset, planned_recordings, simulate
 from flows.learn.splits import SPLITS
 from flows.record import declare_recording
 from flows.run.clocks import LoopClock
+from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from operators import Label, ms
 from operators.errors import EndpointError, ParameterError, SlipflowError
@@ -45,20 +46,21 @@ def sessions(dataset: Path) -> list[Session]:
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> SimulatedDataset:
     """The tiny plan, simulated with seed 0."""
-    return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0, jobs=1)
+    return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0)
 
 
 def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(
     tmp_path: Path, tiny: SimulatedDataset
 ) -> None:
     (tmp_path / "empty").mkdir()
-    again = simulate(tmp_path / "empty", "tiny", 0, jobs=2)
+    with workers(2) as executor:
+        again = simulate(tmp_path / "empty", "tiny", 0, executor=executor)
     assert hashes(again.out) == hashes(tiny.out)
     assert again.splits == tiny.splits
 
 
 def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: SimulatedDataset) -> None:
-    other = hashes(simulate(tmp_path / "other", "tiny", 1, jobs=1).out)
+    other = hashes(simulate(tmp_path / "other", "tiny", 1).out)
     same = {path for path, sha256 in hashes(tiny.out).items() if other[path] == sha256}
     assert same == {"dataset.json"}
     assert len(other) > 50
@@ -123,7 +125,7 @@ def test_a_session_is_the_same_as_a_live_recording_of_the_scene(
 
 
 def test_a_delay_moves_the_labels_and_nothing_else(tmp_path: Path, tiny: SimulatedDataset) -> None:
-    delayed = simulate(tmp_path / "delayed", "tiny", 0, delay=70 * ms, jobs=1)
+    delayed = simulate(tmp_path / "delayed", "tiny", 0, delay=70 * ms)
     for one, other in zip(sessions(tiny.out), sessions(delayed.out), strict=True):
         before, after = one.frame("samples"), other.frame("samples")
         assert before.drop("speed", "label").equals(after.drop("speed", "label"))
@@ -166,7 +168,7 @@ def test_an_interrupted_simulation_leaves_nothing(tmp_path: Path) -> None:
             raise KeyboardInterrupt(of)
 
     with pytest.raises(KeyboardInterrupt):
-        simulate(tmp_path / "out", "tiny", 0, jobs=1, progress=stop)
+        simulate(tmp_path / "out", "tiny", 0, progress=stop)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -176,8 +178,8 @@ def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
             (tmp_path / "out.partial" / "sessions").write_text("")  # no folder
         assert of == 12
 
-    with pytest.raises(SlipflowError, match=r"out\.partial: cannot be written") as caught:
-        simulate(tmp_path / "out", "tiny", 0, jobs=2, progress=spoil)
+    with workers(2) as executor, pytest.raises(SlipflowError, match=r"out\.partial: cannot be") as caught:
+        simulate(tmp_path / "out", "tiny", 0, executor=executor, progress=spoil)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
@@ -186,7 +188,7 @@ def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: 
     code = (
         "import os, signal; from pathlib import Path; from flows.lab.simulation import simulate\n"
         "def kill(done, of): done == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"simulate(Path({str(tmp_path / 'out')!r}), 'tiny', 0, jobs=1, progress=kill)\n"
+        f"simulate(Path({str(tmp_path / 'out')!r}), 'tiny', 0, progress=kill)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=False)
     assert done.returncode == -signal.SIGKILL
@@ -213,8 +215,6 @@ def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path
         simulate(tmp_path / "out", "papre")
     with pytest.raises(ParameterError, match="seed is -1, must be at least 0"):
         simulate(tmp_path / "out", "tiny", -1)
-    with pytest.raises(ParameterError, match="jobs is 0, must be at least 1"):
-        simulate(tmp_path / "out", "tiny", jobs=0)
     assert list(tmp_path.iterdir()) == []
 
 

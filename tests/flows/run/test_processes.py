@@ -6,14 +6,12 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
-from io import FileIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from flows.run.processes import WorkerPool, process_map
-from operators.errors import ParameterError, SlipflowError
+from flows.run.processes import WorkerPool
 
 WORK = """
 import os, signal, sys, time
@@ -124,30 +122,3 @@ if __name__ == "__main__":
     while Path(f"/proc/{pid}").exists():
         if "zombie" in Path(f"/proc/{pid}/status").read_text():  # not reaped in a container
             break
-
-
-def test_a_map_gives_the_same_results_for_any_number_of_processes() -> None:
-    assert list(process_map(abs, [-3, 2, -1], 2)) == list(process_map(abs, [-3, 2, -1], 1)) == [3, 2, 1]
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_a_map_raises_the_error_of_an_item(jobs: int) -> None:
-    results = process_map(int, ["1", "one"], jobs)
-    assert next(results) == 1
-    with pytest.raises(ValueError, match="invalid literal"):
-        next(results)
-
-
-def test_a_map_reports_a_process_that_died_in_one_line() -> None:
-    with pytest.raises(SlipflowError, match=r"its process died with exit code 1 .*; use fewer jobs"):
-        list(process_map(os._exit, [1, 1], 2))
-
-
-def test_a_result_that_cannot_be_pickled_is_named() -> None:
-    with pytest.raises(SlipflowError, match=r"FileIO name=.*> cannot be pickled: cannot pickle .*FileIO"):
-        list(process_map(FileIO, [os.devnull] * 2, 2))
-
-
-def test_a_map_needs_a_process() -> None:
-    with pytest.raises(ParameterError, match="processes: jobs is 0, must be at least 1"):
-        process_map(abs, [1], 0)

@@ -9,7 +9,7 @@ from flows.learn.evaluation.baselines import (
     activity_and_steps,
 )
 from flows.learn.sampling import USUAL, Sampling
-from flows.run.processes import one_thread
+from flows.run.executor import one_thread
 from operators.batch import Counts, Flags
 
 

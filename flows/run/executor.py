@@ -1,0 +1,256 @@
+"""Tasks in parallel: one function over many items, on local processes or on a Dask cluster.
+
+A task is a function of a module and one item, both pickled. It must be repeatable: Dask runs the tasks of a
+lost worker again on another one.
+"""
+
+import logging
+import os
+import signal
+import sys
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import (
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    as_completed,
+)
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack, contextmanager
+from importlib import import_module
+from importlib.util import find_spec
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.resource_tracker import ensure_running
+from threading import Lock, Thread, get_ident
+from typing import Any, Final, Never, TypeAlias, TypeVar
+
+from operators.checks import check_at_least
+from operators.errors import EndpointError, ParameterError, SlipflowError
+from operators.extras import require_extra
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Lifeline: TypeAlias = "Connection[Any, Any]"  # end of a pipe
+
+_THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
+_CONNECT_TIMEOUT: Final = 10  # s
+
+
+def map_tasks(
+    work: Callable[[Item], Result],
+    items: Sequence[Item],
+    executor: Executor | None = None,
+    *,
+    progress: Callable[[int, int], object] = lambda _done, _total: None,
+    lost: Callable[[Item, str], Result] | None = None,
+) -> Generator[Result]:
+    """Apply a function to many items and yield the results in the order of the items.
+
+    Closing the generator cancels the tasks that have not started.
+
+    Args:
+        work: Function of a module. Its errors are raised here.
+        items: Arguments.
+        executor: Executor of `workers`; None: this process, which also processes a single item instead of a
+            local process.
+        progress: Called with the number of finished items and of all items, at the start and whenever one
+            finishes.
+        lost: Returns the result of an item whose worker died, given the reason; None: raise an error.
+
+    Raises:
+        SlipflowError: if a worker died, unless `lost` is given; the message names the item.
+        EndpointError: if the scheduler of the cluster was lost.
+    """
+    progress(0, len(items))
+    if executor is None or (len(items) == 1 and isinstance(executor, LocalProcesses)):
+        for done, item in enumerate(items, 1):
+            result = work(item)
+            progress(done, len(items))
+            yield result
+        return
+    tasks = [executor.submit(work, item) for item in items]
+    waiting = deque(zip(items, tasks, strict=True))
+    try:
+        for done, _ in enumerate(as_completed(tasks), 1):
+            progress(done, len(items))
+            while waiting and waiting[0][1].done():
+                yield _result(*waiting.popleft(), lost or _raise_lost)
+    finally:
+        for _, task in waiting:
+            task.cancel()
+
+
+@contextmanager
+def workers(jobs: int | None = None, cluster: str | None = None) -> Generator[Executor | None]:
+    """Start local processes, or connect to a Dask cluster; yield the executor for `map_tasks`.
+
+    At the end of the block local processes end, also in the middle of a task. Workers of a cluster finish the
+    task in progress.
+
+    Args:
+        jobs: Number of local processes, each with one thread of numpy's libraries; None: one per core.
+            1: this process only, no executor.
+        cluster: URL of a Dask scheduler, such as ``tcp://127.0.0.1:8786``; None: local processes.
+
+    Raises:
+        ParameterError: if `jobs` is below 1, or given with `cluster`.
+        InputError: if Dask is not installed.
+        EndpointError: if the scheduler cannot be reached.
+    """
+    if jobs is not None:
+        check_at_least("workers", "jobs", jobs, 1)
+        if cluster is not None:
+            raise ParameterError("workers", "jobs", jobs, "omitted with a cluster, which has its own workers")
+    if cluster is not None:
+        with _cluster(cluster) as executor:
+            yield executor
+    elif (count := jobs or os.cpu_count() or 1) == 1:
+        yield None
+    else:
+        with LocalProcesses(count) as executor:
+            yield executor
+
+
+def process_map(
+    work: Callable[[Item], Result], items: Sequence[Item], jobs: int | None = None
+) -> Generator[Result]:
+    """Do `map_tasks` on local processes that this call starts; callers that still have `jobs` use it."""
+    with workers(jobs) as executor:
+        yield from map_tasks(work, items, executor)
+
+
+class LocalProcesses(ThreadPoolExecutor):
+    """Executor of local processes: threads, each of which passes its tasks to one process.
+
+    A process that dies breaks its own task only; a `ProcessPoolExecutor` of several would break all tasks,
+    and the cause is unknown.
+
+    Args:
+        count: Number of processes.
+    """
+
+    def __init__(self, count: int) -> None:
+        super().__init__(count, initializer=_block_signals)
+        self._context = get_context("spawn")
+        self._pools = dict[int, ProcessPoolExecutor]()  # of one process, by thread
+        self._processes = list[tuple[ProcessPoolExecutor, Lifeline]]()
+        self._lock, self._ended = Lock(), False
+        self._environment = {name: os.environ.get(name) for name in _THREADS}
+        for name in _THREADS:
+            os.environ.setdefault(name, "1")  # inherited by the processes
+
+    def submit(self, work: Callable[..., Result], /, *args: object, **kwargs: object) -> Future[Result]:
+        """Schedule a task; its future raises `BrokenProcessPool` if its process dies."""
+        return super().submit(self._run, work, *args, **kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: FBT001, FBT002
+        """End all processes at once, also those with a task in progress."""
+        super().shutdown(wait=False, cancel_futures=cancel_futures)
+        with self._lock:
+            self._ended = True
+            for pool, lifeline in self._processes:
+                lifeline.close()
+                pool.shutdown(wait)
+        super().shutdown(wait)
+        for name, value in self._environment.items():
+            if value is None:
+                os.environ.pop(name, None)
+
+    def _run(self, work: Callable[..., Result], /, *args: object, **kwargs: object) -> Result:
+        """Run a task in the process of this thread."""
+        thread = get_ident()
+        pool = self._pools.get(thread) or self._start()
+        try:
+            result = pool.submit(work, *args, **kwargs).result()
+        except BrokenProcessPool:
+            self._pools.pop(thread, None)
+            raise
+        return result
+
+    def _start(self) -> ProcessPoolExecutor:
+        """Start a process, which ends when the other end of its lifeline closes."""
+        with self._lock:
+            if self._ended:
+                raise CancelledError
+            theirs, ours = self._context.Pipe(duplex=False)
+            pool = ProcessPoolExecutor(1, self._context, initializer=_end_with, initargs=(theirs,))
+            pool.submit(int)  # starts the process
+            theirs.close()
+            self._processes.append((pool, ours))
+            self._pools[get_ident()] = pool
+            return pool
+
+
+def _block_signals() -> None:
+    """Block SIGINT and SIGTERM in a thread and in the processes that it starts.
+
+    Terminals and service managers send these signals to all processes; only the parent must act on them.
+    """
+    ensure_running()  # else it starts with the first process and unblocks the signals again
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+
+
+def _end_with(lifeline: Lifeline) -> None:
+    """End this process when the other end of a pipe closes, which also happens when the parent is killed."""
+
+    def wait() -> None:
+        lifeline.poll(None)  # the parent sends nothing
+        os._exit(1)
+
+    Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _cluster(url: str) -> Generator[Executor]:
+    """Connect to a Dask scheduler; Dask's own settings apply, such as those of TLS."""
+    require_extra("cluster", "--cluster")
+    distributed: Any = import_module("distributed")
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # the errors raised here say what failed
+    try:
+        client = distributed.Client(url, timeout=_CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = f"the Dask scheduler cannot be reached: {error}"
+        raise EndpointError(url, reason) from error
+    try:
+        yield client.get_executor(pure=False)
+    finally:
+        client.close(timeout=1)
+
+
+def _result(item: Item, task: Future[Result], lost: Callable[[Item, str], Result]) -> Result:
+    try:
+        return task.result()
+    except BrokenProcessPool:
+        return lost(item, "its process died, perhaps for lack of memory: use fewer jobs")
+    except CancelledError:
+        reason = "the Dask scheduler was lost: when it is back, repeat the command"
+        raise EndpointError("--cluster", reason) from None
+    except Exception as error:
+        if type(error).__name__ != "KilledWorker":  # of Dask, which is not imported here
+            raise
+        return lost(item, f"its worker died, and so did those that tried again: {error}")
+
+
+def _raise_lost(item: object, reason: str) -> Never:
+    raise SlipflowError(f"{item}: {reason}")
+
+
+@contextmanager
+def one_thread() -> Generator[None]:
+    """Limit torch, if imported, scikit-learn and numpy's libraries to one thread.
+
+    For timing on one core, or for one process per core.
+    """
+    with ExitStack() as stack:
+        if torch := sys.modules.get("torch"):
+            stack.callback(torch.set_num_threads, torch.get_num_threads())
+            torch.set_num_threads(1)
+        if find_spec("sklearn") and find_spec("threadpoolctl"):  # installed together
+            import_module("sklearn")  # only loaded thread pools can be limited
+            pools: Any = import_module("threadpoolctl")
+            stack.enter_context(pools.threadpool_limits(1))
+        yield

@@ -1,0 +1,195 @@
+"""Workers are real processes; what they do stands in a module that they can import."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from importlib import import_module
+from io import FileIO
+from pathlib import Path
+from time import sleep
+from typing import Any
+
+import pytest
+
+from flows.run.executor import map_tasks, one_thread, workers
+from operators.errors import EndpointError, ParameterError, SlipflowError
+
+WORK = """
+import os, signal, time
+from pathlib import Path
+
+def work(item):
+    what, _, where = item.partition(":")
+    path = Path(where)
+    if what == "make":
+        path.touch()
+    elif what == "await":
+        while not path.exists():
+            time.sleep(0.01)
+    elif what == "die":
+        os._exit(3)
+    elif what == "fail":
+        raise ValueError("no number")
+    elif what == "wait":
+        path.with_suffix(".part").write_text(str(os.getpid()))
+        path.with_suffix(".part").rename(path)
+        time.sleep(600)
+    elif what == "where":
+        masked = {signal.SIGINT, signal.SIGTERM} <= signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        return [os.getpid(), os.environ.get("OMP_NUM_THREADS"), masked]
+    return item
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Any]]:
+    (tmp_path / "worked.py").write_text(WORK)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    yield import_module("worked").work
+    del sys.modules["worked"]
+
+
+@pytest.fixture(params=["two processes", "two Dask workers"])
+def two(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
+    if request.param == "two processes":
+        with workers(2) as executor:
+            yield executor
+    else:
+        with workers(cluster=request.getfixturevalue("dask")) as executor:
+            yield executor
+
+
+def ended(pid: int) -> bool:
+    status = Path(f"/proc/{pid}/status")
+    return not status.exists() or "zombie" in status.read_text()  # not reaped in a container
+
+
+def test_workers_work_at_once_and_results_come_in_order(
+    work: Callable[[str], Any], two: Executor, tmp_path: Path
+) -> None:
+    items = [f"await:{tmp_path}/there", f"make:{tmp_path}/there", "last"]  # the first needs the second to end
+    done = list[tuple[int, int]]()
+    assert list(map_tasks(work, items, two, progress=lambda *each: done.append(each))) == items
+    assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
+
+
+def test_the_error_of_an_item_is_raised_in_its_turn(work: Callable[[str], Any], two: Executor) -> None:
+    results = map_tasks(work, ["one", "fail", "two"], two)
+    assert next(results) == "one"
+    with pytest.raises(ValueError, match="no number"):
+        next(results)
+
+
+def test_a_process_that_dies_costs_its_item_only(work: Callable[[str], Any]) -> None:
+    items = ["one", "die", "two", "three"]
+    with workers(2) as executor:
+        found = list(map_tasks(work, items, executor, lost=lambda item, reason: f"{item} {reason}"))
+        assert found[0::2] == ["one", "two"]
+        assert found[1].startswith("die its process died, perhaps for lack of memory")
+        assert found[3] == "three"
+        with pytest.raises(SlipflowError, match=r"^die: its process died"):
+            list(map_tasks(work, items, executor))
+
+
+def test_one_job_or_one_item_runs_in_this_process(work: Callable[[str], Any]) -> None:
+    with workers(1) as executor:
+        assert [each[0] for each in map_tasks(work, ["where", "where"], executor)] == [os.getpid()] * 2
+    with workers(2) as executor:
+        assert [each[0] for each in map_tasks(work, ["where"], executor)] == [os.getpid()]
+
+
+def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
+    work: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    with workers(2) as executor:
+        [[process, threads, masked], _] = map_tasks(work, ["where", "where"], executor)
+    assert (process != os.getpid(), threads, masked) == (True, "1", True)
+    assert "OMP_NUM_THREADS" not in os.environ
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_an_error_in_the_block_ends_the_workers_in_the_middle_of_a_task(
+    work: Callable[[str], Any], tmp_path: Path
+) -> None:
+    place = tmp_path / "pid"
+
+    def interrupt(done: int, _total: int) -> None:
+        if done == 1:
+            while not place.exists():
+                sleep(0.01)
+            raise KeyboardInterrupt  # Ctrl-C
+
+    items = ["first", f"wait:{place}", "rest"]
+    with pytest.raises(KeyboardInterrupt), workers(2) as executor:
+        list(map_tasks(work, items, executor, progress=interrupt))
+    assert ended(int(place.read_text()))
+
+
+def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "worked.py").write_text(WORK)
+    place = tmp_path / "pid"
+    script = f"""
+import sys
+sys.path.insert(0, {str(tmp_path)!r})
+from flows.run.executor import map_tasks, workers
+from worked import work
+if __name__ == "__main__":
+    with workers(2) as executor:
+        list(map_tasks(work, ["wait:{place}", "wait:{place}-other"], executor))
+"""
+    (tmp_path / "parent.py").write_text(script)
+    with subprocess.Popen(
+        [sys.executable, str(tmp_path / "parent.py")], env={**os.environ, "PYTHONPATH": str(Path.cwd())}
+    ) as parent:
+        while not place.exists():
+            assert parent.poll() is None
+            sleep(0.01)
+        parent.kill()
+    while not ended(int(place.read_text())):
+        sleep(0.01)
+
+
+def test_a_result_that_cannot_be_pickled_is_an_error() -> None:
+    with workers(2) as executor, pytest.raises(TypeError, match=r"cannot pickle .*FileIO"):
+        list(map_tasks(FileIO, [os.devnull] * 2, executor))
+
+
+def test_zero_jobs_and_jobs_on_a_cluster_are_refused() -> None:
+    with pytest.raises(ParameterError, match="workers: jobs is 0, must be at least 1"), workers(0):
+        pass
+    with pytest.raises(ParameterError, match="jobs is 2, must be omitted"), workers(2, "tcp://127.0.0.1:1"):
+        pass
+
+
+def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.run.executor._CONNECT_TIMEOUT", 0.2)
+    with (
+        pytest.raises(EndpointError, match=r"^tcp://127\.0\.0\.1:1: the Dask scheduler cannot be reached"),
+        workers(cluster="tcp://127.0.0.1:1"),
+    ):
+        pass
+
+
+def test_torch_has_one_thread_inside_and_its_former_number_after() -> None:
+    torch = pytest.importorskip("torch")
+    had = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with one_thread():
+            assert torch.get_num_threads() == 1
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(had)
+
+
+def test_the_libraries_of_numpy_and_scikit_learn_have_one_thread_inside() -> None:
+    pytest.importorskip("sklearn")
+    pools = pytest.importorskip("threadpoolctl")
+    with one_thread():
+        inside = pools.threadpool_info()
+    assert {pool["num_threads"] for pool in inside} == {1}
+    assert {"blas", "openmp"} <= {pool["user_api"] for pool in inside}
