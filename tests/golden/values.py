@@ -36,7 +36,7 @@ METHODS = ("tcn", "psd", "logistic")
 
 def every_value(folder: Path) -> Numbers:
     """Run all studies; datasets are written to a folder."""
-    dataset = simulate(folder / "tiny", "tiny", seed=0, jobs=1).out
+    dataset = simulate(folder / "tiny", "tiny", seed=0).out
     return {
         "evaluate": evaluated(dataset),
         "chart": charted(dataset),
