@@ -191,7 +191,7 @@ def learn(
 
     from flows.lab.experiments.grasp_training import Course
     from flows.lab.experiments.grasp_training import learn as train
-    from flows.learn.training.learning_curve import Check
+    from flows.learn.training.trained_model import Check
     from flows.report.report_page import check_output_folder
 
     check_output_folder(out)

@@ -29,7 +29,6 @@ TABLE: Final = CommandTable(
         "show": Entry(_VIEW, "Show a recorded session in a browser, and label it by hand.", "show"),
         "watch": Entry(_VIEW, "Print slip events from an MQTT broker, each once.", "watch"),
         "train": Entry(_LEARN, "Train a slip detector.", "train"),
-        "adapt": Entry(_LEARN, "Adapt a detector to your fingertip without labels.", "adapt"),
         "calibrate": Entry(_LEARN, "Tune the debounce for a stated rate of false alarms.", "calibrate"),
         "evaluate": Entry(_LEARN, "Compare detectors on a dataset.", "evaluate"),
         "benchmark": Entry(_LEARN, "Evaluate detectors on real recordings of unseen surfaces.", "benchmark"),

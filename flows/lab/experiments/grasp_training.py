@@ -15,9 +15,8 @@ from flows.lab.experiments.rivals import CARDS, DEFAULT, load_rival
 from flows.lab.experiments.tuning import Tuned, tune
 from flows.learn.labelled_recordings import LabelledRecording, by_split, labelled_by, simulated_recordings
 from flows.learn.onsets import runs
-from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import Augmentation, PaperRecipe, Recipe
-from flows.learn.training.trained_model import Model, label_scores, write_model
+from flows.learn.training.trained_model import Check, Model, label_scores, write_model
 from flows.report.report_page import make_output_folder
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import Detector, GraspTcn, PaperTcn
@@ -122,7 +121,7 @@ def learn(
             "scores": _scores(detector, kinds),
             "curve": curve,
         }
-        models[name] = write_model(path, trained.arrays, card, trained.curve)
+        models[name] = write_model(path, trained.arrays, card)
     return models
 
 

@@ -15,7 +15,6 @@ from flows.learn.evaluation.intervals import Judged
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
-from flows.learn.training.label_lag import lags, relabelled
 from operators import Debounce
 from operators.batch import Reals
 from operators.fingertip import TAKKTILE
@@ -124,15 +123,6 @@ def test_times_of_other_rates_are_in_ms() -> None:
     np.testing.assert_array_equal(bins[1].samples, 2 * bins[0].samples)
     assert bins[0].spans[:2] == ["0-10", "20-30"]
     assert bins[1].spans[:2] == ["0-15", "20-35"]
-
-
-def test_labels_are_shifted_by_time() -> None:
-    slow, fast = ([repeated(scored(seed, 6000), times)[0] for seed in range(3)] for times in (1, 4))
-    assert lags(fast) == pytest.approx(lags(slow), abs=0.02)
-    later = [replace(each, label=np.roll(each.label, 40)) for each in fast]  # by 100 ms
-    assert lags(later) - lags(fast) == pytest.approx(0.1, abs=0.01)
-    found = lags(relabelled(later, 0.04))
-    assert np.abs(found - 0.04).max() < 0.01
 
 
 def test_the_warm_up_is_a_second_or_a_hundred_samples() -> None:
