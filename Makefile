@@ -87,10 +87,8 @@ models:  ## train the models in storage/trained and those that its pages compare
 	  for network in paper_tcn frequency_cnn frequency_cnn_interleaved; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
 	} | xargs -P 2 -L 1 slipflow
-	env -u OMP_NUM_THREADS slipflow experiment learn -o models
-	for name in tcn tcn_wide tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp paper_grasp; do \
+	for name in tcn tcn_wide tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
-	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 
 detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark and alarms too

@@ -39,7 +39,7 @@ TABLE: Final = CommandTable(
         "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
         "rig": Entry(_ROBOTS, "Serve the virtual lab: a simulated UR arm and gripper.", "rig"),
         "experiment": Entry(
-            _ROBOTS, "Run the paper's robot experiments in closed loop, simulated.", "experiments"
+            _ROBOTS, "Run a robot experiment of the paper in closed loop, simulated.", "experiment"
         ),
         "verify": Entry(_DATA, "Read all files of a dataset and report losses and damage.", "verify"),
         "recover": Entry(_DATA, "Repair recordings after a crash.", "recover"),
