@@ -18,9 +18,8 @@ from flows.lab.simulation import simulate
 from storage import Session
 from tests.benchmarks.bench_page import WARM, demo
 from tests.chaos.latency import real_time_priority
-from tests.connectors.web.browsing import LATE, ServedRecording, drag
+from tests.connectors.web.browsing import LATE, ServedRecording, chromium, drag
 from tests.connectors.web.test_browser import MOVE
-from tests.readability import chromium
 
 SESSION: Final = "plane-050-01"
 SELECTED: Final = 8300  # ms, in a slip of this session

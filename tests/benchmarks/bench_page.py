@@ -31,10 +31,10 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
 from tests.chaos.latency import real_time_priority
-from tests.connectors.web.browsing import FLAGS
+from tests.connectors.web.browsing import chromium
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Page
 
 WARM = 8.0  # s that do not count: physics is compiled, the baseline is learned
 SILENT = 8  # clients that never read
@@ -55,17 +55,6 @@ def demo(*options: str) -> Generator[tuple[subprocess.Popen[str], str]]:
             yield process, found[1]
         finally:
             process.terminate()
-
-
-@contextmanager
-def chromium() -> Generator["Browser"]:
-    """A headless browser."""
-    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - the served process needs none
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
-        yield browser
-        browser.close()
 
 
 async def serve(*, page: bool) -> None:

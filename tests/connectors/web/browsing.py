@@ -1,12 +1,13 @@
 """Pages in a thread, for browser tests."""
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Generator
+from contextlib import contextmanager
 from threading import Thread
 from typing import Any, Self
 
 import numpy as np
-from playwright.sync_api import ConsoleMessage, Locator, Request
+from playwright.sync_api import Browser, ConsoleMessage, Locator, Request, sync_playwright
 from playwright.sync_api import Page as Tab
 
 from connectors import Page
@@ -30,6 +31,15 @@ FLAGS = (
 )
 WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
 LATE = 60_000  # ms, for a busy machine
+
+
+@contextmanager
+def chromium() -> Generator[Browser]:
+    """Start headless Chromium."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        yield browser
+        browser.close()
 
 
 class Watched:
