@@ -80,10 +80,13 @@ def lags(tab: "Page", address: str, seconds: float) -> list[float]:
 
 
 def silent(port: int) -> socket.socket:
-    """A client that asks for messages and never reads."""
+    """A client that asks for frames and never reads."""
     client = socket.create_connection(("127.0.0.1", port))
     client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    client.sendall(b"GET /messages?browser=silent HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    opening = f"GET /live HTTP/1.1\r\nHost: localhost:{port}\r\nOrigin: http://localhost:{port}\r\n"
+    upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    client.sendall(f"{opening}{upgrade}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
+    client.sendall(10_000 * b"\x81\x80\0\0\0\0")  # masked text messages without content
     return client
 
 
