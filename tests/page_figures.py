@@ -82,7 +82,7 @@ def save(png: bytes, path: Path) -> None:
 def main(folder: Path) -> None:
     """Write all pictures into a folder."""
     with TemporaryDirectory() as scratch:
-        dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0, jobs=1).out
+        dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0).out
         with chromium() as browser:  # no other event loop can run in this thread
             show_picture(browser, dataset, folder)
             with real_time_priority(), demo() as (_, url):
