@@ -91,7 +91,7 @@ models:  ## train the models in storage/trained and those that its pages compare
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 
-detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark and alarms too
+detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark too
 	slipflow evaluate models/paper-0 --out models/pages
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.learn.alarms.alarm_calibration import PATH, Trials
+from flows.learn.alarms.alarm_calibration import PATH, try_settings
 from flows.learn.evaluation.debounce_tuning import joined, tuned
 from flows.learn.evaluation.evaluation_study import PAPER_RULE
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips, lead_ms, onsets, performances
@@ -85,7 +85,7 @@ def test_the_chosen_settings_take_as_long_at_another_rate(times: int) -> None:
         for each in (slow, fast)
     ]
     assert chosen[1] == Sampling(100.0 * times).rule(chosen[0])
-    trials = [Trials.of([one for one, _ in each], [score for _, score in each]) for each in (slow, fast)]
+    trials = [try_settings([one for one, _ in each], [score for _, score in each]) for each in (slow, fast)]
     assert trials[1].rules == tuple(map(Sampling(100.0 * times).rule, PATH))
     np.testing.assert_array_equal(trials[1].alarms, trials[0].alarms)
     np.testing.assert_allclose(trials[1].minutes, trials[0].minutes, atol=1e-3)
