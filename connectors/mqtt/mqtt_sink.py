@@ -9,8 +9,7 @@ from pathlib import Path
 
 from connectors.events import Event, Fault, encode, faults, finger_name, slips, timestamp
 from connectors.health_report import HealthReports, clock_report
-from connectors.mqtt.broker import Broker, Message
-from connectors.mqtt.broker_diagnosis import diagnose_broker
+from connectors.mqtt.broker import Broker, Message, diagnose_broker
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import (
