@@ -9,7 +9,7 @@ from pathlib import Path
 
 from connectors.events import Event, Fault, encode, faults, finger_name, slips, timestamp
 from connectors.health_report import HealthReports, clock_report
-from connectors.mqtt.broker import Broker, Message, diagnose_broker
+from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import (
@@ -112,6 +112,8 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             EndpointError: if the broker cannot be used, or the outbox cannot be written.
             InputError: if a file with credentials cannot be read.
         """
+        from connectors.mqtt.broker_link import diagnose_broker  # noqa: PLC0415 - aiomqtt is slow to import
+
         for finding in await asyncio.to_thread(check_disk, self._outbox_path()):
             yield finding
         topic = f"{rig_topic('Mqtt', self.site, self.rig)}/doctor"
