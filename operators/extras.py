@@ -19,8 +19,8 @@ EXTRAS: Final[Mapping[str, str]] = MappingProxyType(  # use of each extra
         "ur": "driving a UR arm",
         "gripper": "Robotiq grippers",
         "report": "figures in reports",
-        "mcap": "MCAP files",
-        "ros": "import of ROS 2 bags",
+        "mcap": "export to MCAP files",
+        "fetch": "download of public datasets",
         "rerun": "export to Rerun",
         "cluster": "work on a Dask cluster",
     }

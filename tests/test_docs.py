@@ -24,7 +24,6 @@ RUN = [
     "how-to/extend.md",
     "how-to/import.md",
     "how-to/lerobot.md",
-    "how-to/ros2.md",
     "reference/dataset.md",
     "reference/mqtt.md",
 ]

@@ -1,100 +1,80 @@
-"""Strict reader of CSV files with any separator; errors name the line and the column."""
+"""Strict parser of CSV with any separator; errors name the line and the column."""
 
 import codecs
 import csv
-import gzip
-import hashlib
 import io
 import re
 from collections.abc import Sequence
 from itertools import islice
-from pathlib import Path
 from typing import Final
 
 import numpy as np
 import polars as pl
 
-from connectors.files import trace_table
-from connectors.files.trace_table import TraceTable
+from connectors.files.trace_table import VALUE_SIZE, TraceTable, check_size
 from operators.checks import check_choice
-from operators.errors import InputError, os_error_reason
+from operators.errors import InputError
 
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " ", "pipe": "|"}
+COLUMN_LIMIT: Final = 4096
 
 _ASSUMED: Final = 20  # lines that decide on the separator
-_PACKED: Final = (b"\x28\xb5\x2f\xfd", b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")  # zstd, zlib
 _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 _QUOTED: Final = re.compile(r'"(?:[^"]|"")*"')
+_NUMERIC: Final = re.compile(r"(?=.*\d)[-+\d.,;|\s\"eEnaNinf]+")
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        InputError: if it cannot be read or is too large.
-    """
-    try:
-        with path.open("rb") as file:
-            content = file.read(trace_table.LIMIT + 1)
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
-    if len(content) > trace_table.LIMIT:
-        reason = f"is larger than {trace_table.LIMIT >> 20} MiB, the limit: split it into several files"
-        raise InputError(str(path), reason)
-    return content
-
-
-def read_csv(
-    path: Path, separator: str = "", header: Sequence[str] = (), *, lenient: bool = False
+def parse_csv(
+    content: bytes,
+    where: str,
+    separator: str = "",
+    header: Sequence[str] = (),
+    *,
+    lenient: bool = False,
+    sha256: str = "",
 ) -> TraceTable:
-    """Read a CSV file, also gzipped.
+    """Parse the content of a CSV file.
 
     Lines at the beginning that start with ``#`` are comments, unless the last of them names the columns.
     Numbers may have a decimal comma if the separator is not a comma.
 
     Args:
-        path: The file.
+        content: The content.
+        where: Name of the file.
         separator: One ASCII character, or a name: comma, semicolon, tab, space (any number of spaces and
             tabs) or pipe (default: detected).
         header: Names of the columns of a file whose first line has none.
         lenient: Accept a last line that is cut off; its missing fields are empty.
+        sha256: Checksum of the file, hex.
 
     Raises:
-        InputError: if it cannot be read, is too large or is not a table.
+        InputError: if it is too large or not a table.
         ParameterError: if the separator is not a single ASCII character.
     """
-    where, content = str(path), read_bytes(path)
-    sha256 = hashlib.sha256(content).hexdigest()
-    if content[:2] == b"\x1f\x8b":
-        content = _unzipped(where, content)
-    elif content.startswith(_PACKED):
-        raise InputError(where, "is compressed: decompress it first, or use gzip")
     if separator not in ("", *SEPARATORS) and not (len(separator) == 1 and separator.isascii()):
         check_choice("import", "separator", separator, ("one ASCII character", *SEPARATORS))
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise InputError(where, "is UTF-16: save it as UTF-8")
-    content = content.removeprefix(codecs.BOM_UTF8)
-    above, content = _without_comments(content, named=bool(header))
+    above, content = _without_comments(content.removeprefix(codecs.BOM_UTF8), named=bool(header))
     sign = SEPARATORS.get(separator, separator) or detected(_lines(content, _ASSUMED))
     notes = [] if sign == "," else [f"separator {_name(sign)}"]
     if sign == " ":
         content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
     lines = content.count(b"\n") + 1
-    size = (content.count(sign.encode()) + lines) * trace_table.VALUE_SIZE
-    trace_table.check_size(where, size, lines, "lines, each with the line of names")
+    size = (content.count(sign.encode()) + lines) * VALUE_SIZE
+    check_size(where, size, lines, "lines, each with the line of names")
     if header:
         quoted = ('"' + name.replace('"', '""') + '"' for name in header)
         content = sign.join(quoted).encode() + b"\n" + content
         above -= 1  # that line
-    named_by = "--header" if header else f"line {above + 1}"
+    named_by = "the header of the map" if header else f"line {above + 1}"
     frame = _frame(where, content, sign, above, named_by)
     if not lenient and _cut_off(_last_line(content), sign, frame.width):
         reason = f"the last line has fewer fields than {named_by} has names: it is cut off, delete it"
         raise InputError(where, reason)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
     numbers = np.flatnonzero(filled.to_numpy()) + above + 2  # (n,) line numbers
-    if not filled.all():
-        frame = frame.filter(filled)
+    frame = frame if filled.all() else frame.filter(filled)
     if sign != "," and frame.select(pl.any_horizontal(pl.all().str.contains(_DECIMAL_COMMA)).any()).item():
         notes.append("decimal comma")
         point = pl.all().str.replace(",", ".", literal=True)
@@ -102,9 +82,11 @@ def read_csv(
             pl.when(pl.all().str.contains(_DECIMAL_COMMA)).then(point).otherwise(pl.all())
         )
     names = [name.strip().replace('""', '"') for name in frame.columns]
-    columns = dict(zip(reversed(names), reversed(frame.get_columns()), strict=True))  # the first of a name
+    columns = {
+        name: column.alias(name) for name, column in zip(names[::-1], frame.get_columns()[::-1], strict=True)
+    }
     return TraceTable(
-        columns,
+        pl.DataFrame(list(columns.values())[::-1]),
         where,
         names=[_original(name, names) for name in names],
         named_by=named_by,
@@ -117,6 +99,8 @@ def read_csv(
 
 def detected(lines: Sequence[str]) -> str:
     """Return the separator that divides the first lines into the most fields, equally often in each line.
+
+    `csv.Sniffer` takes the decimal comma of ``0,01;500,5`` for the separator.
 
     >>> detected(["t;p0;p1", "0,01;500,5;501"]), detected(["t p0 p1", "0.01   500  501"])
     (';', ' ')
@@ -133,6 +117,7 @@ def detected(lines: Sequence[str]) -> str:
 
 
 def _lines(content: bytes, count: int) -> list[str]:
+    """Return the first lines."""
     rows = io.TextIOWrapper(io.BytesIO(content[: 1 << 20]), "utf-8", "replace")
     return [line.rstrip("\r\n") for line in islice(rows, count)]
 
@@ -153,18 +138,6 @@ def _original(name: str, names: Sequence[str]) -> str:
     return base.strip() if again and base.strip() in names else name
 
 
-def _unzipped(where: str, content: bytes) -> bytes:
-    try:
-        with gzip.open(io.BytesIO(content)) as file:
-            unpacked = file.read(trace_table.LIMIT + 1)
-    except (OSError, EOFError, ValueError) as error:
-        raise InputError(where, f"is a damaged gzip file: {error}") from None
-    if len(unpacked) > trace_table.LIMIT:
-        rows = unpacked.count(b"\n")  # in the first part of the file
-        trace_table.check_size(where, len(unpacked), rows, "lines, each with the line of names")
-    return unpacked
-
-
 def _without_comments(content: bytes, *, named: bool) -> tuple[int, bytes]:
     """Return the number of comment lines at the beginning, and the content below them."""
     skipped, start = 0, 0
@@ -173,20 +146,19 @@ def _without_comments(content: bytes, *, named: bool) -> tuple[int, bytes]:
         if not end:
             break
         below = next((line for line in _lines(content[end : end + (1 << 16)], _ASSUMED) if line.strip()), "#")
-        if not named and not below.startswith("#") and _numeric(below):
+        if not named and not below.startswith("#") and _NUMERIC.fullmatch(below):
             return skipped, content[start + 1 :]  # names, as numpy.savetxt writes them
         skipped, start = skipped + 1, end
     return skipped, content[start:]
 
 
-def _numeric(line: str) -> bool:
-    return re.fullmatch(r"[-+\d.,;|\s\"eEnaNinf]+", line) is not None and bool(re.search(r"\d", line))
-
-
 def _frame(where: str, content: bytes, sign: str, above: int, named_by: str) -> pl.DataFrame:
     """Parse the columns of a file as text."""
-    if content.partition(b"\n")[0].count(b'"') % 2:  # polars would take the rows below as part of the name
+    names = content.partition(b"\n")[0]
+    if names.count(b'"') % 2:  # polars would take the rows below as part of the name
         raise InputError(f"{where}, {named_by}", 'has a quoted name that is not closed: write "" for a "')
+    if names.count(sign.encode()) >= COLUMN_LIMIT:
+        raise InputError(where, f"has more than {COLUMN_LIMIT} columns: is it a table with a row per time?")
     try:
         frame = pl.read_csv(content, infer_schema=False, separator=sign)
     except pl.exceptions.NoDataError:

@@ -1,8 +1,6 @@
 """Resolution of stored counts: readings in any unit become whole numbers of 16 bits."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import takewhile
+from collections.abc import Iterator
 from math import floor, log10
 from typing import Final
 
@@ -18,50 +16,28 @@ _FINEST: Final = 1e-12
 _PRECISION: Final = 1e-10  # of the largest reading: float64 has 53 bits
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Resolutions that the readings of a recording need, in their unit.
+def resolution_of(values: Reals, *, offset: bool) -> float:
+    """Return the step of readings, 1, 2, 2.5 or 5 times a power of ten.
+
+    It is the largest of which all readings are multiples or, if 16 bits do not suffice for it, the smallest
+    with which they fit.
 
     Args:
-        exact: Largest usual step of which all readings are multiples; 0: none.
-        plain: Smallest usual step with which all readings fit in 16 bits.
-        centred: Smallest usual step with which they fit if each cell has an offset.
-    """
+        values: (n, cells) readings; NaN is missing.
+        offset: Each cell may have an offset; False for readings relative to the unloaded fingertip.
 
-    exact: float
-    plain: float
-    centred: float
-
-
-def needed(values: Reals) -> Steps:
-    """Return the steps that readings (n, cells) need; NaN is missing.
-
-    >>> needed(np.array([[98270.25], [143262.5]]))
-    Steps(exact=0.0, plain=5.0, centred=1.0)
+    >>> resolution_of(np.array([[101.32], [99.5]]), offset=True)
+    0.02
     """
     lowest, highest = np.nanmin(values, axis=0), np.nanmax(values, axis=0)  # (cells,)
     largest, span = float(np.nanmax(np.abs(values))), float(np.max(highest / 2 - lowest / 2))
     plain = at_least(largest / COUNT_LIMIT)
     centred = at_least(max(span / (COUNT_LIMIT - 1), largest * _PRECISION))
-    usual = takewhile(lambda step: step >= centred, _downwards(max(1.0, plain)))
-    exact = next(
-        (step for step in usual if _multiples(values[:1000], step) and _multiples(values, step)), 0.0
-    )
-    return Steps(exact, plain, centred)
-
-
-def common(needs: Sequence[Steps], *, offset: bool) -> float:
-    """Return the resolution for recordings that are to have the same one.
-
-    Args:
-        needs: Steps of each recording.
-        offset: Cells may have an offset; False for counts relative to the unloaded fingertip.
-    """
-    exact = min(each.exact for each in needs)
-    plain = max(each.plain for each in needs)
-    centred = max(each.centred for each in needs)
-    if exact >= plain or (offset and exact >= centred):
-        return exact
+    fits = min(plain, centred) if offset else plain
+    exact = (step for step in _downwards(max(1.0, plain)) if is_multiple(values, step) or step < fits)
+    found = next(exact)
+    if found >= fits:
+        return found
     return centred if offset and centred < plain / 2 else plain
 
 
@@ -85,15 +61,19 @@ def at_least(step: float) -> float:
     return next(each for each in usual if each >= step * (1 - 1e-9))
 
 
+def is_multiple(values: Reals, step: float) -> bool:
+    """Return True if all readings are multiples of a step; NaN is missing."""
+    for part in (values[:1000], values):  # most other steps fail early
+        steps = part / step
+        if np.any(np.abs(steps - np.rint(steps)) > _TOLERANCE):
+            return False
+    return True
+
+
 def _downwards(step: float) -> Iterator[float]:
-    """Yield the usual steps from `step` on."""
+    """Yield the usual steps from `step` on, finer and finer."""
     power = floor(log10(step)) + 1
-    for exponent in range(power, -13, -1):
+    for exponent in range(power, -14, -1):
         for each in reversed(_MANTISSAS):
             if (smaller := float(f"{each}e{exponent}")) <= step:
                 yield smaller
-
-
-def _multiples(values: Reals, step: float) -> bool:
-    steps = values / step
-    return bool(np.all(~(np.abs(steps - np.rint(steps)) > _TOLERANCE)))  # NaN: missing

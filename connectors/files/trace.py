@@ -1,28 +1,25 @@
-"""Recorded trace of one fingertip, from a file of any format."""
+"""Recorded trace of one fingertip, from a file or a DataFrame."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
 
 from connectors.files.column_map import (
     COUNTS,
-    JOINT,
     LABEL,
     MOTIONS,
-    SIZES,
     SPEED,
     TIME,
     UNITS,
     VELOCITY,
     ColumnMap,
+    layout_text,
 )
-from connectors.files.formats import read_table
-from connectors.files.pad import Pad
-from connectors.files.resolution import COUNT_LIMIT, Steps, common, needed, offsets
+from connectors.files.resolution import COUNT_LIMIT, is_multiple, offsets, resolution_of
+from connectors.files.roles import completed
 from operators.batch import (
     EVERY,
     UNKNOWN,
@@ -37,9 +34,8 @@ from operators.batch import (
     Zeroed,
     s,
 )
-from operators.checks import check_between
 from operators.errors import InputError, ParameterError
-from operators.fingertip import Fingertip, measured
+from operators.fingertip import RATE_TOLERANCE, Fingertip, measured
 from operators.ports import Description, Json
 
 if TYPE_CHECKING:
@@ -52,13 +48,11 @@ FASTEST: Final = 5000.0  # Hz
 MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
 GAP: Final = 5.0  # median intervals; a longer interval is a gap
 
-_INT16: Final = np.iinfo(np.int16)
 _DEFAULT: Final = ColumnMap()
-_UNKNOWN_PAD: Final = Pad()
 
 
 class Trace:
-    """`Recording` of one fingertip, and of the motion if the file has it, loaded completely and checked.
+    """`Recording` of one fingertip, and of the motion if there is one, loaded completely and checked.
 
     Decimal times are converted exactly, then rounded to the nearest ns. Other columns are ignored.
     Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an offset. A
@@ -66,107 +60,89 @@ class Trace:
     becomes a velocity along x of the base frame. A row without a velocity adds no row of motion.
 
     Args:
-        source: The file, or a table that was read from one.
+        source: A CSV or Parquet file, or a polars or pandas DataFrame, or a dictionary of arrays.
         columns: Map of the columns; unmapped quantities are recognised by common column names.
-        finger: Number of the fingertip.
-        zeroed: Readings are relative to the unloaded fingertip; default: True if one is negative.
-        rate: Rows per second (Hz) of a file without a time column; its times start at 0.
+        name: Name of a DataFrame.
         group: Surface or object of the recording.
-        pad: Layout and range of the fingertip (default: measured layout, unknown range).
+        about: Further entries of the description.
 
     Attributes:
         columns: The completed map, without absent quantities.
-        sha256: Checksum of the file, hex.
-        steps: Resolutions that the readings need.
+        sha256: Checksum of the file, hex; empty for a DataFrame.
+        notes: Remarks on how the file was read.
         resolution: Units per count.
         offset: (cells,) counts; a reading is (count + offset) x resolution.
         missing: Number of missing readings.
         touch: The whole trace, Touch or Zeroed.
-        motion: Motion of the arm; no rows if the file has none.
+        motion: Motion of the arm; no rows if there is none.
         labels: (n,) 1 slip, 0 static, -1 unknown.
 
     Raises:
-        InputError: if the file cannot be read or has an invalid value; it names row and column.
-        ParameterError: on an invalid rate or fingertip.
+        InputError: if the file cannot be read, or has an invalid value or another rate; it names row and
+            column.
+        ParameterError: if the layout or the range does not fit the cells.
     """
 
     columns: ColumnMap
-    steps: Steps
     touch: Touch
     motion: Motion
     labels: Codes
 
     def __init__(
         self,
-        source: "str | Path | TraceTable",
+        source: Any,  # noqa: ANN401 - all that pl.DataFrame takes
         columns: ColumnMap = _DEFAULT,
         *,
-        finger: int = 0,
-        zeroed: bool | None = None,
-        rate: float | None = None,
+        name: str = "table",
         group: str | None = None,
-        pad: Pad = _UNKNOWN_PAD,
+        about: Description | None = None,
     ) -> None:
-        if rate is not None and not 0 < rate <= s:
-            raise ParameterError("Trace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
-        check_between("Trace", "finger", finger, 0, _INT16.max)
-        table = read_table(source) if isinstance(source, str | Path) else source
-        self._file, self.sha256, self.group, self._about = table.file, table.sha256, group, table.about
-        if table.motion is None:
-            self.columns = moves = columns.completed(table.header, timed=rate is None)
-        else:
-            here = [name for name in SIZES if name not in MOTIONS]
-            self.columns = columns.completed(table.header, timed=rate is None, only=here)
-            moves = columns.completed(table.motion.header, only=(TIME, *MOTIONS))
-        found = self.columns.columns
-        if TIME in found and columns.lenient:
-            table = table.timed(found[TIME][0], self.columns.units[TIME])
-        self.notes = table.notes
+        table, stated = _table(source, columns, name), columns.resolution
+        self.name, self.sha256, self.group, self._about = table.file, table.sha256, group, about or {}
+
+        self.columns = columns = completed(columns, table.header)
+        found = columns.columns
         if TIME in found:
-            times = table.times(found[TIME][0], self.columns.units[TIME])
+            if columns.lenient:
+                table.timed(found[TIME][0], columns.units[TIME])
+            times = table.times(found[TIME][0], columns.units[TIME])
         else:
-            times = np.rint(np.arange(len(table)) * (s / cast("float", rate))).astype(np.int64)
+            times = np.rint(np.arange(len(table)) * (s / cast("float", columns.rate))).astype(np.int64)
+        self.notes = table.notes
         readings = self._readings(table)
-        if zeroed is None:
-            zeroed = bool(np.any(readings < 0))
-        counts, valid = self._counts(table, readings, zeroed=zeroed)
+        zeroed = bool(np.any(readings < 0)) if columns.zeroed is None else columns.zeroed
+        self.resolution = stated or resolution_of(readings, offset=not zeroed)
+        self._rounded = stated is not None and not is_multiple(readings, stated)
+        self.offset = np.zeros(readings.shape[1]) if zeroed else offsets(readings, self.resolution)
+        counts, valid = self._counts(table, readings)
         kind = Zeroed if zeroed else Touch
-        self.touch = kind(times, counts, np.zeros_like(counts), valid, finger=finger)
-        self._fingertip = self._described(pad)
+        self.touch = kind(times, counts, np.zeros_like(counts), valid, finger=columns.finger)
+        self._fingertip = self._described()
         self.missing = int(np.count_nonzero(~valid))
-        self.motion = _motion(table.motion or table, moves, None if table.motion else times)
-        if table.motion:  # described like the columns of this table
-            moved = {name: moves.columns[name] for name in MOTIONS if name in moves.columns}
-            units = {name: moves.units[name] for name in moved}
-            self.columns = replace(
-                self.columns, columns={**found, **moved}, units={**self.columns.units, **units}
-            )
+        self.motion = _motion(table, columns, times)
         if LABEL in found:
-            self.labels = table.codes(found[LABEL][0], *self.columns.label_codes, UNKNOWN)
+            self.labels = table.codes(found[LABEL][0], *columns.label_codes, UNKNOWN)
         else:
             self.labels = np.full(len(times), UNKNOWN, np.int8)
+        self._check_rate()
 
     def _readings(self, table: "TraceTable") -> Reals:
-        """Return the readings of the cells, (n, cells) in the unit of the counts; NaN: missing."""
+        """Return the readings of the cells, (n, cells) in their unit; NaN: missing."""
         names, lenient = self.columns.columns[COUNTS], self.columns.lenient
-        whole = self.columns.cell_units[0] == "count" and self.columns.resolution is None
+        whole = self.columns.unit == "count" and self.columns.resolution is None
         readings = np.empty((len(table), len(names)))
         for cell, name in enumerate(names):
             values = table.reals(name, lenient=lenient)
             if whole:
-                fix = "a whole number (or state a unit, as counts=kPa, or a resolution)"
+                fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
                 table.check(name, np.isnan(values) | (values == np.rint(values)), fix)
             if np.isnan(values).all():
-                raise InputError(table.where, f"column {name} has no readings")
+                raise InputError(table.file, f"column {name} has no readings")
             readings[:, cell] = values
-        factor = self.columns.scale(COUNTS)
-        return readings if factor == 1 else readings * factor
+        return readings
 
-    def _counts(self, table: "TraceTable", readings: Reals, *, zeroed: bool) -> tuple[Counts, Flags]:
+    def _counts(self, table: "TraceTable", readings: Reals) -> tuple[Counts, Flags]:
         """Return the counts (n, cells) of the readings, and which are valid."""
-        self.steps = needed(readings)
-        self.resolution = self.columns.resolution or common([self.steps], offset=not zeroed)
-        self.offset = np.zeros(readings.shape[1]) if zeroed else offsets(readings, self.resolution)
         counts = np.rint(readings / self.resolution - self.offset)
         valid: Flags = ~np.isnan(readings)
         for cell, name in enumerate(self.columns.columns[COUNTS]):
@@ -175,31 +151,30 @@ class Trace:
             table.check(name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
         return np.where(valid, counts, 0).astype(np.int16), valid
 
-    def _described(self, pad: Pad) -> Fingertip:
-        """Return the fingertip of the counts; a range in the unit of the file becomes counts.
-
-        Raises:
-            ParameterError: if layout or range do not fit the cells.
-        """
-        found, limits = measured(self.touch), None
-        pad.check_cells("Trace", found.cells)
-        if pad.range is not None:
-            factor, offset = self.columns.scale(COUNTS) / self.resolution, self.offset.mean()
-            ends = np.clip(np.rint(np.array(pad.range) * factor - offset), -COUNT_LIMIT, COUNT_LIMIT)
+    def _described(self) -> Fingertip:
+        """Return the fingertip of the counts; a range in the unit of the cells becomes counts."""
+        found, limits, layout = measured(self.touch), None, self.columns.layout
+        if layout is not None and Fingertip(layout, 1.0).cells != found.cells:
+            must_be = f"of {found.cells} cells, as many as the counts have"
+            raise ParameterError("Trace", "layout", layout_text(layout), must_be)
+        if self.columns.range is not None:
+            readings = np.array(self.columns.range) / self.resolution - self.offset.mean()
+            ends = np.clip(np.rint(readings), -COUNT_LIMIT, COUNT_LIMIT)
             limits = int(ends[0]), int(ends[1])
-        layout, unit = pad.layout or found.layout, self.columns.cell_units[1]
-        return replace(found, layout=layout, unit=unit, resolution=self.resolution, range=limits)
+        return Fingertip(layout or found.layout, found.rate, self.columns.unit, self.resolution, limits)
+
+    def _check_rate(self) -> None:
+        """Require the rate of the map, if it has one."""
+        expected, found = self.columns.rate, self.rate
+        if expected and found and abs(found - expected) > RATE_TOLERANCE * expected:
+            reason = f"has {found:.1f} rows per second, not {expected:g}: is its time in another unit?"
+            raise InputError(self.name, reason)
 
     @property
     def extent(self) -> tuple[float, float]:
         """Lowest and highest reading, in the unit of the counts."""
         readings = (self.touch.counts + self.offset)[self.touch.valid]
         return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
-
-    @property
-    def name(self) -> str:
-        """Path of the file."""
-        return self._file
 
     @property
     def kind(self) -> type[Touch]:
@@ -231,6 +206,8 @@ class Trace:
         if self.missing:
             rows = int(np.count_nonzero(~self.touch.valid.all(axis=1)))
             lines.append(f"missing readings: {self.missing}, in {rows} of {len(self.touch)} rows")
+        if self._rounded:
+            lines.append(f"the readings are rounded to steps of {self.resolution:g} {self.columns.unit}")
         intervals = np.diff(self.touch.time) * ((rate or 0.0) / s)  # (n - 1,) median intervals
         if (gaps := np.flatnonzero(intervals > GAP)).size:
             longest = int(gaps[np.argmax(intervals[gaps])])
@@ -241,10 +218,10 @@ class Trace:
 
     def _slower_units(self, fastest: float) -> list[str]:
         """Return the units in which the file's highest speed (m/s) would be plausible, with that speed."""
-        given = [name for name in (VELOCITY, SPEED) if name in self.columns.units]
         speeds = {
             unit: fastest * factor / self.columns.scale(name)
-            for name in given
+            for name in (VELOCITY, SPEED)
+            if name in self.columns.units
             for unit, factor in UNITS[name].items()
         }
         return [f"{unit} ({speed:.3g} m/s)" for unit, speed in speeds.items() if speed <= MAX_SPEED]
@@ -270,10 +247,10 @@ class Trace:
         return (stream[start : start + rows] for start in range(0, len(stream), rows))
 
     def describe(self) -> Description:
-        """Return the file's name, sha256 and number of rows, and the map of its columns."""
+        """Return the name, sha256 and number of rows of the file, and the map of its columns."""
         columns: dict[str, Json] = {name: list(names) for name, names in self.columns.columns.items()}
         about: dict[str, Json] = {
-            "trace": Path(self._file).name,
+            "trace": Path(self.name).name,
             "sha256": self.sha256,
             "rows": len(self.touch),
             "zeroed": self.kind is Zeroed,
@@ -283,8 +260,6 @@ class Trace:
         about |= self._about
         if self.group is not None:
             about["group"] = self.group
-        if JOINT in columns:
-            about["lever"] = self.columns.lever
         if LABEL in columns and self.columns.labels:
             about["labels"] = {name: list(values) for name, values in self.columns.labels.items()}
         if self.offset.any():
@@ -292,24 +267,31 @@ class Trace:
         return about
 
 
-def _motion(table: "TraceTable", columns: ColumnMap, times: Times | None) -> Motion:
-    """Return the rows with a velocity.
+def _table(source: Any, columns: ColumnMap, name: str) -> "TraceTable":  # noqa: ANN401 - as for Trace
+    """Return the columns of a file or of a DataFrame."""
+    import polars as pl  # noqa: PLC0415 - slow to import
 
-    Args:
-        table: Table with the motion.
-        columns: Its completed map.
-        times: Times of its rows; None: they are in the table.
-    """
-    if times is None:
-        times = table.times(columns.columns[TIME][0], columns.units[TIME])
+    from connectors.files.container import read_table  # noqa: PLC0415 - slow to import
+    from connectors.files.trace_table import TraceTable  # noqa: PLC0415 - slow to import
+
+    if isinstance(source, str | Path):
+        return read_table(Path(source), columns)
+    try:
+        frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
+    except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
+    return TraceTable(frame, name)
+
+
+def _motion(table: "TraceTable", columns: ColumnMap, times: Times) -> Motion:
+    """Return the rows with a velocity; `times` are those of all rows."""
     velocity: Reals = np.full((len(times), 6), np.nan)
     for name in MOTIONS:
         if names := columns.columns.get(name):
             given = [table.reals(each, lenient=columns.lenient) for each in names]
             velocity = np.pad(np.column_stack(given), ((0, 0), (0, 6 - len(given))))
             velocity[:, :3] *= columns.scale(name)
-            if name == JOINT:
-                velocity = np.abs(velocity) * (columns.lever or 0.0)
     moving: Flags = np.all(np.isfinite(velocity), axis=1)
     unknown = np.full((len(times), 6), np.nan)
     return Motion(times, times, velocity, unknown, finger=EVERY)[moving]

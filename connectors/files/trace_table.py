@@ -1,20 +1,19 @@
-"""Table of named columns, read from a file of any format or given as arrays; errors name row and column."""
+"""Table of a recording: columns of a polars DataFrame, converted on request; errors name row and column."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, cast
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from connectors.files.column_map import TIME, UNITS, Header
+from connectors.files.column_map import TIME, UNITS
+from connectors.files.roles import Header
 from operators.batch import Codes, Flags, Reals, Times
 from operators.errors import InputError
 
 LIMIT: Final = 1 << 29  # bytes of a file, and of its unpacked columns; an import takes six times as many
 VALUE_SIZE: Final = 8  # bytes of an unpacked value
-
-Values: TypeAlias = "NDArray[Any] | Sequence[object] | pl.Series"
 
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 _TIME_LIMIT: Final = float(1 << 63)  # ns
@@ -22,91 +21,74 @@ _DATE: Final = r"^\d{4}-\d{2}-\d{2}[T ]"
 
 
 class TraceTable:
-    """Columns of a file, converted on request.
-
-    A missing value is null, NaN or an empty text.
+    """Columns of a recording. A missing value is null, NaN or an empty text.
 
     Args:
-        columns: Values by column name: arrays (n,), lists or polars Series.
-        file: Name of the file.
-        where: Name of the table in messages (default: `file`).
-        names: Names of the columns, if some occur twice.
+        frame: The columns; lists of equal length become columns ``name0``, ``name1``, ..., structs
+            ``name.field``.
+        file: Name of the file, or of the table in memory.
+        names: Names of the columns in the file, if some occur twice.
         named_by: Place of the names in messages, such as ``line 1``.
         place: Word for a row in messages.
         numbers: Numbers of the rows (n,) in messages (default: from 0).
         sha256: Checksum of the file, hex.
-        time: Column with the time if none is mapped.
         notes: Remarks on how the file was read, for the preview.
         left_out: Reasons by names of what cannot be a column.
 
     Attributes:
         header: Names of the columns.
-        about: Further entries of the description, such as the topic.
-        motion: Table with the motion at other times; None: it is in this table.
 
     Raises:
-        InputError: if there are no rows, or a column has another length or no scalars.
+        InputError: if there are no rows or no usable columns.
     """
 
     def __init__(
         self,
-        columns: Mapping[str, Values],
+        frame: pl.DataFrame,
         file: str = "table",
         *,
-        where: str = "",
         names: Sequence[str] = (),
         named_by: str = "",
         place: str = "row",
         numbers: NDArray[np.int64] | None = None,
         sha256: str = "",
-        time: str | None = None,
         notes: Sequence[str] = (),
         left_out: Mapping[str, str] | None = None,
     ) -> None:
-        self.file, self.where, self.sha256, self.notes = file, where or file, sha256, tuple(notes)
-        place_of_names = f"{self.where}, {named_by}" if named_by else self.where
-        self.about = dict[str, str]()
-        self.motion: TraceTable | None = None
-        self.header = Header(tuple(names or columns), place_of_names, time, left_out or {})
-        self._columns = {name: _series(self.where, name, values) for name, values in columns.items()}
-        lengths = {name: len(values) for name, values in self._columns.items()}
-        self._length = next(iter(lengths.values()), 0)
-        for name, length in lengths.items():
-            if length != self._length:
-                first = next(iter(lengths))
-                raise InputError(
-                    self.where, f"column {name} has {length} rows, column {first} {self._length}"
-                )
-        if not self._length:
-            raise InputError(self.where, "has no rows" + (f" below {named_by}" if named_by else ""))
-        self._place, self._numbers = place, numbers
+        self.file, self.sha256, self.notes = file, sha256, tuple(notes)
+        self._columns, reasons = dict[str, pl.Series](), dict(left_out or {})
+        for column in frame:
+            for name, values in _flat(column.name, column):
+                if reason := _unusable(values):
+                    reasons[name] = reason
+                else:
+                    self._columns.setdefault(name, _plain(values))
+        if frame.height == 0:
+            raise InputError(file, "has no rows" + (f" below {named_by}" if named_by else ""))
+        if not self._columns:
+            raise InputError(file, "has no columns of numbers or texts")
+        where = f"{file}, {named_by}" if named_by else file
+        self.header = Header(tuple(names or self._columns), where, reasons)
+        self._place = place
+        self._numbers = np.arange(frame.height) if numbers is None else numbers
 
     def __len__(self) -> int:
-        return self._length
+        return len(self._numbers)
 
-    def selected(self, rows: Flags) -> "TraceTable":
-        """Return a table of some rows; messages keep the numbers of the rows.
-
-        Args:
-            rows: (n,) True for a row to keep.
+    def timed(self, name: str, unit: str) -> None:
+        """Leave out the rows that have no time in a column, with a note.
 
         Raises:
-            InputError: if there is none.
+            InputError: if no row has one.
         """
-        if not rows.any():
-            raise InputError(self.where, "has no valid row")
-        header, numbers = self.header, np.arange(len(self)) if self._numbers is None else self._numbers
-        found = TraceTable(
-            {name: values.filter(pl.Series(rows)) for name, values in self._columns.items()},
-            self.file,
-            where=self.where,
-            place=self._place,
-            numbers=numbers[rows],
-            sha256=self.sha256,
-            notes=self.notes,
-        )
-        found.header, found.about, found.motion = header, self.about, self.motion
-        return found
+        known = _nanoseconds(self._columns[name], unit).is_not_null()
+        if known.all():
+            return
+        if not known.any():
+            raise InputError(self.file, "has no valid row")
+        self.notes = (*self.notes, f"{len(self) - known.sum()} rows without a time left out")
+        self._columns = {name: values.filter(known) for name, values in self._columns.items()}
+        self._numbers = self._numbers[known.to_numpy()]
 
     def times(self, name: str, unit: str) -> Times:
         """Return a column of times (n,) in ns; `unit` is the unit in the file: s, ms, us or ns.
@@ -116,23 +98,13 @@ class TraceTable:
         Raises:
             InputError: on a value that is not a time, or is less than the previous one.
         """
-        column = self._columns[name]
         must_be = "a whole number of ns" if unit == "ns" else f"a time in {unit}"
-        numbers = _nanoseconds(column, unit)
+        numbers = _nanoseconds(self._columns[name], unit)
         self.check(name, numbers.is_not_null().to_numpy(), must_be)
         times: Times = numbers.to_numpy()
         order = f"no less than in the {self._place} before"
         self.check(name, np.diff(times, prepend=times[0]) >= 0, order)
         return times
-
-    def timed(self, name: str, unit: str) -> "TraceTable":
-        """Return the rows that have a time in a column; the others are left out with a note."""
-        known = _nanoseconds(self._columns[name], unit).is_not_null()
-        if known.all():
-            return self
-        found = self.selected(known.to_numpy())
-        found.notes = (*self.notes, f"{len(self) - len(found)} rows without a time left out")
-        return found
 
     def reals(self, name: str, *, lenient: bool = False) -> Reals:
         """Return a column of numbers (n,); NaN for a missing value.
@@ -181,8 +153,7 @@ class TraceTable:
         absent = text.is_null() | text.is_in(["", "nan"])
         codes = text.replace_strict(dict(values), default=other, return_dtype=pl.Int8)
         codes = codes.zip_with(~absent, pl.Series([missing], dtype=pl.Int8).new_from_index(0, len(codes)))
-        expected = f"one of {', '.join(values)}"
-        self.check(name, codes.is_not_null().to_numpy(), expected)
+        self.check(name, codes.is_not_null().to_numpy(), f"one of {', '.join(values)}")
         return codes.to_numpy()
 
     def check(self, name: str, good: Flags, must_be: str) -> None:
@@ -200,8 +171,7 @@ class TraceTable:
             row = int(np.argmin(good))
             found = self._columns[name][row]
             text = "''" if found is None else repr(found) if isinstance(found, str) else f"{found}"
-            number = row if self._numbers is None else self._numbers[row]
-            where = f"{self.where}, {self._place} {number}, column {name}"
+            where = f"{self.file}, {self._place} {self._numbers[row]}, column {name}"
             raise InputError(where, f"is {text:.40}, must be {must_be}")
 
 
@@ -222,31 +192,39 @@ def check_size(where: str, size: int, rows: int, unit: str = "rows") -> None:
         raise InputError(where, f"{reason}: split it into files of at most {rows * LIMIT // size:,} {unit}")
 
 
-def _series(where: str, name: str, values: Values) -> pl.Series:
-    """Return a column whose values polars can convert."""
-    if isinstance(values, np.ndarray):
-        kind = values.dtype.kind
-        if values.ndim != 1 or kind not in "biufUM":
-            reason = f"is an array {values.shape} of {values.dtype}, must be (n,) numbers, texts or dates"
-            raise InputError(f"{where}, column {name}", reason)
-        if kind == "f" and values.dtype.itemsize not in (4, 8):
-            values = values.astype(np.float64)
-        elif kind == "M":
-            values = values.astype("datetime64[ns]")
-        elif not values.dtype.isnative:
-            values = values.astype(values.dtype.newbyteorder("="))
-    try:
-        column = values if isinstance(values, pl.Series) else pl.Series(name, values)
-    except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
-        raise InputError(f"{where}, column {name}", f"has values of several types: {error}") from None
+def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
+    """Yield the scalar columns of a column, and what cannot be split into them."""
+    if isinstance(column.dtype, pl.Struct):
+        for each in column.struct.fields:
+            yield from _flat(f"{name}.{each}", column.struct.field(each))
+        return
+    if isinstance(column.dtype, pl.Array):
+        column = column.arr.to_list()
+    sizes = column.list.len().unique().drop_nulls() if isinstance(column.dtype, pl.List) else pl.Series([])
+    if len(sizes) == 1 and sizes.item() * len(column) * VALUE_SIZE <= LIMIT:
+        for item in range(sizes.item()):
+            yield from _flat(f"{name}{item}", column.list.get(item))
+    else:
+        yield name, column
+
+
+def _unusable(column: pl.Series) -> str:
+    """Return why a column cannot be used; empty: it can."""
+    if isinstance(column.dtype, pl.List):
+        return "its lists differ in length"
+    if isinstance(column.dtype, pl.Object | pl.Binary):
+        return f"its values are {column.dtype}, not numbers, texts or dates"
+    if isinstance(column.dtype, pl.Categorical | pl.Enum):  # stored once, each repeated as a text
+        longest = cast("int", column.unique().cast(pl.String).str.len_bytes().max() or 0)
+        return f"its texts have more than {LIMIT >> 20} MiB" if longest * len(column) > LIMIT else ""
+    return ""
+
+
+def _plain(column: pl.Series) -> pl.Series:
+    """Return a column of categories as texts, and one without values as numbers."""
     if isinstance(column.dtype, pl.Categorical | pl.Enum):
-        column = column.cast(pl.String)
-    elif isinstance(column.dtype, pl.Null):
-        column = column.cast(pl.Float64)
-    elif column.dtype.is_nested() or isinstance(column.dtype, pl.Object | pl.Binary):
-        reason = f"has values of type {column.dtype}, must have numbers, texts or dates"
-        raise InputError(f"{where}, column {name}", reason)
-    return column
+        return column.cast(pl.String)
+    return column.cast(pl.Float64) if isinstance(column.dtype, pl.Null) else column
 
 
 def _nanoseconds(column: pl.Series, unit: str) -> pl.Series:
@@ -267,6 +245,7 @@ def _nanoseconds(column: pl.Series, unit: str) -> pl.Series:
 
 
 def _rounded(column: pl.Series, unit: str) -> pl.Series:
+    """Return times of floating point as whole ns; null for other values."""
     with np.errstate(over="ignore"):
         values = column.cast(pl.Float64).fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
     if unit == "ns":

@@ -1,7 +1,6 @@
 """The command `slipflow benchmark`."""
 
 import sys
-from contextlib import suppress
 from pathlib import Path
 from shlex import quote
 from time import perf_counter
@@ -18,20 +17,13 @@ _QUICK_STEPS = 100
 
 
 def benchmark(
-    recipes: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="RECIPE|DATASET",
-            help="Fetched recipes (`slipflow fetch`) or dataset folders (default: all fetched recipes with"
-            " labels).",
-        ),
-    ] = None,
+    recipes: Annotated[list[str], typer.Argument(metavar="DATASET...", help="Folders of datasets.")],
     *,
     regime: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Only this regime: zero-shot, few-shot, in-domain; repeatable (default: all).",
+            help="Only this regime: zero-shot, adapted, few-shot, in-domain; repeatable (default: all).",
         ),
     ] = None,
     group: Annotated[
@@ -50,10 +42,6 @@ def benchmark(
     quick: Annotated[
         bool, typer.Option("--quick", help=f"Train for {_QUICK_STEPS} steps: a first impression.")
     ] = False,
-    to: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the recipes (default: that of `slipflow fetch`)."),
-    ] = None,
     seed: Seed = 0,
     jobs: Jobs = None,
     out: ReportFolder = Path("benchmark"),
@@ -62,8 +50,8 @@ def benchmark(
     """Evaluate detectors on real recordings of unseen surfaces.
 
     Holds out each surface or object (`group` of the sessions) in turn, or each recording if a dataset has
-    fewer than two groups. Regimes: zero-shot, detectors as they are; few-shot, trained on two labelled
-    minutes of the rest; in-domain, on all of the rest.
+    fewer than two groups. Regimes: zero-shot, detectors as they are; adapted, to 30 s of the held-out data
+    without labels; few-shot, trained on two labelled minutes of the rest; in-domain, on all of the rest.
     Samples are converted to the rate of each detector. Exits 2 if none can be evaluated on a dataset.
 
     Reports balanced accuracy, AUC, calibration error, events per minute, missed slips and delay with
@@ -72,7 +60,7 @@ def benchmark(
     CPU time; trained networks are kept in OUT/models. Needs the train extra.
 
     Examples:
-      slipflow benchmark strokes grasps
+      slipflow benchmark real/strokes real/grasps
       slipflow benchmark recordings --regime zero-shot --model mine.safetensors
     """
     from flows.learn.benchmark.benchmark_report import benchmark_report
@@ -81,7 +69,7 @@ def benchmark(
     from flows.learn.training.recipe import REAL_TOUCH, Recipe
     from operators.errors import InputError
 
-    datasets = _datasets(recipes or [], to)
+    datasets = {Path(text).resolve().name: Path(text) for text in recipes}
     prepare_report(out)
     steps = _QUICK_STEPS if quick else steps
     models, names, regimes = model or [], method or [], regime or list(REGIMES)
@@ -110,41 +98,9 @@ def benchmark(
         )
     options = "".join(f" --regime {each}" for each in regime or [])
     options += "".join(f" --group {quote(each)}" for each in group or [])
-    given = " ".join(recipes or datasets)
+    given = " ".join(recipes)
     command = f"slipflow benchmark {given}{options}{method_options(models, names)}"
     report = benchmark_report(found, f"{command} --steps {steps} --seed {seed}")
     write_report(report, out, "benchmark", as_json=as_json)
     if lacking := [each.data.name for each in found.datasets if not each.results]:
         raise InputError(", ".join(lacking), "no detector could be evaluated, for the reasons above")
-
-
-def _datasets(given: list[str], folder: Path | None) -> dict[str, Path]:
-    """Return the folders of datasets by name: folders, or fetched recipes (default: all that are labelled).
-
-    Raises:
-        InputError: if a recipe is unknown or was not fetched, or none was.
-    """
-    from flows.lab.recipes.dataset_recipe import load_recipe, shipped_recipes
-    from flows.lab.recipes.fetched import fetched_dataset, labelled_own_datasets, own_dataset
-    from operators.errors import InputError
-    from storage.layout import DATASET
-
-    found = dict[str, Path]()
-    for text in given:
-        path = Path(text)
-        if (path / DATASET).is_file():
-            found[path.resolve().name] = path
-        elif own := own_dataset(text, folder):
-            found[text] = own
-        else:
-            recipe = load_recipe(text)
-            found[recipe.name] = fetched_dataset(recipe, folder)
-    if not given:
-        for recipe in shipped_recipes():
-            with suppress(InputError):  # was not fetched
-                if recipe.labelled:
-                    found[recipe.name] = fetched_dataset(recipe, folder)
-        found |= labelled_own_datasets(folder)
-    if not found:
-        raise InputError("benchmark", "no labelled recipe was fetched: run `slipflow fetch strokes` first")
-    return found

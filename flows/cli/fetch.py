@@ -1,6 +1,5 @@
 """The command `slipflow fetch`."""
 
-import asyncio
 import json
 from pathlib import Path
 from typing import Annotated
@@ -8,76 +7,49 @@ from typing import Annotated
 import typer
 
 from flows.cli.options import AsJson
-from flows.cli.terminal import note, progress_bar
+from flows.cli.terminal import progress_bar
 
 
 def fetch(
     recipe: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="RECIPE",
-            help="Name of a recipe, or a recipe file such as mine.toml (default: list the recipes).",
-        ),
+        str | None, typer.Argument(metavar="NAME", help="Name of a recipe (default: list the recipes).")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="Folder of the dataset, new or empty.")
     ] = None,
     *,
-    to: Annotated[
-        Path | None,
-        typer.Option(
-            "--to",
-            metavar="DIR",
-            help="Folder of all recipes (default: $XDG_CACHE_HOME/slipflow, else ~/.cache/slipflow).",
-        ),
-    ] = None,
-    files: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Copy of the source, such as a git clone: verify and import it, download nothing.",
-        ),
-    ] = None,
-    mirror: Annotated[
+    source: Annotated[
         str | None,
         typer.Option(
-            "--from", metavar="URL", help="Download from a copy of the source on another server (https)."
+            "--from",
+            metavar="FOLDER|URL",
+            help="Copy of the source, such as a git clone or a mirror (default: the source on GitHub).",
         ),
     ] = None,
-    show: Annotated[
-        bool, typer.Option("--print", help="Print the recipe file, as a template to edit; download nothing.")
-    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Download, verify and import a public dataset of real touch.
 
-    A recipe names the source, the commit, the checksum of every file, the columns, the labels, the licence
-    and the citation. slipflow contains recipes, no data. Every file is verified; a file with another
-    checksum is never imported. An interrupted download continues where it ended. DIR/RECIPE/files has the
-    files of the source, DIR/RECIPE/dataset the dataset. Without a network, put the files into the first
-    folder, or use --files.
+    slipflow contains recipes, no data. A recipe states the source and its commit, the checksum of each file,
+    licence and citation. A file with another checksum is never imported. Verified files stay in the cache.
 
     Examples:
       slipflow fetch
-      slipflow fetch strokes
-      slipflow fetch grasps --to data --files ~/clones/proactive-slip-control
-      slipflow fetch strokes --print > mine.toml
+      slipflow fetch strokes real
+      slipflow fetch grasps real --from ~/clones/proactive-slip-control
     """
-    from flows.lab.recipes.dataset_recipe import load_recipe, recipe_file, shipped_recipes
-    from flows.lab.recipes.fetched import recipe_folder
+    from flows.lab.recipes.fetching import RECIPES
     from flows.lab.recipes.fetching import fetch as fetch_recipe
-    from flows.lab.recipes.recipe_text import recipe_json, recipe_summary, recipe_text, size_text
+    from operators.checks import check_choice
+    from operators.errors import ParameterError
 
     if recipe is None:
-        found = [*shipped_recipes()]
-        listed = [recipe_json(each) for each in found]
-        typer.echo(json.dumps(listed) if as_json else "\n".join(map(recipe_summary, found)))
+        listed = [each.json() for each in RECIPES.values()]
+        typer.echo(json.dumps(listed) if as_json else "\n".join(each.summary() for each in RECIPES.values()))
         return
-    if show:
-        typer.echo(recipe_file(recipe)[1], nl=False)
-        return
-    described = load_recipe(recipe)
-    if not (described.files or as_json):
-        typer.echo(recipe_text(described))
-    elif described.files:
-        note(f"{described.name}: {size_text(described.bytes)} into {recipe_folder(described, to)}")
+    check_choice("fetch", "NAME", recipe, RECIPES)
+    if out is None:
+        raise ParameterError("fetch", "OUT", None, "the folder of the new dataset")
     with progress_bar("fetching") as update:
-        done = asyncio.run(fetch_recipe(described, to, files=files, mirror=mirror, progress=update))
+        done = fetch_recipe(RECIPES[recipe], out, source, update)
     typer.echo(json.dumps(done.json()) if as_json else done.text())

@@ -23,7 +23,7 @@ def run(
         list[Path] | None,
         typer.Option(
             metavar="PATH",
-            help="Replay a session, all sessions of a dataset, or a trace: .csv, .parquet, .npz or .mcap.",
+            help="Replay a session, all sessions of a dataset, or a trace: .csv or .parquet.",
         ),
     ] = None,
     more: Annotated[

@@ -1,31 +1,31 @@
-"""Import of recorded traces as sessions of a dataset, for replay, training and evaluation."""
+"""Import of recordings as sessions of a dataset, for replay, training and evaluation."""
 
+import asyncio
+import json
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from connectors import Replay, Trace
-from connectors.files.column_map import COUNTS, JOINT, LABEL, LABELS, ColumnMap
-from connectors.files.pad import Pad, layout_text
+from connectors.files.column_map import COUNTS, LABEL, LABELS, ColumnMap, layout_text
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Labelled, Motion, Touch, s
-from operators.errors import InputError
-from operators.fingertip import RATE_TOLERANCE
-from operators.ports import Run
+from operators.errors import InputError, ParameterError
+from operators.ports import Description
 from storage import Dataset
+from storage.description import read_session
+from storage.layout import session_folder, session_names
 
-if TYPE_CHECKING:
-    from connectors.files.trace_table import TraceTable
-
-_DEFAULT: Final = ColumnMap()
-_UNKNOWN_PAD: Final = Pad()
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
+_DEFAULT: Final = ColumnMap()
 
 
 @dataclass
@@ -50,49 +50,25 @@ class AttachLabels(Operator[Zeroed, Labelled]):
         return Labelled(*touch, velocity, pose, matched, speed, label, finger=batch.finger)
 
 
+@dataclass
 class TraceImport:
     """Trace that was read but not written yet; `summary` and `report` show its interpretation.
 
-    Samples have the labels of the file or, if it has none, labels by the arm's speed.
+    Samples have the labels of the trace or, if it has none, labels by the arm's speed.
 
     Args:
-        source: The file, or a table that was read from one (`connectors.files.formats.read_table`).
+        trace: The trace.
         out: Folder of the dataset; created if absent.
-        columns: Map of the columns; unmapped ones are recognised by their usual names.
-        rate: Rows per second, Hz: of a file without a time; otherwise the expected rate.
-        finger: Number of the fingertip.
-        zeroed: Readings are relative to the unloaded fingertip (default: if one is negative).
-        label: Labels by the arm's speed, for a file without labels.
-        session: Name of the session (default: the file's name).
-        group: Surface or object of the recording, by which recordings are split.
-        pad: Layout and range of the fingertip.
-
-    Raises:
-        InputError: if the file has an invalid value, named by row and column, or another rate.
-        ParameterError: on an invalid parameter.
+        session: Name of the session.
+        label: Labels by the arm's speed.
+        stated: Quantities that the user mapped; others were recognised by their names.
     """
 
-    def __init__(
-        self,
-        source: "str | Path | TraceTable",
-        out: Path,
-        columns: ColumnMap = _DEFAULT,
-        *,
-        rate: float | None = None,
-        finger: int = 0,
-        zeroed: bool | None = None,
-        label: Label | None = None,
-        session: str | None = None,
-        group: str | None = None,
-        pad: Pad = _UNKNOWN_PAD,
-    ) -> None:
-        self.trace = Trace(source, columns, finger=finger, zeroed=zeroed, rate=rate, group=group, pad=pad)
-        found = self.trace.rate
-        if rate is not None and found is not None and abs(found / rate - 1) > RATE_TOLERANCE:
-            reason = f"has {found:.1f} rows per second, not {rate:g}: is its time in another unit?"
-            raise InputError(self.trace.name, reason)
-        self.session = session or session_name(self.trace.name)
-        self._out, self._columns, self._label, self._pad = out, columns, label or Label(), pad
+    trace: Trace
+    out: Path
+    session: str
+    label: Label = field(default_factory=Label)
+    stated: frozenset[str] = frozenset()
 
     @property
     def label_source(self) -> str:
@@ -101,79 +77,81 @@ class TraceImport:
             return "the file"
         if not len(self.trace.motion):
             return ""
-        delay = f", {self._label.delay / ms:g} ms after the sample" if self._label.delay else ""
-        return f"arm speed, slip above {1000 * self._label.speed:g} mm/s{delay}"
+        delay = f", {self.label.delay / ms:g} ms after the sample" if self.label.delay else ""
+        return f"arm speed, slip above {1000 * self.label.speed:g} mm/s{delay}"
 
     def flow(self) -> Flow:
         """Return the flow that writes the dataset."""
-        flow, dataset = Flow("import"), Dataset(self._out)
+        flow, dataset = Flow("import"), Dataset(self.out)
         touch = flow.source(Replay(self.trace, Touch), "touch")
         touch.to(dataset)
         attach = AttachLabels(tuple(self.trace.labels.tolist()))
         if len(self.trace.motion):
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
-            samples = (touch | Zero()) & motion | Align(within=20 * ms) | self._label
+            samples = (touch | Zero()) & motion | Align(within=20 * ms) | self.label
             (samples | attach if self.label_source == "the file" else samples).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
         return flow
 
-    async def write(self, progress: Callable[[int], None] = lambda _rows: None) -> Run:
-        """Write the session; `progress` is called with the number of rows written.
+    def write(self) -> None:
+        """Write the session.
 
         Raises:
             EndpointError: if the dataset cannot be written, or has a session of that name.
             ParameterError: if the session's name is not a valid file name.
             InputError: if the folder has files but is not a valid dataset.
         """
-
-        def report(run: Run) -> bool:
-            progress(run.sources["touch"].rows)
-            return False
-
-        return await ReplayRunner(self.flow(), self.trace, self.session).execute(report)
+        runner = ReplayRunner(self.flow(), self.trace, self.session)
+        try:
+            asyncio.get_running_loop()
+        except RuntimeError:
+            asyncio.run(runner.execute())
+        else:  # in a notebook
+            with ThreadPoolExecutor(1) as thread:
+                thread.submit(lambda: asyncio.run(runner.execute())).result()
 
     def summary(self) -> dict[str, Any]:
-        """Return the interpretation of the file as JSON data."""
+        """Return the interpretation as JSON data."""
         trace = self.trace
         speeds = trace.speeds  # (n,) m/s
         lowest, highest = trace.extent
         return {
             **trace.describe(),
-            "recognised": [name for name in trace.columns.columns if name not in self._columns.columns],
+            "recognised": [name for name in trace.columns.columns if name not in self.stated],
             "finger": trace.touch.finger,
             "seconds": int(trace.touch.time[-1] - trace.touch.time[0]) / s,
             "rate": trace.rate,
-            "unit": trace.columns.cell_units[1],
+            "unit": trace.columns.unit,
             "resolution": trace.resolution,
             "lowest": lowest,
             "highest": highest,
             "missing": trace.missing,
             "motion": len(trace.motion),
-            "moving": int((speeds > self._label.speed).sum()),
+            "moving": int((speeds > self.label.speed).sum()),
             "fastest": float(speeds.max()) if len(speeds) else None,
             "warnings": list(trace.warnings),
             "labelled": self.label_source or None,
             "labels": {name: int((trace.labels == code).sum()) for name, code in LABELS.items()},
-            "dataset": str(self._out),
+            "dataset": str(self.out),
             "session": self.session,
         }
 
     def interpretation(self) -> list[str]:
         """Return a line for each quantity, with its columns and their unit."""
-        trace, lines = self.trace, list[str]()
-        units = {**trace.columns.units, COUNTS: self._cells()}
-        for name, columns in trace.columns.columns.items():
+        found, lines = self.trace.columns, list[str]()
+        way = "zeroed" if self.trace.kind is Zeroed else "raw"
+        units = {**found.units, COUNTS: way if found.unit == "count" else f"{way}, {found.unit}"}
+        for name, columns in found.columns.items():
             notes = [units[name]] if name in units else []
-            notes += [f"times {trace.columns.lever:g} m"] if name == JOINT else []
-            notes += ["recognised by name"] if name not in self._columns.columns else []
+            notes += ["recognised by name"] if name not in self.stated else []
             text = f"  {name:9}{' '.join(columns)}"
             lines.append(f"{text}  ({', '.join(notes)})" if notes else text)
-        if self._pad.layout is not None:
-            lines.append(f"  layout   {layout_text(self._pad.layout)}  (cells of each row, from the top)")
-        if self._pad.range is not None:
-            low, high = self._pad.range
+        if found.layout is not None:
+            lines.append(f"  layout   {layout_text(found.layout)}  (cells of each row, from the top)")
+        if found.range is not None:
+            low, high = found.range
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
         if self.label_source not in ("", "the file"):
@@ -182,39 +160,193 @@ class TraceImport:
             lines.append("  no labels and no motion: no samples")
         return lines
 
-    def report(self) -> str:
-        """Return the interpretation of the file as text."""
+    def report(self, *, short: bool = False) -> str:
+        """Return the interpretation as text; `short`: without the columns."""
         found, trace = self.summary(), self.trace
-        lines = [f"{trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {trace.rate or 0.0:.1f} Hz"]
-        lines[0] += f" ({', '.join(trace.notes)})" if trace.notes else ""
-        lines += [*self.interpretation(), *stored([found])]
+        rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {trace.rate or 0.0:.1f} Hz"
+        notes = f" ({', '.join(trace.notes)})" if trace.notes else ""
+        unit, resolution = found["unit"], found["resolution"]
+        counts = "counts" if unit == "count" else unit
+        lines = [f"{trace.name}: {rows}{notes}", *(() if short else self.interpretation())]
+        lines.append(f"  readings from {found['lowest']:g} to {found['highest']:g} {counts}")
+        if (resolution, unit) != (1, "count"):
+            lines.append(f"  stored in steps of {resolution:g} {unit}")
         if found["motion"]:
-            moving = f"{found['moving']} of {found['motion']} rows, above {self._label.speed:g} m/s"
+            moving = f"{found['moving']} of {found['motion']} rows, above {self.label.speed:g} m/s"
             lines.append(f"  the arm moves in {moving}, at up to {found['fastest']:.3g} m/s")
         if self.label_source == "the file":
-            counts = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
-            lines.append(f"  labels of the file: {counts}")
+            labels = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
+            lines.append(f"  labels of the file: {labels}")
         lines += [f"  warning: {each}" for each in found["warnings"]]
         group = "" if trace.group is None else f", group {trace.group}"
-        return "\n".join([*lines, f"session {self.session} of {self._out}, finger {found['finger']}{group}"])
-
-    def _cells(self) -> str:
-        source, unit = self.trace.columns.cell_units
-        converted = "" if unit == "count" else f", {unit}" if source == unit else f", {source} as {unit}"
-        return ("zeroed" if self.trace.kind is Zeroed else "raw") + converted
+        return "\n".join([*lines, f"session {self.session} of {self.out}, finger {found['finger']}{group}"])
 
 
-def stored(files: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return lines on the range and the resolution of files, given their summaries.
+@dataclass(frozen=True, slots=True)
+class ImportedFile:
+    """Result of one file.
 
-    >>> stored([{"lowest": 95.2, "highest": 99, "resolution": 0.01, "unit": "kPa"}])
-    ['  readings from 95.2 to 99 kPa', '  stored in steps of 0.01 kPa']
+    Args:
+        path: The file.
+        state: ``written``, ``checked`` in a dry run, ``present`` if the dataset had it, or ``failed``.
+        error: Reason of a failure.
+        summary: Interpretation as JSON data; empty after a failure.
+        report: Interpretation as text, without the columns if they are those of the file before.
     """
-    resolution, unit = files[0]["resolution"], files[0]["unit"]
-    lowest, highest = min(each["lowest"] for each in files), max(each["highest"] for each in files)
-    lines = [f"  readings from {lowest:g} to {highest:g} {'counts' if unit == 'count' else unit}"]
-    exact = (resolution, unit) == (1, "count")  # stored as they are
-    return lines if exact else [*lines, f"  stored in steps of {resolution:g} {unit}"]
+
+    path: Path
+    state: str
+    error: str = ""
+    summary: dict[str, Any] = field(default_factory=dict[str, Any])
+    report: str = ""
+
+
+def import_frame(
+    frame: Any,  # noqa: ANN401 - all that pl.DataFrame takes
+    out: str | Path,
+    session: str,
+    columns: str | ColumnMap = _DEFAULT,
+    *,
+    group: str | None = None,
+    label: Label | None = None,
+    about: Description | None = None,
+) -> TraceImport:
+    """Write a DataFrame as a session of a dataset; return its interpretation.
+
+    Args:
+        frame: A polars or pandas DataFrame, or a dictionary of arrays (n,) or (n, k).
+        out: Folder of the dataset; created if absent.
+        session: Name of the session.
+        columns: Map of the columns, also as text or as the path of a TOML file.
+        group: Surface or object of the recording, by which recordings are split.
+        label: Labels by the arm's speed, for a recording without labels.
+        about: Further entries of the session's description.
+
+    Raises:
+        InputError: if it has an invalid value, named by row and column, or another rate.
+        ParameterError: on an invalid map or name of the session.
+        EndpointError: if the dataset cannot be written, or has a session of that name.
+    """
+    stated = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
+    trace = Trace(frame, stated, name=session, group=group, about=about)
+    found = TraceImport(trace, Path(out), session, label or Label(), frozenset(stated.columns))
+    found.write()
+    return found
+
+
+def import_files(
+    paths: Sequence[Path],
+    out: Path,
+    columns: ColumnMap = _DEFAULT,
+    *,
+    group: str = "",
+    session: str | None = None,
+    label: Label | None = None,
+    dry_run: bool = False,
+) -> Iterator[ImportedFile]:
+    """Import CSV and Parquet files one by one; files that the dataset has already are left out.
+
+    A file that cannot be imported does not stop the others. Files with a unit get the resolution of the
+    dataset or of the first of them, so that a detector can be trained on all.
+
+    Args:
+        paths: The files.
+        out: Folder of the dataset.
+        columns: Map of their columns.
+        group: Regular expression that is searched in the name of each file; its first group, or the whole
+            match, is the surface or object.
+        session: Name of the session of a single file (default: the file's name).
+        label: Labels by the arm's speed, for files without labels.
+        dry_run: Check the files and write nothing.
+
+    Raises:
+        InputError: if the only file cannot be imported, a file has no group, or two have the same name.
+        ParameterError: on an invalid pattern, a session name for several files, or a file as dataset.
+        EndpointError: if the dataset cannot be written.
+    """
+    if out.is_file():
+        raise ParameterError("import", "OUT", str(out), "a folder: the last argument is the dataset to write")
+    if session and len(paths) > 1:
+        raise ParameterError("import", "--session", session, "left out if there are several files")
+    names = [session] if session else sessions_of(paths)
+    groups = [group_of(path, group) for path in paths]
+    steps, before = _resolutions(out), list[str]()
+    for path, name, surface in zip(paths, names, groups, strict=True):
+        try:
+            trace = _read(path, columns, surface, steps)
+            found = TraceImport(trace, out, name, label or Label(), frozenset(columns.columns))
+            present = _is_present(out, name, trace.sha256)
+        except InputError as error:
+            if len(paths) == 1:
+                raise
+            yield ImportedFile(path, "failed", str(error))
+            continue
+        if not (present or dry_run):
+            found.write()
+        state = "present" if present else "checked" if dry_run else "written"
+        yield ImportedFile(
+            path, state, "", found.summary(), found.report(short=found.interpretation() == before)
+        )
+        before = found.interpretation()
+
+
+def _read(path: Path, columns: ColumnMap, group: str | None, steps: dict[str, float]) -> Trace:
+    """Read a file; a unit other than counts gets the resolution in `steps`, if there is one."""
+    trace = Trace(path, columns, group=group)
+    unit = trace.columns.unit
+    if columns.resolution is None and unit != "count":
+        step = steps.setdefault(unit, trace.resolution)
+        if step != trace.resolution:
+            trace = Trace(path, replace(columns, resolution=step), group=group)
+    return trace
+
+
+def _resolutions(out: Path) -> dict[str, float]:
+    """Return the resolution of a dataset's touch by its unit."""
+    for name in session_names(out) if out.is_dir() else ():
+        fingertips: Any = read_session(session_folder(out, name)).get("fingertips")
+        if tip := fingertips and fingertips.get("touch"):
+            return {str(tip["unit"]): float(tip["resolution"])}
+    return {}
+
+
+def _is_present(out: Path, session: str, sha256: str) -> bool:
+    """Return True if a dataset has a complete session of the same file.
+
+    Raises:
+        InputError: if it has a session of that name of another file, or an incomplete one.
+    """
+    if not out.is_dir() or session not in session_names(out):
+        return False
+    about = read_session(session_folder(out, session))
+    if f'"sha256": "{sha256}"' not in json.dumps(about.get("sources")):
+        raise InputError(str(out), f"already has a session {session!r} of another file: rename the file")
+    if not about.get("complete"):
+        reason = f"session {session!r} of the same file is incomplete: delete it and import it again"
+        raise InputError(str(out), reason)
+    return True
+
+
+def sessions_of(paths: Sequence[Path]) -> list[str]:
+    """Return a session name for each file; files of the same name get that of their folder too.
+
+    >>> sessions_of([Path("a/1.csv"), Path("b/1.csv"), Path("b/2.csv")])
+    ['a-1', 'b-1', '2']
+
+    Raises:
+        InputError: if two names are still the same.
+    """
+    names = [session_name(str(path)) for path in paths]
+    often = Counter(names)
+    names = [
+        session_name(f"{path.parent.name}-{path.name}") if often[name] > 1 else name
+        for path, name in zip(paths, names, strict=True)
+    ]
+    seen = dict[str, Path]()
+    for path, name in zip(paths, names, strict=True):
+        if (other := seen.setdefault(name.casefold(), path)) is not path:
+            raise InputError(str(path), f"has the same session name as {other}: {name}; rename one")
+    return names
 
 
 def session_name(file: str) -> str:
@@ -225,3 +357,25 @@ def session_name(file: str) -> str:
     """
     stem = Path(file.removesuffix(".gz")).stem
     return _UNSAFE.sub("-", stem).strip("-._")[:128] or "trace"
+
+
+def group_of(path: Path, pattern: str) -> str | None:
+    """Return the surface or object that a file's name states; None without a pattern.
+
+    >>> group_of(Path("data/steel_vel3.csv"), "(.+)_vel"), group_of(Path("12_wood.csv"), "[a-z]+")
+    ('steel', 'wood')
+
+    Raises:
+        InputError: if the name does not match.
+        ParameterError: if the pattern is invalid.
+    """
+    if not pattern:
+        return None
+    try:
+        match = re.search(pattern, path.name)
+    except re.error as error:
+        raise ParameterError("import", "--group", pattern, f"a regular expression: {error}") from None
+    group = match and match[min(1, match.re.groups)]
+    if not group:
+        raise InputError(str(path), f"has no group: its name does not match --group {pattern!r}")
+    return group

@@ -1,4 +1,4 @@
-"""TOML files as dataclasses, such as collection plans and recipes."""
+"""TOML files as dataclasses, such as collection plans."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -51,7 +51,7 @@ def parse_toml(kind: type[T], path: Path, text: str) -> T:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # also a number without end, and nested keys
         raise InputError(str(path), f"is not valid TOML: {error}") from None
     return _Reader(str(path)).table(kind, {"name": path.stem, **table}, "")
 
@@ -96,8 +96,10 @@ class _Reader:
         if origin is Literal:
             check_choice(self._file, key, value, arguments)
             return value
-        if origin is Mapping or is_dataclass(kind):
-            return self._table(kind, value, key)
+        if is_dataclass(kind):
+            if not isinstance(value, dict):
+                raise self._error(key, value, f"a table, [{key}]")
+            return self.table(cast("type[Any]", kind), value, key)
         found = float(value) if kind is float and type(value) is int else value
         if type(found) is not kind:
             raise self._error(key, value, _TYPES[cast("type", kind)])
@@ -112,15 +114,6 @@ class _Reader:
             raise self._error(key, value, f"a list of {len(kinds)} values" if kinds else "a list")
         for number, (kind, item) in enumerate(zip(kinds, items, strict=True)):
             yield self._value(kind, item, f"{key}[{number}]")
-
-    def _table(self, kind: object, value: object, key: str) -> object:
-        if not isinstance(value, dict):
-            raise self._error(key, value, f"a table, [{key}]")
-        table = cast("dict[str, object]", value)
-        if is_dataclass(kind):
-            return self.table(cast("type[Any]", kind), table, key)
-        of = get_args(kind)[1]  # a mapping of names
-        return {name: self._value(of, each, _dotted(key, name)) for name, each in table.items()}
 
     def _quantity(self, value: object, unit: str, key: str) -> float:
         if not isinstance(value, str):

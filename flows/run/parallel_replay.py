@@ -164,7 +164,7 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     Raises:
         InputError: if it is neither, or damaged.
     """
-    from connectors.files.formats import ENDINGS  # noqa: PLC0415 - slow import, rarely needed
+    from connectors.files.container import ENDINGS  # noqa: PLC0415 - slow import, rarely needed
     from connectors.files.trace import Trace  # noqa: PLC0415 - slow import, rarely needed
 
     if not path.name.endswith(ENDINGS):
@@ -176,7 +176,7 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
         reason = f"{error.reason} (convert it with slipflow import --map, then replay the result)"
         raise InputError(error.where, reason) from error
     for each in trace.warnings:
-        warn(f"warning: {path}: {each} (slipflow import has --units)")
+        warn(f"warning: {path}: {each} (slipflow import --map states units)")
     return trace
 
 

@@ -7,6 +7,7 @@ from time import process_time
 from typing import Final, Self
 
 from connectors import Trace
+from connectors.files.column_map import ColumnMap
 from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import MotionConfusions
@@ -93,7 +94,7 @@ def read_trace(path: Path) -> LabelledRecording:
     Raises:
         InputError: if a row has no label, or the file is not a trace.
     """
-    trace = Trace(path, zeroed=True)
+    trace = Trace(path, ColumnMap(zeroed=True))
     if (trace.labels == UNKNOWN).any():
         raise InputError(str(path), "has rows without a label; label each row")
     return LabelledRecording(trace.touch.counts, trace.labels, path.stem, name=path.stem)

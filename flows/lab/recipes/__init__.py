@@ -1,1 +1,1 @@
-"""Recipes of public datasets: download, verification and import."""
+"""Recipes of public datasets: Python functions that turn the published files into DataFrames."""

@@ -1,186 +1,123 @@
-"""Fetch of a recipe: download or local files, verification, import as a dataset."""
+"""Fetch of a recipe: pooch downloads and verifies its files, which are imported into a new dataset."""
 
-import os
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
-from shutil import rmtree
-from typing import Any, TypeAlias
+from typing import Any, Final
 
-from connectors.files.column_map import TIME
-from flows.lab.importing import TraceImport
-from flows.lab.recipes.dataset_recipe import DatasetRecipe
-from flows.lab.recipes.download import Download, is_verified, location
-from flows.lab.recipes.fetched import DATASET, FILES, RECORD, is_fetched, recipe_folder
-from flows.lab.recipes.recipe_text import recipe_json, recipe_text, size_text
-from flows.lab.recipes.source_table import source_table
+from flows.lab.importing import import_frame
+from flows.lab.recipes.dataset_recipe import DatasetRecipe, Locate
+from flows.lab.recipes.grasps import GRASPS
+from flows.lab.recipes.strokes import STROKES
 from flows.report.table import counted
-from operators.errors import EndpointError, InputError, os_error_reason
-from storage.files import PARTIAL, make_folder, partial_folder, put_json, read_json
-from storage.lock import lock
+from operators.errors import EndpointError, InputError
+from operators.extras import require_extra
+from storage.files import partial_folder
 
-Progress: TypeAlias = Callable[[int, int, str], None]  # done, of how many kB or recordings, part
+RECIPES: Final = {recipe.name: recipe for recipe in (GRASPS, STROKES)}
+
+_ATTEMPTS: Final = 3  # after a failed download
 
 
-@dataclass(frozen=True)
+@dataclass
 class Fetched:
-    """Result of a fetch.
-
-    Args:
-        recipe: The recipe.
-        dataset: Folder of the dataset.
-        files: Folder of the source files.
-        loaded: Number of files that were downloaded now.
-        imported: The dataset was written now; False: it was there.
-        contents: Sessions, groups, seconds and labels of the dataset, and notes on the import.
-    """
+    """Contents of a fetched dataset."""
 
     recipe: DatasetRecipe
     dataset: Path
-    files: Path
-    loaded: int
-    imported: bool
-    contents: dict[str, Any]
+    sessions: int = 0
+    seconds: float = 0.0
+    groups: set[str] = field(default_factory=set[str])
+    labels: Counter[str] = field(default_factory=Counter[str])
 
     def json(self) -> dict[str, Any]:
-        """Return the result as JSON data."""
-        return {
-            **recipe_json(self.recipe),
-            "dataset": str(self.dataset),
-            "files": str(self.files),
-            "downloaded": self.loaded,
-            "imported": self.imported,
-            "contents": self.contents,
-        }
+        """Return the recipe and the contents as JSON data."""
+        found = {"dataset": str(self.dataset), "sessions": self.sessions, "groups": sorted(self.groups)}
+        return {**self.recipe.json(), **found, "seconds": self.seconds, "labels": dict(self.labels)}
 
     def text(self) -> str:
-        """Return the result as text."""
-        recipe, found = self.recipe, self.contents
-        lines = [recipe_text(recipe)]
-        if self.imported:
-            verified = f"{counted(len(recipe.files), 'file')}, {size_text(recipe.bytes)}, all checksums match"
-            lines.append(f"{self.files}: {verified}; {self.loaded} downloaded now")
-        groups = f", {counted(len(found['groups']), recipe.group)}" if recipe.split == "group" else ""
-        labels = ", ".join(f"{rows:,} {name}" for name, rows in found["labels"].items() if rows)
-        size = f"{counted(found['sessions'], 'session')}{groups}, {found['seconds'] / 60:.1f} minutes"
-        state = "" if self.imported else "fetched before; "
-        lines.append(f"{self.dataset}: {state}{size}; {labels if recipe.labelled else 'no labels'}")
-        return "\n".join([*lines, *(f"note: {each}" for each in found["notes"])])
+        """Return the recipe and the contents as text."""
+        groups = f", {counted(len(self.groups), 'group')}" if self.groups else ""
+        labels = ", ".join(f"{rows:,} {name}" for name, rows in self.labels.items() if rows)
+        size = f"{counted(self.sessions, 'session')}{groups}, {self.seconds / 60:.1f} minutes"
+        return f"{self.recipe.text()}\n{self.dataset}: {size}; {labels}"
 
 
-async def fetch(
+def fetch(
     recipe: DatasetRecipe,
-    folder: Path | None = None,
-    *,
-    files: Path | None = None,
-    mirror: str | None = None,
-    progress: Progress = lambda _done, _total, _part: None,
+    out: Path,
+    source: str | None = None,
+    progress: Callable[[int, int, str], object] = lambda _done, _total, _part: None,
 ) -> Fetched:
-    """Download, verify and import the files of a recipe; what is there and verified is kept.
+    """Download and verify the files of a recipe, and import them into a new dataset.
+
+    Verified files stay in the cache of the user, ``slipflow/NAME``.
 
     Args:
         recipe: The recipe.
-        folder: Folder of all recipes; default: `cache_folder`.
-        files: Folder with a copy of the source's files, instead of a download.
-        mirror: Folder of the files on another server.
-        progress: Called with the kB or recordings that are done, all of them, and the part in progress.
+        out: Folder of the dataset, new or empty.
+        source: A mirror of the files, or a folder with a copy of the source.
+        progress: Called with the number of files that are there, their total, and the name of the next.
 
     Raises:
-        InputError: if the recipe has no files, a file in `files` is missing or differs, or has an invalid
-            value.
-        EndpointError: if a file cannot be downloaded, or a folder cannot be written.
-        ParameterError: if the mirror is not https, or http on this machine.
+        InputError: if a file of the copy is missing or differs, or has an invalid value.
+        EndpointError: if a file cannot be downloaded or differs, or the dataset cannot be written.
+        ParameterError: if the map of a recipe does not fit its columns.
     """
-    if not recipe.files:
-        raise InputError(
-            f"recipe {recipe.name}",
-            f"only documents a dataset, without checksums: download it from {recipe.page}, then use `slipflow"
-            " import`, or write a recipe with checksums",
-        )
-    where = recipe_folder(recipe, folder)
-    with _locked(where):
-        if is_fetched(recipe, where):
-            contents = read_json(where / RECORD)["dataset"]
-            return Fetched(recipe, where / DATASET, where / FILES, 0, imported=False, contents=contents)
-        if files:
-            check_files(recipe, files)
-        source, loaded = files or where / FILES, 0
-        if not files:
-
-            def kilobytes(done: int, total: int, part: str) -> None:
-                progress(done // 1000, total // 1000, part)
-
-            loaded = len(await Download(recipe, source, mirror).run(kilobytes))
-        (where / RECORD).unlink(missing_ok=True)
-        for old in (where / DATASET, where / f"{DATASET}{PARTIAL}"):  # of another version, or of a killed run
-            rmtree(old, ignore_errors=True)
-        with partial_folder(where / DATASET) as dataset:
-            contents = await _import(recipe, source, dataset, progress)
-        put_json(where / RECORD, {"recipe": recipe.digest, **recipe_json(recipe), "dataset": contents})
-    return Fetched(recipe, where / DATASET, source, loaded, imported=True, contents=contents)
+    require_extra("fetch", "fetch")
+    with partial_folder(out.resolve()) as dataset:
+        locate = _copy(recipe, Path(source)) if source and Path(source).is_dir() else _cache(recipe, source)
+        files = dict[str, Path]()
+        for number, path in enumerate(recipe.registry):
+            progress(number, len(recipe.registry), Path(path).name)
+            files[path] = locate(path)
+        found = Fetched(recipe, out)
+        about = {"recipe": recipe.name, "source": recipe.page, "licence": recipe.licence}
+        for recording in recipe.recordings(files.__getitem__):
+            done = import_frame(
+                recording.frame, dataset, recording.name, recipe.columns, group=recording.group, about=about
+            ).summary()
+            found.sessions += 1
+            found.seconds += done["seconds"]
+            found.labels.update(done["labels"])
+            found.groups |= {recording.group} if recording.group else set()
+    return found
 
 
-def check_files(recipe: DatasetRecipe, folder: Path) -> None:
-    """Verify the files of a recipe in a folder.
+def _cache(recipe: DatasetRecipe, mirror: str | None) -> Locate:
+    """Return the function that downloads a file into the cache and verifies it."""
+    import pooch  # noqa: PLC0415 - of an extra
 
-    Raises:
-        InputError: naming the first file that is missing or differs, and how many do.
-        EndpointError: if one cannot be read, or a link leads out of the folder.
-    """
-    wrong = [file for file in recipe.files if not is_verified(file, location(file, folder))]
-    if wrong:
-        first, path = wrong[0], folder / wrong[0].path
-        problem = "differs from the source (another size or checksum)" if path.exists() else "does not exist"
-        others = f", as do {len(wrong) - 1} others" if len(wrong) > 1 else ""
-        raise InputError(
-            str(path),
-            f"{problem}{others}: get {recipe.link(first)}; {folder} must be like a clone of {recipe.page}",
-        )
+    pooch.get_logger().setLevel("WARNING")
+    files = pooch.create(
+        path=pooch.os_cache("slipflow") / recipe.name,
+        base_url=f"{mirror.rstrip('/')}/" if mirror else recipe.base_url,
+        registry=dict(recipe.registry),
+        retry_if_failed=_ATTEMPTS,
+    )
 
+    def locate(path: str) -> Path:
+        try:
+            return Path(files.fetch(path))
+        except (OSError, ValueError) as error:  # of requests, of the disk, of another checksum
+            reason = str(error).partition("\n")[0]
+            remedy = f"repeat the command, or give a copy of {recipe.page} with --from FOLDER"
+            raise EndpointError(files.get_url(path), f"was not fetched: {reason:.200}; {remedy}") from error
 
-async def _import(recipe: DatasetRecipe, files: Path, dataset: Path, progress: Progress) -> dict[str, Any]:
-    """Import all recordings into a new dataset and return its contents."""
-    columns = replace(recipe.column_map, units={**recipe.units, TIME: "ns"}, resolution=recipe.resolution)
-    seconds, notes, labels = 0.0, list[str](), dict[str, int]()
-    for number, recording in enumerate(recipe.recordings):
-        progress(number, len(recipe.recordings), recording.name)
-        table = source_table(recipe, recording, files)
-        trace = TraceImport(
-            table,
-            dataset,
-            columns,
-            rate=recipe.rate,
-            zeroed=recipe.zeroed,
-            session=recording.name,
-            group=recording.group or None,
-            pad=recipe.pad,
-        )
-        await trace.write()
-        found = trace.summary()
-        seconds += found["seconds"]
-        notes += [f"{recording.name}: {each}" for each in (*table.notes, *found["warnings"])]
-        labels = {name: labels.get(name, 0) + rows for name, rows in found["labels"].items()}
-    return {
-        "sessions": len(recipe.recordings),
-        "groups": sorted({each.group for each in recipe.recordings}),
-        "seconds": round(seconds, 3),
-        "labels": labels,
-        "notes": notes,
-    }
+    return locate
 
 
-@contextmanager
-def _locked(folder: Path) -> Generator[None]:
-    """Make a folder and lock it."""
-    try:
-        make_folder(folder, parents=True)
-        descriptor = lock(folder)
-    except OSError as error:
-        raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
-    if descriptor is None:
-        raise EndpointError(str(folder), "is in use by another `slipflow fetch`: wait until it has finished")
-    try:
-        yield
-    finally:
-        os.close(descriptor)
+def _copy(recipe: DatasetRecipe, folder: Path) -> Locate:
+    """Return the function that verifies a file of a copy of the source."""
+    import pooch  # noqa: PLC0415 - of an extra
+
+    def locate(path: str) -> Path:
+        file = folder / path
+        if not file.is_file():
+            raise InputError(str(file), f"does not exist: {folder} must be like a clone of {recipe.page}")
+        if pooch.file_hash(str(file)) != recipe.registry[path]:
+            raise InputError(str(file), f"differs from the file in {recipe.page}: its sha256 is another one")
+        return file
+
+    return locate

@@ -12,11 +12,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from connectors import Trace
-from connectors.files.csv_table import SEPARATORS, read_csv
+from connectors.files.column_map import ColumnMap
+from connectors.files.container import read_table
+from connectors.files.csv_table import SEPARATORS
+from connectors.files.trace_table import TraceTable
 from operators.errors import InputError, ParameterError
 
 Write = Callable[[str], Path]
 NAMES = "t", "p0", "p1"
+
+
+def read_csv(path: Path, separator: str = "", header: tuple[str, ...] = ()) -> TraceTable:
+    return read_table(path, ColumnMap(separator=separator, header=header))
 
 
 @pytest.fixture
@@ -90,7 +97,7 @@ def test_a_file_without_names_gets_them(write: Write) -> None:
     assert table.reals("p1").tolist() == [2, 4]
     with pytest.raises(InputError, match="line 2, column p0: is 'x'"):
         table.reals("p0")
-    with pytest.raises(InputError, match=r"line 1: has more fields than --header has names"):
+    with pytest.raises(InputError, match=r"line 1: has more fields than the header of the map has names"):
         read_csv(path, header=NAMES[:2])
 
 
@@ -130,12 +137,19 @@ def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pyt
         InputError, match=r"more than 1 MiB, the limit .* at most 17\d,\d{3} lines, each with"
     ):
         read_csv(path)
-    path.write_bytes(path.read_bytes()[:100])
-    with pytest.raises(InputError, match="is a damaged gzip file"):
-        read_csv(path)
+    packed = path.read_bytes()
+    for damaged in (packed[:100], packed[:20] + bytes(20) + packed[40:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="is a damaged gzip file"):
+            read_csv(path)
     path.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
     with pytest.raises(InputError, match="is compressed: decompress it first, or use gzip"):
         read_csv(path)
+
+
+def test_a_table_of_very_many_columns_is_refused_at_once(write: Write) -> None:
+    with pytest.raises(InputError, match="has more than 4096 columns"):
+        read_csv(write(",".join(map(str, range(20_000))) + "\n" + "1," * 19_999 + "1\n"))
 
 
 def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
@@ -143,6 +157,8 @@ def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
         InputError, match="the last line has fewer fields than line 1 has names: it is cut off"
     ):
         read_csv(write("t,p0,p1\n1,2,3\n2,3"))
+    lenient = read_table(write("t,p0,p1\n1,2,3\n2,3"), ColumnMap(lenient=True))
+    assert lenient.reals("p0").tolist() == [2, 3]
 
 
 def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:
@@ -176,7 +192,7 @@ def test_times_may_be_dates(write: Write) -> None:
     table = read_csv(write("t;p0\n2026-11-23 15:00:00.25;1\n2026-11-23 15:00:01,5;2\n"), "semicolon")
     with pytest.raises(InputError, match="line 3, column t"):
         table.times("t", "s")
-    trace = Trace(read_csv(write("t,p0,p1\n2026-11-23T15:00:00.25Z,1,2\n2026-11-23T15:00:00.26Z,1,2\n")))
+    trace = Trace(write("t,p0,p1\n2026-11-23T15:00:00.25Z,1,2\n2026-11-23T15:00:00.26Z,1,2\n"))
     assert trace.touch.time.tolist() == [1795446000250000000, 1795446000260000000]
 
 

@@ -1,17 +1,16 @@
-"""Damaged files of all formats."""
+"""Damaged files, and files of other formats."""
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 
-from connectors.files.formats import read_table
+from connectors.files.column_map import ColumnMap
+from connectors.files.container import read_table
 from operators.errors import InputError
 
 TIME = np.arange(20) / 100
@@ -26,28 +25,13 @@ def write_parquet(path: Path) -> None:
     frame.write_parquet(path)
 
 
-def write_npz(path: Path) -> None:
-    np.savez_compressed(path, t=TIME, p0=np.arange(20), p1=np.array(list("abcdefghijklmnopqrst")))
-
-
-def write_mcap(path: Path) -> None:
-    with path.open("wb") as file:
-        writer: Any = Writer(file)
-        writer.start()
-        schema = writer.register_schema("pad", "jsonschema", b"{}")
-        channel = writer.register_channel("/pad", "json", schema)
-        for row in range(20):
-            writer.add_message(channel, row, b'{"p0": 1, "p1": [1, 2], "p2": "a"}', row)
-        writer.finish()
-
-
-FORMATS = {".csv": write_csv, ".parquet": write_parquet, ".npz": write_npz, ".mcap": write_mcap}
+FORMATS = {".csv": write_csv, ".parquet": write_parquet}
 
 
 def refusal(path: Path) -> str:
     """Return the error with which a file is refused; empty if it is read."""
     try:
-        read_table(path)
+        read_table(path, ColumnMap())
     except InputError as error:
         return str(error)
     return ""
@@ -76,3 +60,23 @@ def test_any_content_is_read_or_refused_in_one_line(ending: str, tmp_path: Path,
     path = tmp_path / f"trace{ending}"
     path.write_bytes(content)
     assert "\n" not in refusal(path)
+
+
+@pytest.mark.parametrize(
+    ("first", "name"),
+    [
+        (b"\x89MCAP0\r\n", "an MCAP file"),
+        (b"SQLite format 3\0", "a ROS 2 bag"),
+        (b"#ROSBAG V2.0\n", "a ROS 1 bag"),
+        (b"PK\x03\x04", "a ZIP file, such as NPZ or Excel"),
+        (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+        (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+        (b"\x93NUMPY", "an array of numpy"),
+    ],
+)
+def test_another_format_is_named_with_the_remedy(tmp_path: Path, first: bytes, name: str) -> None:
+    path = tmp_path / "trace.dat"
+    path.write_bytes(first + bytes(50))
+    assert refusal(path) == (
+        f"{path}: is {name}: read it in Python and pass a DataFrame to import_frame (docs/how-to/import.md)"
+    )

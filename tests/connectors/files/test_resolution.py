@@ -1,6 +1,7 @@
-"""Readings in any unit as counts of 16 bits."""
+"""Readings in any unit as counts of 16 bits, and their fingertip."""
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,23 +9,20 @@ from hypothesis.extra import numpy as st_numpy
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from connectors.files.resolution import COUNT_LIMIT, at_least, common, needed, offsets
-from connectors.files.trace_table import TraceTable
+from connectors.files.resolution import COUNT_LIMIT, at_least, offsets, resolution_of
+from operators import FingertipError, Pool
 from operators.batch import Reals, Touch, Zeroed
-from operators.errors import InputError
+from operators.errors import InputError, ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 
 
-def columns(unit: str = "count", resolution: float | None = None) -> ColumnMap:
-    return ColumnMap({"counts": ("p*",)}, {"counts": unit}, resolution=resolution)
+def columns(unit: str = "count", resolution: float | None = None, *, zeroed: bool | None = None) -> ColumnMap:
+    return ColumnMap({"counts": ("p*",)}, {"counts": unit}, resolution=resolution, zeroed=zeroed)
 
 
-def table(*readings: list[float], dtype: str = "f8") -> TraceTable:
-    return TraceTable(
-        {
-            "t": np.arange(len(readings[0])) / 100,
-            **{f"p{i}": np.array(each, dtype) for i, each in enumerate(readings)},
-        }
-    )
+def table(*readings: list[float], dtype: str = "f8") -> pl.DataFrame:
+    cells = {f"p{i}": np.array(each, dtype) for i, each in enumerate(readings)}
+    return pl.DataFrame({"t": np.arange(len(readings[0])) / 100, **cells})
 
 
 def given_back(trace: Trace) -> Reals:
@@ -39,7 +37,7 @@ finite = st.floats(-1e9, 1e9, allow_nan=False).map(lambda value: round(value, 9)
 @given(st_numpy.arrays(np.float64, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=finite))
 def test_readings_come_back_within_half_a_step_that_is_as_fine_as_16_bits_allow(values: Reals) -> None:
     for zeroed in (False, True):
-        resolution = common([needed(values)], offset=not zeroed)
+        resolution = resolution_of(values, offset=not zeroed)
         offset = np.zeros(values.shape[1]) if zeroed else offsets(values, resolution)
         counts = np.rint(values / resolution - offset)
         assert np.abs(counts).max() <= COUNT_LIMIT
@@ -66,7 +64,6 @@ def test_a_usual_step_is_at_most_two_and_a_half_times_as_large(step: float) -> N
         ([0.0, 3.141592, 5.0], "V", 0.0002, False),
         ([98270.25, 143262.0, 98000.75], "Pa", 1, True),
         ([98270.25, 98262.0, 98271.75], "Pa", 0.25, True),
-        ([98270.25, 143262.0, 98000.75], "Pa:kPa", 0.001, True),
         ([0.0, 0.0, 0.0], "N", 1, False),
         ([0.125, 0.375, 2.0], "N", 0.025, False),
     ],
@@ -77,13 +74,10 @@ def test_the_resolution_keeps_all_digits_if_it_can(
     trace = Trace(table(readings), columns(unit))
     assert trace.resolution == resolution
     assert trace.offset.any() == offset
-    factor = 0.001 if unit == "Pa:kPa" else 1
-    assert given_back(trace)[:, 0] == pytest.approx(
-        [each * factor for each in readings], abs=resolution * 0.51
-    )
+    assert given_back(trace)[:, 0] == pytest.approx(readings, abs=resolution * 0.51)
     fingertip = trace.fingertip(Touch)
     assert fingertip is not None
-    assert (fingertip.unit, fingertip.resolution) == (unit.rpartition(":")[2], resolution)
+    assert (fingertip.unit, fingertip.resolution) == (unit, resolution)
 
 
 def test_readings_of_32_bit_floats_have_the_resolution_of_their_decimals() -> None:
@@ -94,17 +88,18 @@ def test_readings_of_32_bit_floats_have_the_resolution_of_their_decimals() -> No
 def test_readings_relative_to_the_unloaded_fingertip_have_no_offset() -> None:
     pressures = table([98270.25, 143262.0, 98000.75])
     for zeroed, resolution in ((True, 5), (False, 1)):
-        trace = Trace(pressures, columns("Pa"), zeroed=zeroed)
+        trace = Trace(pressures, columns("Pa", zeroed=zeroed))
         assert trace.kind is (Zeroed if zeroed else Touch)
         assert trace.resolution == resolution
         assert trace.offset.any() != zeroed
     assert Trace(table([-0.5, 2.0]), columns("N")).kind is Zeroed
-    assert Trace(table([-0.5, 2.0]), columns("N"), zeroed=False).kind is Touch
+    assert Trace(table([-0.5, 2.0]), columns("N", zeroed=False)).kind is Touch
 
 
 def test_a_given_resolution_is_kept_and_must_fit() -> None:
     trace = Trace(table([0.1234, 5.0]), columns("V", 0.01))
     assert trace.touch.counts[:, 0].tolist() == [12, 500]
+    assert "the readings are rounded to steps of 0.01 V" in trace.warnings
     assert Trace(table([2.5, 1000]), columns(resolution=0.5)).touch.counts[:, 0].tolist() == [5, 2000]
     with pytest.raises(
         InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a res"
@@ -112,9 +107,39 @@ def test_a_given_resolution_is_kept_and_must_fit() -> None:
         Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4))
 
 
-def test_recordings_can_have_a_common_resolution() -> None:
-    fine, coarse = needed(np.array([[1.25], [2.5]])), needed(np.array([[1.1], [3.0]]))
-    assert (fine.exact, coarse.exact) == (0.25, 0.1)
-    assert common([fine, coarse], offset=True) == 0.1
-    rough = needed(np.array([[0.0], [1e5 + 1 / 3]]))
-    assert common([fine, rough], offset=False) == 5
+def described(text: str, cells: int = 4, base: float = 100) -> Fingertip:
+    readings = {f"c{cell}": [base + 10 * cell + k % 7 for k in range(9)] for cell in range(cells)}
+    trace = Trace({"t": np.arange(9) / 100, **readings}, ColumnMap.parse(text))
+    found = trace.fingertip(Touch)
+    assert found is not None
+    return found
+
+
+def test_a_fingertip_has_the_stated_layout_and_range() -> None:
+    found = described("layout=4x1,range=0:4000")
+    assert (found.layout, found.range, found.falls) == (((0,), (1,), (2,), (3,)), (0, 4000), False)
+    found = described("layout=3, 2, 1/-1, 0, -1,range=4095:0")
+    assert (found.layout, found.falls) == (((3, 2, 1), (-1, 0, -1)), True)
+    found = described("")
+    assert (found.layout, found.range, found.falls) == (((0, 1), (2, 3)), None, None)
+    with pytest.raises(ParameterError, match=r"layout is '0,1,2/3,4,5/6,7,8', must be of 4 cells"):
+        described("layout=3x3")
+    with pytest.raises(ParameterError, match="must be rows that name each cell from 0 on once"):
+        described("layout=0,1/2,2")
+    with pytest.raises(ParameterError, match="must be two different counts"):
+        described("range=5:5")
+
+
+def test_a_range_in_the_unit_of_the_file_becomes_counts() -> None:
+    assert described("range=0:1e9").range == (0, 32767)
+    found = described("range=100000:101000,units.counts=Pa", base=100_000)
+    assert found.range is not None
+    assert (found.resolution, found.range[1] - found.range[0]) == (1, 1000)
+    assert abs(found.range[0]) < 32767
+
+
+def test_rising_counts_of_six_cells_are_refused_by_a_detector_for_falling_ones() -> None:
+    rising = described("range=0:4000", cells=6)
+    with pytest.raises(FingertipError, match=r"needs .*falling as pressure rises; .* Pool\(gain=-1\)"):
+        TAKKTILE.check_fits("tcn", rising)
+    TAKKTILE.check_fits("tcn", Pool(gain=-1).output_fingertip(rising))

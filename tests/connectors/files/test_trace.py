@@ -4,15 +4,16 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from connectors.files.trace_table import TraceTable
 from operators.batch import EVERY, Motion, Touch, Zeroed, concat
-from operators.errors import InputError, ParameterError
+from operators.errors import InputError
 
 Write = Callable[..., Path]
 MAP_IT = "map it (import --map, ColumnMap.parse), for example"
@@ -74,8 +75,8 @@ def test_columns_have_their_usual_names(write: Write, header: str) -> None:
 def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
     names = [f"cell {i}" for i in range(6)]
     path = write(",".join(["truth", *reversed(names), "stamp_ns"]), "1,6,5,4,3,2,1,1700000000123456789")
-    columns = ColumnMap({"time": ("stamp_ns",), "counts": tuple(names), "label": ("truth",)})
-    trace = Trace(path, columns, finger=3)
+    columns = ColumnMap({"time": ("stamp_ns",), "counts": tuple(names), "label": ("truth",)}, finger=3)
+    trace = Trace(path, columns)
     assert trace.touch.time.tolist() == [1700000000123456789]
     assert trace.touch.counts.tolist() == [[1, 2, 3, 4, 5, 6]]
     assert trace.labels.tolist() == [1]
@@ -93,7 +94,7 @@ def test_without_labels_every_row_is_unknown(write: Write) -> None:
 def test_counts_are_zeroed_if_one_is_negative_or_on_request(
     *, write: Write, lowest: int, zeroed: bool | None, kind: type[Touch]
 ) -> None:
-    trace = Trace(write(HEADER, "0,1,2,3,4,5,6", f"1,1,2,{lowest},4,5,6"), zeroed=zeroed)
+    trace = Trace(write(HEADER, "0,1,2,3,4,5,6", f"1,1,2,{lowest},4,5,6"), ColumnMap(zeroed=zeroed))
     assert trace.kind is type(trace.touch) is kind
     assert trace.fingers(Touch) == (0,)
     assert trace.fingers(Zeroed) == ((0,) if kind is Zeroed else ())
@@ -139,7 +140,7 @@ def test_quoted_fields_are_read(write: Write) -> None:
     assert (trace.touch.time.item(), trace.touch.counts[0, 0]) == (500_000_000, 1)
 
 
-WHOLE = "must be a whole number (or state a unit, as counts=kPa, or a resolution)"
+WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
 LABEL = "must be one of -1, 0, 1, false, true, slip, static, unknown"
 NUMBER = "must be a number or empty"
 
@@ -311,7 +312,7 @@ def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) 
     linear = Trace(write(f"{HEADER},VX,vy,vz,speed", "0,1,2,3,4,5,6,1,2,3,9"))
     assert linear.motion.velocity.tolist() == [[1, 2, 3, 0, 0, 0]]
     assert "speed" not in linear.columns.columns
-    columns = ColumnMap.parse("velocity=a1..a6", "velocity=cm/s")
+    columns = ColumnMap.parse("velocity=a1..a6,units.velocity=cm/s")
     whole = Trace(write(f"{HEADER},a1,a2,a3,a4,a5,a6", "0,1,2,3,4,5,6,1,2,3,4,5,6"), columns)
     assert whole.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
 
@@ -342,11 +343,16 @@ def test_a_time_has_the_given_unit_or_that_of_its_name(
 
 def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
     path = write(HEADER.removeprefix("t,"), *["1,2,3,4,5,6"] * 4)
-    trace = Trace(path, rate=30)
+    trace = Trace(path, ColumnMap(rate=30))
     assert trace.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
     assert trace.rate == pytest.approx(30)
-    with pytest.raises(ParameterError, match="rate is 0"):
-        Trace(path, rate=0)
+
+
+def test_a_stated_rate_must_match_the_times(write: Write) -> None:
+    path = write(HEADER, *(f"{k * 10},1,2,3,4,5,6" for k in range(9)))
+    with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: is its time in another unit"):
+        Trace(path, ColumnMap(rate=100))
+    assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).rate == pytest.approx(100)
 
 
 def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -365,37 +371,21 @@ def test_the_real_trace_is_read_whole() -> None:
     assert trace.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
 
 
-@pytest.mark.parametrize("finger", [-1, 32768, 99_999_999])
-def test_a_fingertip_that_cannot_be_stored_is_rejected(tmp_path: Path, finger: int) -> None:
-    with pytest.raises(ParameterError, match=f"finger is {finger}, must be from 0 to 32767"):
-        Trace(tmp_path / "trace.csv", finger=finger)
-
-
-def test_the_velocity_of_a_joint_times_a_lever_is_a_speed(write: Write) -> None:
-    path = write(f"{HEADER},w", "0,1,2,3,4,5,6,0.5", "1,1,2,3,4,5,6,-0.25", "2,1,2,3,4,5,6,")
-    trace = Trace(path, ColumnMap.parse("joint=w", lever=0.1))
-    assert trace.motion.velocity[:, 0] == pytest.approx([0.05, 0.025])
-    assert not trace.motion.velocity[:, 1:].any()
-    assert trace.describe()["lever"] == 0.1
-    degrees = Trace(path, ColumnMap.parse("joint=w", "joint=deg/s", lever=0.1))
-    assert degrees.speeds[0] == pytest.approx(0.05 * np.pi / 180)
-
-
 @pytest.mark.parametrize(
     ("labels", "values", "expected"),
     [
         ("", ["0", "1", "-1", "", "Slip", "static", "TRUE", "1.0"], [0, 1, -1, -1, 1, 0, 1, 1]),
-        ("slip=1,2", ["0", "1", "2", "7", "", "2.0", "x", "nan"], [0, 1, 1, 0, -1, 1, 0, -1]),
-        ("slip=north,static=none,unknown=?", ["North", "none", "?", ""], [1, 0, -1, -1]),
+        ("labels.slip=1,2", ["0", "1", "2", "7", "", "2.0", "x", "nan"], [0, 1, 1, 0, -1, 1, 0, -1]),
+        ("labels.slip=north,labels.static=none,labels.unknown=?", ["North", "none", "?", ""], [1, 0, -1, -1]),
     ],
 )
 def test_labels_may_have_other_values(
     write: Write, labels: str, values: list[str], expected: list[int]
 ) -> None:
     path = write(f"{HEADER},state", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
-    columns = ColumnMap.parse("label=state", labels=labels)
+    columns = ColumnMap.parse(f"label=state,{labels}")
     assert Trace(path, columns).labels.tolist() == expected
-    if labels.startswith("slip=north"):
+    if "north" in labels:
         bad = write(f"{HEADER},state", "0,1,2,3,4,5,6,north", "1,1,2,3,4,5,6,west")
         with pytest.raises(
             InputError, match=r"line 3, column state: is 'west', must be one of north, none, \?"
@@ -403,16 +393,23 @@ def test_labels_may_have_other_values(
             Trace(bad, columns)
 
 
-def test_a_table_in_memory_is_a_trace() -> None:
+@pytest.mark.parametrize("kind", [dict, pl.DataFrame, pd.DataFrame])
+def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object]) -> None:
     time = np.arange(100) * 10_000_000
-    table = TraceTable({"time_ns": time, "cell0": np.arange(100), "cell1": np.arange(100.0)}, "made.bin")
-    trace = Trace(table, group="wood")
+    columns = {"time_ns": time, "cell0": np.arange(100), "cell1": np.arange(100.0), "state": ["slip"] * 100}
+    trace = Trace(kind(columns), ColumnMap.parse("label=state"), name="made.bin", group="wood")
     assert trace.touch.time.tolist() == time.tolist()
+    assert set(trace.labels.tolist()) == {1}
     assert trace.describe()["trace"] == "made.bin"
     assert trace.describe()["group"] == "wood"
-    with pytest.raises(InputError, match="table: column b has 2 rows, column a 1"):
-        TraceTable({"a": [1], "b": [1, 2]})
-    with pytest.raises(InputError, match=r"column a: is an array \(1, 2\) of float64"):
-        TraceTable({"a": np.zeros((1, 2))})
+
+
+def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None:
+    trace = Trace({"t": [0.0, 0.1], "cells": np.arange(6).reshape(2, 3)}, ColumnMap.parse("counts=cells*"))
+    assert trace.touch.counts.tolist() == [[0, 1, 2], [3, 4, 5]]
+    with pytest.raises(InputError, match=r"pad: cannot become a DataFrame of polars: .*"):
+        Trace({"a": [1], "b": [1, 2]}, name="pad")
+    with pytest.raises(InputError, match=r"column a cannot be used: its values are Object"):
+        Trace({"t": [0], "a": [object()]}, ColumnMap.parse("counts=a"))
     with pytest.raises(InputError, match="table: has no rows"):
-        TraceTable({})
+        Trace({})

@@ -21,21 +21,13 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     assert "labels of the file: 150 slip, 150 static" in checked.stdout
     assert "dry run: nothing written" in checked.stderr
     assert not (tmp_path / "out").exists()
-    columns = (
-        "--map",
-        "time=t,counts=p0..p5,label=slip",
-        "--units",
-        "time=s",
-        "--rate",
-        "100",
-        "--finger",
-        "2",
+    (tmp_path / "pad.toml").write_text(
+        'time = "t"\ncounts = "p0..p5"\nlabel = "slip"\nrate = 100\nfinger = 2'
     )
-    done = slipflow("import", "lab.csv", "out", *columns, "--json", cwd=tmp_path)
+    done = slipflow("import", "lab.csv", "out", "--map", "pad.toml", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    [file] = found["files"]
-    assert (found["written"], found["skipped"], file["recognised"], file["finger"]) == (1, 0, [], 2)
+    [file] = json.loads(done.stdout)["files"]
+    assert (file["state"], file["recognised"], file["finger"]) == ("written", [], 2)
     samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
     assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
     judged = slipflow("evaluate", "out", "--split", "all", "--method", "paper_tcn", "--json", cwd=tmp_path)
@@ -49,23 +41,18 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     ("arguments", "message"),
     [
         (["import", "lab.csv", "out", "--map", "time"], "must be written as time=t,counts=p0..p5"),
-        (["import", "lab.csv", "out", "--units", "time=h"], "unit of time is 'h', must be one of s, ms"),
+        (["import", "lab.csv", "out", "--map", "units.time=h"], "unit of time is 'h', must be one of s, ms"),
         (["import", "lab.csv", "out", "--map", "label=p9"], "lab.csv, line 1: has the columns"),
         (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: is '500', must be"),
-        (["import", "lab.csv", "out", "--rate", "50"], "has 100.0 rows per second, not 50"),
+        (["import", "lab.csv", "out", "--map", "rate=50"], "has 100.0 rows per second, not 50"),
+        (["import", "lab.csv", "out", "--map", "mine.toml"], "mine.toml: cannot be read: No such file"),
         (["import", "lab.csv", "out", "--delay", "soon"], "with its unit: 500ms"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
-        (["import", "lab.csv", "out", "--lever", "96"], "must be a length with its unit"),
-        (["import", "lab.csv", "out", "--map", "joint=slip"], "lever is None, must be the distance"),
-        (["import", "lab.csv", "out", "--labels", "slip"], "must be written as slip=1,2,static=0"),
+        (["import", "lab.csv", "out", "--map", "labels.slip=0,static=1"], "key is 'static', must be one of"),
         (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
         (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
-        (
-            ["import", "lab.csv", "out", "--layout", "3x3"],
-            "layout is '0,1,2/3,4,5/6,7,8', must be of 6 cells",
-        ),
-        (["import", "lab.csv", "out", "--range", "4000"], "range is '4000', must be LOW:HIGH"),
-        (["import", "lab.csv", "out", "--separator", "none"], "separator is 'none', must be one of"),
+        (["import", "lab.csv", "out", "--map", "layout=3x3"], "must be of 6 cells"),
+        (["import", "lab.csv", "out", "--map", "separator=none"], "separator is 'none', must be one of"),
         (["import", "lab.csv", "lab.csv", "out", "--session", "x"], "left out if there are several files"),
         (["import", "lab.csv", "lab.csv"], "OUT is 'lab.csv', must be a folder: the last argument is"),
         (["import", "lab.csv", "lab.csv", "out"], "has the same session name as lab.csv"),
@@ -80,7 +67,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: st
 
 def test_rising_counts_with_a_stated_range_are_not_taken_for_falling_ones(tmp_path: Path) -> None:
     (tmp_path / "lab.csv").write_text(TRACE)
-    arguments = "import", "lab.csv", "out", "--layout", "3x2", "--range", "0:4000", "--raw"
+    arguments = "import", "lab.csv", "out", "--map", "layout=3x2,range=0:4000,zeroed=false"
     done = slipflow(*arguments, cwd=tmp_path)
     assert "  layout   0,1/2,3/4,5  (cells of each row, from the top)\n" in done.stdout
     assert "  range    0 to 4000  (readings rise as the pressure rises)\n" in done.stdout
@@ -93,33 +80,20 @@ def test_rising_counts_with_a_stated_range_are_not_taken_for_falling_ones(tmp_pa
     assert not (tmp_path / "evaluation").exists()
 
 
-def test_many_files_are_shown_as_a_table_and_imported_in_one_call(tmp_path: Path) -> None:
+def test_many_files_are_imported_in_one_call_that_can_be_repeated(tmp_path: Path) -> None:
     for surface, rows in (("wood", 300), ("steel", 200)):
         lines = TRACE.splitlines(keepends=True)[: rows + 1]
         (tmp_path / f"{surface}_vel1.csv").write_text("".join(lines).replace(",", ";"))
-    arguments = "import", "wood_vel1.csv", "steel_vel1.csv", "out", "--group", "(.+)_vel"
-    shown = slipflow(*arguments, "--dry-run", cwd=tmp_path)
-    assert shown.returncode == 0, shown.stderr
-    assert [line.split() for line in shown.stdout.splitlines() if line.startswith("|")][2:] == [
-        ["|", "wood_vel1.csv", "|", "wood", "|", "300", "|", "3.0", "|", "100.0", "|", "50.0", "|"],
-        ["|", "steel_vel1.csv", "|", "steel", "|", "200", "|", "2.0", "|", "100.0", "|", "50.0", "|"],
-    ]
-    assert "groups: wood 1, steel 1\n2 sessions of out\n" in shown.stdout
-    assert not (tmp_path / "out").exists()
-    done = slipflow(*arguments, "--json", cwd=tmp_path)
-    assert json.loads(done.stdout)["written"] == 2
+    (tmp_path / "bad_vel1.csv").write_text(TRACE.replace("0.5,", "soon,"))
+    arguments = "import", "wood_vel1.csv", "bad_vel1.csv", "steel_vel1.csv", "out", "--group", "(.+)_vel"
+    done = slipflow(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "error: bad_vel1.csv, line 52, column t: is 'soon', must be a time in s" in done.stdout
+    assert "error: 1 of 3 files cannot be imported: repair and repeat" in done.stderr
     about = json.loads((tmp_path / "out/sessions/steel_vel1/session.json").read_text())
     assert about["group"] == "steel"
-    assert "--skip-existing leaves it out" in error(*arguments, cwd=tmp_path)
-    again = slipflow(*arguments, "--skip-existing", "--json", cwd=tmp_path)
-    assert (json.loads(again.stdout)["written"], json.loads(again.stdout)["skipped"]) == (0, 2)
-
-
-def test_one_bad_file_of_many_is_named_and_nothing_is_written(tmp_path: Path) -> None:
-    (tmp_path / "good.csv").write_text(TRACE)
-    (tmp_path / "bad.csv").write_text(TRACE.replace("0.5,", "soon,"))
-    done = slipflow("import", "good.csv", "bad.csv", "out", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "error: bad.csv, line 52, column t: is 'soon', must be a time in s" in done.stdout
-    assert "error: 1 of 2 files cannot be imported, so nothing was written" in done.stderr
-    assert not (tmp_path / "out").exists()
+    (tmp_path / "bad_vel1.csv").write_text(TRACE)
+    again = slipflow(*arguments, "--json", cwd=tmp_path)
+    states = [each["state"] for each in json.loads(again.stdout)["files"]]
+    assert states == ["present", "written", "present"]
+    assert "2 files left out: the dataset has them already" in again.stderr

@@ -1,4 +1,4 @@
-"""CSV traces as sessions."""
+"""Recordings as sessions."""
 
 import asyncio
 import hashlib
@@ -9,14 +9,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
-from flows.lab.importing import AttachLabels, TraceImport
+from flows.lab.importing import (
+    AttachLabels,
+    ImportedFile,
+    TraceImport,
+    import_files,
+    import_frame,
+    session_name,
+)
 from flows.learn.labelled_recordings import load
 from flows.run.replay_runner import ReplayRunner
 from operators import Label, Zero
@@ -43,8 +52,13 @@ def counts(row: int, base: int = 500) -> str:
     return ",".join(str(base - 3 * row - cell) for cell in range(6))
 
 
+def read(path: Path, out: Path, columns: ColumnMap = GUESS, label: Label | None = None) -> TraceImport:
+    trace, name = Trace(path, columns), session_name(str(path))
+    return TraceImport(trace, out, name, label or Label(), frozenset(columns.columns))
+
+
 def imported(trace_import: TraceImport) -> Session:
-    asyncio.run(trace_import.write())
+    trace_import.write()
     return Session.open(trace_import.summary()["dataset"])
 
 
@@ -55,7 +69,7 @@ def rows(session: Session, kind: Any, finger: int = 0) -> Any:  # noqa: ANN401 -
 def test_the_file_s_labels_are_those_of_the_samples(tmp_path: Path, write: Write) -> None:
     labels = [k % 3 - 1 for k in range(300)]
     path = write(f"t,{CELLS},label", [f"{k / 100},{counts(k % 9)},{label}" for k, label in enumerate(labels)])
-    session = imported(TraceImport(path, tmp_path / "out", GUESS, finger=4))
+    session = imported(read(path, tmp_path / "out", ColumnMap(finger=4)))
     assert session.tables == ("touch", "samples")
     samples = rows(session, Labelled, 4)
     assert samples.label.tolist() == labels
@@ -73,8 +87,8 @@ def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write)
     speeds = [0 if k < 150 else 40 for k in range(300)]
     lines = [f"{k * 10},{counts(0)},{v}" for k, v in enumerate(speeds)]
     path = write(f"t_ms,{CELLS},v", lines)
-    columns = ColumnMap.parse("", "speed=mm/s")
-    trace_import = TraceImport(path, tmp_path / "out", columns, label=Label(speed=0.02, delay=30 * ms))
+    columns = ColumnMap(units={"speed": "mm/s"})
+    trace_import = read(path, tmp_path / "out", columns, label=Label(speed=0.02, delay=30 * ms))
     session = imported(trace_import)
     assert session.tables == ("touch", "motion", "samples")
     assert rows(session, Motion, EVERY).velocity[:, 0].tolist() == [v / 1000 for v in speeds]
@@ -85,7 +99,7 @@ def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write)
 
 def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write) -> None:
     lines = [f"{k / 100},{counts(0, 3)},{0.1 if k % 2 else ''},{k % 2}" for k in range(300)]
-    session = imported(TraceImport(write(f"t,{CELLS},speed,slip", lines), tmp_path / "out", GUESS))
+    session = imported(read(write(f"t,{CELLS},speed,slip", lines), tmp_path / "out"))
     samples = rows(session, Labelled)
     assert type(rows(session, Touch)) is Zeroed
     assert samples.label.tolist() == [k % 2 for k in range(300)]
@@ -94,7 +108,7 @@ def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write)
 
 
 def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path, write: Write) -> None:
-    trace_import = TraceImport(write(CELLS, [counts(k) for k in range(9)]), tmp_path / "out", GUESS, rate=50)
+    trace_import = read(write(CELLS, [counts(k) for k in range(9)]), tmp_path / "out", ColumnMap(rate=50))
     session = imported(trace_import)
     assert session.tables == ("touch",)
     assert rows(session, Touch).time.tolist() == [k * 20 * ms for k in range(9)]
@@ -103,8 +117,8 @@ def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path, write: Write) 
 
 def test_the_session_describes_its_file(tmp_path: Path, write: Write) -> None:
     path = write(f"stamp,{CELLS},x", [f"{k},{counts(0)},0" for k in range(5)], "lab 3, night.csv")
-    columns = ColumnMap.parse("label=x", "time=ms")
-    session = imported(TraceImport(path, tmp_path / "out", columns))
+    columns = ColumnMap.parse("label=x,units.time=ms")
+    session = imported(read(path, tmp_path / "out", columns))
     assert session.name == "lab-3-night"
     source: Any = session.about["sources"]
     assert source["touch"].pop("fingertip")["rate_hz"] == 1000
@@ -121,7 +135,7 @@ def test_the_session_describes_its_file(tmp_path: Path, write: Write) -> None:
 
 def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path, write: Write) -> None:
     lines = [f"{k / 100},{counts(k % 7)},{k // 150 % 2}" for k in range(600)]
-    trace_import = TraceImport(write(f"t,{CELLS},label", lines), tmp_path / "out", GUESS)
+    trace_import = read(write(f"t,{CELLS},label", lines), tmp_path / "out")
     session = imported(trace_import)
     given = list[Any]()
     for recording in (trace_import.trace, session):
@@ -145,23 +159,14 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> N
     with pytest.raises(
         InputError, match=r"thesis: has other files and is not a dataset: give another folder"
     ):
-        asyncio.run(TraceImport(trace, out, GUESS).write())
+        read(trace, out).write()
     assert [path.name for path in out.iterdir()] == ["chapter.txt"]
-
-
-def test_progress_reports_the_rows_written(tmp_path: Path, write: Write) -> None:
-    progress = list[int]()
-    trace_import = TraceImport(
-        write(f"t,{CELLS}", [f"{k},{counts(0)}" for k in range(2500)]), tmp_path / "data", GUESS
-    )
-    asyncio.run(trace_import.write(progress.append))
-    assert progress == [1000, 2000, 2500]
 
 
 def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Path, write: Write) -> None:
     lines = [f"{k / 50},{counts(0)},{k / 100},{k % 2}" for k in range(11)]
     path = write(f"T,{CELLS},force,contact", lines)
-    trace_import = TraceImport(path, tmp_path / "out", ColumnMap.parse("label=contact,speed=force"))
+    trace_import = read(path, tmp_path / "out", ColumnMap.parse("label=contact,speed=force"))
     found = trace_import.summary()
     assert json.loads(json.dumps(found)) == found
     assert found["recognised"] == ["time", "counts"]
@@ -184,31 +189,103 @@ def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Pat
 def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Write) -> None:
     lines = [f"{k / 100},{counts(0)},{40 if k > 4 else 0}" for k in range(9)]
     path = write(f"t,{CELLS},v", lines)
-    trace_import = TraceImport(path, tmp_path, GUESS)
+    trace_import = read(path, tmp_path)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
     [doubt] = trace_import.summary()["warnings"]
     assert "at up to 40 m/s: is its speed in cm/s (0.4 m/s) or mm/s (0.04 m/s)?" in doubt
-    assert TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s")).summary()["warnings"] == []
-    [doubt] = TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s,time=ms")).summary()["warnings"]
+    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).summary()["warnings"] == []
+    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).summary()["warnings"]
     assert "the rate is 1e+05 Hz" in doubt
 
 
-def test_a_given_rate_must_match_the_times(tmp_path: Path, write: Write) -> None:
-    path = write(f"t,{CELLS}", [f"{k * 10},{counts(0)}" for k in range(9)])
-    with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: is its time in another unit"):
-        TraceImport(path, tmp_path, GUESS, rate=100)
-    assert TraceImport(path, tmp_path, ColumnMap(units={"time": "ms"}), rate=95).trace.rate == pytest.approx(
-        100
-    )
+@pytest.mark.parametrize("notebook", [False, True])
+def test_a_frame_becomes_a_session(tmp_path: Path, *, notebook: bool) -> None:
+    cells = {f"p{cell}": 101.3 + 0.01 * np.arange(300) for cell in range(4)}
+    frame = pl.DataFrame({"t": np.arange(300) / 100, **cells, "state": ["slip", "static", None] * 100})
 
+    async def inside_a_loop() -> TraceImport:
+        return write_it()
 
-def test_a_session_is_not_written_twice_and_has_a_name_of_its_own(tmp_path: Path, write: Write) -> None:
-    path = write(f"t,{CELLS}", [f"{k},{counts(0)}" for k in range(9)], "...csv")
-    assert imported(TraceImport(path, tmp_path / "out", GUESS)).name == "trace"
-    with pytest.raises(EndpointError, match="already has a session 'trace'"):
-        asyncio.run(TraceImport(path, tmp_path / "out", GUESS).write())
+    def write_it() -> TraceImport:
+        text = "label=state,units.counts=kPa,layout=1x4"
+        return import_frame(frame, tmp_path, "pad", text, group="wood", about={"rig": "bench"})
+
+    report = (asyncio.run(inside_a_loop()) if notebook else write_it()).report()
+    session = Session.open(tmp_path)
+    assert report.endswith(f"session pad of {tmp_path}, finger 0, group wood")
+    assert rows(session, Labelled).label.tolist() == [1, 0, -1] * 100
+    tip = session.fingertip(Touch)
+    assert tip is not None
+    assert (tip.unit, tip.resolution, tip.layout) == ("kPa", 0.01, ((0, 1, 2, 3),))
+    sources: Any = session.about["sources"]
+    assert (session.about["group"], sources["touch"]["rig"]) == ("wood", "bench")
+    with pytest.raises(EndpointError, match="already has a session 'pad'"):
+        write_it()
     with pytest.raises(ParameterError, match=r"session is '\.\./x'"):
-        asyncio.run(TraceImport(path, tmp_path / "out", GUESS, session="../x").write())
+        import_frame(frame, tmp_path, "../x", "units.counts=kPa")
+
+
+def put(path: Path, *, step: float = 0.01, low: float = 90, time: str = "t") -> Path:
+    numbers = np.arange(300)
+    cells = {f"p{cell}": low + step * (numbers % 50 + cell) for cell in range(2)}
+    pl.DataFrame({time: numbers / 100, **cells}).write_parquet(path)
+    return path
+
+
+def imports(paths: list[Path], out: Path, **settings: Any) -> list[ImportedFile]:  # noqa: ANN401
+    return list(import_files(paths, out, ColumnMap(units={"counts": "kPa"}), **settings))
+
+
+def test_files_are_imported_one_by_one_with_the_resolution_of_the_dataset(tmp_path: Path) -> None:
+    paths = [put(tmp_path / "a.parquet"), put(tmp_path / "b.parquet", step=0.25)]
+    assert [each.state for each in imports(paths, tmp_path / "out")] == ["written", "written"]
+    [third] = imports([put(tmp_path / "c.parquet", step=0.003)], tmp_path / "out")
+    assert "  warning: the readings are rounded to steps of 0.01 kPa" in third.report
+    for name in "abc":
+        session = Session.open(tmp_path / "out" / "sessions" / name)
+        fingertip = session.fingertip(Touch)
+        assert fingertip is not None
+        assert (fingertip.unit, fingertip.resolution, fingertip.cells) == ("kPa", 0.01, 2)
+        touch = rows(session, Touch)
+        expected = pl.read_parquet(tmp_path / f"{name}.parquet")["p1"].to_numpy()
+        assert touch.counts[:, 1] * fingertip.resolution == pytest.approx(expected, abs=0.00501)
+
+
+def test_a_bad_file_does_not_stop_the_others_and_is_an_error_alone(tmp_path: Path) -> None:
+    bad, good = put(tmp_path / "bad.parquet", time="clock"), put(tmp_path / "good.parquet")
+    first, second = imports([bad, good], tmp_path / "out")
+    assert (first.state, second.state) == ("failed", "written")
+    assert first.error.startswith(f"{bad}: has the columns 'clock p0 p1', none recognised as time")
+    with pytest.raises(InputError, match="none recognised as time"):
+        imports([bad], tmp_path / "out")
+
+
+def test_a_file_that_the_dataset_has_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, out = put(tmp_path / "a.parquet"), tmp_path / "out"
+    imports([path], out)
+    before = {each: each.read_bytes() for each in out.rglob("*") if each.is_file()}
+    assert [each.state for each in imports([path], out)] == ["present"]
+    assert {each: each.read_bytes() for each in out.rglob("*") if each.is_file()} == before
+    put(path, low=80)
+    with pytest.raises(InputError, match="has a session 'a' of another file: rename the file"):
+        imports([path], out)
+    about = json.loads((out / "sessions/a/session.json").read_text()) | {"complete": False}
+    put(path)
+    monkeypatch.setattr("flows.lab.importing.read_session", lambda _folder: about)
+    with pytest.raises(InputError, match="session 'a' of the same file is incomplete: delete it"):
+        imports([path], out)
+
+
+def test_the_columns_of_like_files_are_reported_once(tmp_path: Path) -> None:
+    paths = [put(tmp_path / f"{name}.parquet") for name in "ab"]
+    first, second = imports(paths, tmp_path / "out", dry_run=True)
+    assert (first.state, second.state) == ("checked", "checked")
+    assert "  counts   p0 p1" in first.report
+    assert second.report.splitlines()[:2] == [
+        f"{paths[1]}: 300 rows, 3.0 s, 100.0 Hz",
+        "  readings from 90 to 90.5 kPa",
+    ]
+    assert not (tmp_path / "out").exists()
 
 
 @given(cuts=st.lists(st.integers(0, 30), max_size=8))

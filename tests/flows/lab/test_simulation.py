@@ -10,13 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 import pytest
 from typer.testing import CliRunner
 
 from connectors import SimulatedRig
-from connectors.sim.drawn_grasp import simulate_grasp
 from flows.cli.main import app
 from flows.graph import Flow
 from flows.graph.testing import run_virtually
@@ -28,7 +26,6 @@ from flows.run.clocks import LoopClock
 from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from operators import Label, ms
-from operators.batch import SLIP
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
@@ -85,22 +82,7 @@ def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
         assert about["split"] == planned[session.name].split
         sources: Any = about["sources"]
         assert (sources["touch"]["plan"], sources["touch"]["plan_seed"]) == ("tiny", 0)
-        scene = planned[session.name].scene
-        assert scene
-        assert set(session.frame("episodes")["surface"]) == {scene.curvature}
-
-
-def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulation, "_GRASPS", 3)
-    done = simulate(tmp_path / "grasps", "grasps", 4)
-    sessions = [Session.open(path) for path in sorted((done.out / "sessions").iterdir())]
-    assert [session.name for session in sessions] == ["grasp-000", "grasp-001", "grasp-002"]
-    samples = pl.concat([session.frame("samples") for session in sessions])
-    sliding = np.concatenate([simulate_grasp(4, n)[1].sliding for n in range(3)]) > 0.003
-    assert sliding.any()
-    slip = samples["label"].to_numpy() == SLIP
-    assert slip[sliding].all()
-    assert slip.mean() < 2 * sliding.mean() + 0.02  # sticks within a slide are slip, too
+        assert set(session.frame("episodes")["surface"]) == {planned[session.name].scene.curvature}
 
 
 def test_the_tallies_match_the_files(tiny: SimulatedDataset) -> None:
@@ -236,7 +218,7 @@ def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_prints_how_to_open_the_dataset(
+def test_the_command_prints_the_sizes(
     tmp_path: Path, tiny: SimulatedDataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "data"
@@ -254,6 +236,3 @@ def test_the_command_prints_how_to_open_the_dataset(
     monkeypatch.setattr(simulation, "simulate", simulated)
     lines = CliRunner().invoke(app, ["simulate", str(out)]).stdout.splitlines()
     assert lines[3].startswith("all          12 sessions   13,")
-    opening = lines[-1].replace("python", sys.executable, 1)
-    opened = subprocess.run(opening, shell=True, capture_output=True, text=True, check=True)  # noqa: S602
-    assert f"shape: ({tiny.all['samples']:_}, " in opened.stdout

@@ -1,0 +1,1 @@
+"""Adaptation of a trained network to another fingertip: without labels, or with few."""

@@ -1,0 +1,135 @@
+"""The scripts of docs/how-to/import.md read the formats that they name."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag1 import Writer as Bag1Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Bag2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.io import savemat
+
+from operators.batch import EVERY, Motion, Touch, concat
+from storage import Session
+from tests.pages import ROOT, block
+
+ROWS = 200
+TIME = np.arange(ROWS) / 100  # s
+CELLS = 101.3 + 0.01 * (np.arange(ROWS)[:, None] % 50 + np.arange(6))  # (n, 6) kPa
+COUNTS = np.arange(ROWS)[:, None] % 50 + np.arange(6)
+MOVING = TIME > 1
+BEGIN = 1_795_000_000_000_000_000  # ns
+
+
+def write_npz(path: Path) -> None:
+    np.savez(path, time=TIME, cells=CELLS.round(2), moving=MOVING)
+
+
+def write_mat(path: Path) -> None:
+    savemat(path, {"time": TIME, "cells": CELLS.round(2), "moving": MOVING})
+
+
+def write_hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["time"], file["pad/cells"], file["moving"] = TIME, CELLS.round(2), MOVING
+
+
+def write_mcap(path: Path) -> None:
+    with path.open("wb") as file:
+        writer: Any = McapWriter(file)
+        writer.start()
+        schema = writer.register_schema("pad", "jsonschema", b"{}")
+        channels = [writer.register_channel(topic, "json", schema) for topic in ("/pad", "/other")]
+        for row, counts in enumerate(COUNTS.tolist()):
+            for channel in channels:
+                time = BEGIN + row * 10_000_000
+                writer.add_message(channel, time, json.dumps({"counts": counts}).encode(), time)
+        writer.finish()
+
+
+def write_messages(writer: Any, store: Any, serialize: Callable[[Any, str], Any], stamp: Any) -> None:  # noqa: ANN401
+    """Write touch at 100 Hz and the velocity of the arm at 50 Hz, 1 ms before it."""
+    pad = writer.add_connection("/pad", "pad_msgs/msg/Counts", typestore=store)
+    arm = writer.add_connection("/arm/twist", "geometry_msgs/msg/TwistStamped", typestore=store)
+    types = store.types
+    vector = types["geometry_msgs/msg/Vector3"]
+    for row, counts in enumerate(COUNTS):
+        time = BEGIN + row * 10_000_000
+        if row % 2 == 0:
+            linear = vector(0.02 if MOVING[row] else 0.0, 0.0, 0.0)
+            twist = types["geometry_msgs/msg/Twist"](linear, vector(0.0, 0.0, 0.0))
+            header = stamp(time - 1_000_000)
+            message = types["geometry_msgs/msg/TwistStamped"](header, twist)
+            writer.write(arm, time + 5_000_000, serialize(message, arm.msgtype))
+        reading = types["pad_msgs/msg/Counts"](stamp(time), counts.astype(np.uint16))
+        writer.write(pad, time + 5_000_000, serialize(reading, pad.msgtype))
+
+
+def write_bag(path: Path, store_name: Stores, writer: Any) -> None:  # noqa: ANN401 - of either ROS
+    store = get_typestore(store_name)
+    store.register(get_types_from_msg("std_msgs/Header header\nuint16[6] counts\n", "pad_msgs/msg/Counts"))
+
+    def stamp(time: int) -> object:
+        found = store.types["builtin_interfaces/msg/Time"](*divmod(time, 1_000_000_000))
+        number = (0,) if store_name is Stores.ROS1_NOETIC else ()
+        return store.types["std_msgs/msg/Header"](*number, found, "pad")
+
+    serialize = store.serialize_ros1 if store_name is Stores.ROS1_NOETIC else store.serialize_cdr
+    with writer(path) as bag:
+        write_messages(bag, store, serialize, stamp)
+
+
+FILES: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "pad.npz": ("npz.py", write_npz),
+    "pad.mat": ("matlab.py", write_mat),
+    "pad.h5": ("hdf5.py", write_hdf5),
+    "pad.mcap": ("mcap_json.py", write_mcap),
+    "pad.bag": ("bag.py", partial(write_bag, store_name=Stores.ROS1_NOETIC, writer=Bag1Writer)),
+    "sqlite": (
+        "bag.py",
+        partial(write_bag, store_name=Stores.ROS2_HUMBLE, writer=partial(Bag2Writer, version=9)),
+    ),
+    "mcap": (
+        "bag.py",
+        partial(
+            write_bag,
+            store_name=Stores.ROS2_HUMBLE,
+            writer=partial(Bag2Writer, version=9, storage_plugin=StoragePlugin.MCAP),
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_the_script_of_a_format_imports_it(file: str, tmp_path: Path) -> None:
+    name, write = FILES[file]
+    write(tmp_path / file)
+    (tmp_path / name).write_text(block(ROOT / "docs/how-to/import.md", name))
+    command = [sys.executable, "-W", "error", name, file, "pads"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    session = Session.open(tmp_path / "pads")
+    fingertip, touch = session.fingertip(Touch), concat(Touch, list(session.read(Touch, 0)))
+    assert fingertip is not None
+    if name in ("bag.py", "mcap_json.py"):
+        assert touch.counts.tolist() == COUNTS.tolist()
+        assert touch.time[0] == BEGIN
+    else:
+        assert fingertip.unit == "kPa"
+        assert touch.counts * fingertip.resolution == pytest.approx(CELLS.round(2), abs=1e-6)
+        assert f"labels of the file: {MOVING.sum()} slip, {ROWS - MOVING.sum()} static" in done.stdout
+    if name == "bag.py":
+        motion = concat(Motion, list(session.read(Motion, EVERY)))
+        assert len(motion) == ROWS
+        assert motion.velocity[:, 0].tolist() == [
+            0.02 if MOVING[row // 2 * 2] else 0.0 for row in range(ROWS)
+        ]
