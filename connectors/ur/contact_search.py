@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from math import hypot, isnan
 from typing import Final
 
-from connectors.ur.path_follower import Point
-from connectors.ur.ur_state import ArmState
+from connectors.ur.ur_state import ArmState, Point
 from operators.checks import check_above
 
 AVERAGED: Final = 4  # states per mean force: 32 ms at 125 Hz

@@ -21,6 +21,7 @@ from multiprocessing.connection import Connection
 from time import monotonic
 from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
 
+from connectors.ur.ur_state import Pose
 from operators.errors import EndpointError, InputError
 from operators.extras import require_extra
 
@@ -30,8 +31,6 @@ WATCHDOG: Final = 5.0  # Hz, minimum rate of writes that the controller requires
 STOP_DECELERATION: Final = 2.0  # m/s2 and rad/s2
 _POLL: Final = 0.01  # s
 _HEARTBEAT: Final = 0.1  # s between replies
-
-Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or per s
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,10 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
 from math import dist, sqrt
-from typing import Final, TypeAlias
+from typing import Final
 
+from connectors.ur.ur_state import Point
 from operators.errors import ParameterError
-
-Point: TypeAlias = tuple[float, float, float]  # m
 
 DELAY: Final = 0.04  # s, including half the time between commands
 GAIN: Final = 8.0  # 1/s

@@ -12,15 +12,14 @@ import logging
 from collections.abc import AsyncGenerator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager, suppress
 from math import hypot, inf, isfinite, isnan
-from types import TracebackType
 from typing import Any, Final, Self
 
 from connectors.ur import dashboard_client
 from connectors.ur.contact_search import ContactSearch, mean_force
 from connectors.ur.control_client import START_TIMEOUT, ControlClient
-from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Pose, Signal
-from connectors.ur.path_follower import PathFollower, Point
-from connectors.ur.ur_state import ArmState, Bounds, receive_states, state_client
+from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Signal
+from connectors.ur.path_follower import PathFollower
+from connectors.ur.ur_state import ArmState, Bounds, Point, Pose, receive_states, state_client
 from operators.errors import EndpointError
 from operators.ports import Clock
 from storage.background_task import BackgroundTask
@@ -231,9 +230,7 @@ class UrArm:
         await self.open()
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         await self.close()
 
     @property

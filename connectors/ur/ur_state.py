@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from math import dist, hypot, inf, nan
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 from connectors.ur.rtde import PORT
 from connectors.ur.rtde_client import RtdeClient
@@ -10,6 +10,9 @@ from operators.checks import check_above
 from operators.errors import ParameterError
 from operators.ports import Clock
 from operators.rotation import rotation_difference
+
+Point: TypeAlias = tuple[float, float, float]  # m
+Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or per s
 
 OUTPUTS: Final = {
     "timestamp": "DOUBLE",
@@ -41,9 +44,9 @@ ROTATION_TOLERANCE: Final = 5e-3  # rad
 class ArmState(NamedTuple):
     """State of an arm at one instant, in the base frame."""
 
-    pose: tuple[float, ...]  # (6,) m and rotation vector in rad
-    velocity: tuple[float, ...]  # (6,) m/s and rad/s
-    force: tuple[float, ...] = (nan, nan, nan)  # (3,) N, on the tool at the TCP; NaN: unknown
+    pose: Pose  # m and rotation vector in rad
+    velocity: Pose  # m/s and rad/s
+    force: Point = (nan, nan, nan)  # N, on the tool at the TCP; NaN: unknown
     robot_mode: int = RUNNING
     safety_mode: int = 1
 

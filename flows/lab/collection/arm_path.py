@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias
 
-from connectors.ur.control_process import Pose
-from connectors.ur.path_follower import Point
+from connectors.ur.ur_state import Point, Pose
 from operators.rotation import compose, quaternion, rotate, rotation_difference
 
 

@@ -1,111 +1,59 @@
-"""Reports of a planned path and of a collection, as JSON data and as text."""
+"""Reports of a planned path and of a collection, as text."""
 
 from collections.abc import Sequence
-from typing import Any
 
-from connectors.ur.control_process import Pose
-from connectors.ur.path_follower import Point
 from flows.lab.collection.arm_path import Extent
 from flows.lab.collection.collector import Collector
-from flows.lab.collection.stroke_plan import Stroke, StrokeSeries, total_extent
+from flows.lab.collection.stroke_plan import PlannedPath, StrokeSeries
 
 
-def describe_plan(
-    series: Sequence[StrokeSeries], low: Point, high: Point, here: Pose | None = None
-) -> dict[str, Any]:
-    """Return the path, duration and bounds of a plan in a workspace (m), from the arm's pose if known."""
-    whole, press = total_extent(series, here), series[0].plan.press
-    contacts = [_contact_seconds(stroke, each) for each in series for stroke in each.strokes]
-    return {
-        "sessions": [_describe_series(each) for each in series],
-        "strokes": sum(len(each.strokes) for each in series),
-        "seconds": round(whole.seconds, 3),
-        "contact_seconds": round(sum(contacts), 3),
-        "low": list(whole.low),
-        "high": list(whole.high),
-        "workspace": [*low, *high],
-        "depth": press.depth if press.force is None else None,
-        "force": press.force,
-    }
-
-
-def plan_table(plan: dict[str, Any]) -> str:
-    """Return the result of `describe_plan` as text.
-
-    >>> print(plan_table({"sessions": [], "strokes": 0, "seconds": 75.0, "low": [0, 0, 0], "high": [1, 1, 1],
-    ...     "contact_seconds": 30.0, "workspace": [0, 0, 0, 1, 1, 1], "depth": None, "force": 2.0}))
-    session                      strokes      time   x mm            y mm            z mm            split
-    total                              0  1.2 min   0 .. 1000       0 .. 1000       0 .. 1000
-    workspace                                       0 .. 1000       0 .. 1000       0 .. 1000
-    in contact                            0.5 min; the rest is baselines and moves through the air
-    pressed with 2 N, at the depth found for each stroke; times and bounds are for the greatest depth
-    """
+def path_text(path: PlannedPath) -> str:
+    """Return duration and bounds of the sessions of a plan, its workspace, and how it presses."""
     head = f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"
-    rows = [
-        f"{each['session']:28} {each['strokes']:7} {each['seconds']:7.1f} s"
-        f"   {_spans(each['low'], each['high'])} {each['split']}"
-        for each in plan["sessions"]
-    ]
-    low, high = plan["workspace"][:3], plan["workspace"][3:]
-    minutes = f"{plan['seconds'] / 60:.1f} min"
-    total = f"{'total':28} {plan['strokes']:7} {minutes:>8}   {_spans(plan['low'], plan['high'])}"
-    box = f"{'workspace':47} {_spans(low, high)}".rstrip()
-    contact = f"{plan['contact_seconds'] / 60:.1f} min"
-    touching = f"{'in contact':28} {contact:>16}; the rest is baselines and moves through the air"
-    if plan["force"] is None:
-        pressed = f"pressed {1000 * plan['depth']:g} mm after first contact"
-    else:
+    rows = list[str]()
+    for each in path.series:
+        extent = Extent.of(each.steps, each.begin.pose)
+        size = f"{each.name:28} {len(each.strokes):7} {extent.seconds:7.1f} s"
+        rows.append(f"{size}   {_spans(extent.low, extent.high)} {each.split}")
+    whole, strokes = path.extent, sum(len(each.strokes) for each in path.series)
+    minutes = f"{whole.seconds / 60:.1f} min"
+    contact = f"{sum(map(_contact_seconds, path.series)) / 60:.1f} min"
+    press = path.plan.press
+    pressed = f"pressed {1000 * press.depth:g} mm after first contact"
+    if press.force is not None:
         found = "at the depth found for each stroke; times and bounds are for the greatest depth"
-        pressed = f"pressed with {plan['force']:g} N, {found}"
-    return "\n".join([head, *rows, total.rstrip(), box, touching, pressed])
+        pressed = f"pressed with {press.force:g} N, {found}"
+    return "\n".join(
+        [
+            head,
+            *rows,
+            f"{'total':28} {strokes:7} {minutes:>8}   {_spans(whole.low, whole.high)}".rstrip(),
+            f"{'workspace':47} {_spans(path.low, path.high)}".rstrip(),
+            f"{'in contact':28} {contact:>16}; the rest is baselines and moves through the air",
+            pressed,
+        ]
+    )
 
 
-def describe_result(result: Collector) -> dict[str, Any]:
-    """Return the strokes and sessions of a collection."""
-    return {
-        "strokes": result.driver.strokes,
-        "sessions": [
-            {
-                "session": run.session,
-                "rows": {name: source.rows for name, source in run.sources.items()},
-                "gaps": sum(len(source.gaps) for source in run.sources.values()),
-                "dropped": sum(sink.dropped for sink in run.sinks.values() if sink.records),
-                "error": run.error or None,
-            }
-            for run in result.runs
-        ],
-        "error": result.error or None,
-    }
-
-
-def result_text(result: dict[str, Any]) -> str:
-    """Return the result of `describe_result` as text."""
-    rows = [
-        f"{each['session']:40} {', '.join(f'{rows} {name}' for name, rows in each['rows'].items())}"
-        f"{'' if not each['gaps'] else ', gaps ' + str(each['gaps'])}"
-        f"{'' if not each['dropped'] else ', dropped ' + str(each['dropped'])}"
-        f"{'' if not each['error'] else ', ended early'}"
-        for each in result["sessions"]
-    ]
+def result_text(result: Collector) -> str:
+    """Return the sessions of a collection with their rows, gaps and dropped batches."""
+    rows = list[str]()
+    for run in result.runs:
+        counts = ", ".join(f"{source.rows} {name}" for name, source in run.sources.items())
+        gaps = sum(len(source.gaps) for source in run.sources.values())
+        dropped = sum(sink.dropped for sink in run.sinks.values() if sink.records)
+        notes = [f", gaps {gaps}"] * bool(gaps) + [f", dropped {dropped}"] * bool(dropped)
+        notes += [", ended early"] * bool(run.error)
+        rows.append(f"{run.session:40} {counts}{''.join(notes)}")
     many = "session" if len(rows) == 1 else "sessions"
-    return "\n".join([*rows, f"{result['strokes']} strokes in {len(rows)} {many}"])
+    return "\n".join([*rows, f"{result.driver.strokes} strokes in {len(rows)} {many}"])
 
 
-def _describe_series(series: StrokeSeries) -> dict[str, Any]:
-    path = Extent.of(series.steps, series.begin.pose)
-    return {
-        "session": series.name,
-        **series.describe(),
-        "seconds": round(path.seconds, 3),
-        "low": list(path.low),
-        "high": list(path.high),
-    }
-
-
-def _contact_seconds(stroke: Stroke, series: StrokeSeries) -> float:
-    """Return the time for which a stroke touches the surface, s."""
-    down = Extent.of(stroke.approach, series.begin.pose).end
-    return Extent.of(stroke.contact, down).seconds
+def _contact_seconds(series: StrokeSeries) -> float:
+    """Return the time for which the strokes of a series touch the surface, s."""
+    begin = series.begin.pose
+    downs = [(stroke, Extent.of(stroke.approach, begin).end) for stroke in series.strokes]
+    return sum(Extent.of(stroke.contact, down).seconds for stroke, down in downs)
 
 
 def _spans(low: Sequence[float], high: Sequence[float]) -> str:

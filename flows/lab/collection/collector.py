@@ -2,25 +2,19 @@
 
 import asyncio
 import signal
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, cast
 
-from connectors import TakkTile, UrMotion
-from connectors.takktile.i2c_access import I2cBus
-from connectors.ur.control_process import Pose
-from connectors.ur.path_follower import Point
-from connectors.ur.ur_arm import UrArm
-from connectors.ur.ur_state import Bounds, read_state
+from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.contact_monitor import ContactMonitor
-from flows.lab.collection.stroke_driver import StrokeDriver
-from flows.lab.collection.stroke_plan import CollectionPlan, Limits, StrokeSeries, total_extent
-from flows.run.clocks import LoopClock
+from flows.lab.collection.stroke_driver import Arm, StrokeDriver
+from flows.lab.collection.stroke_plan import Limits, PlannedPath, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.stop_signals import signal_handlers
 from operators import (
@@ -36,7 +30,7 @@ from operators import (
     ms,
     s,
 )
-from operators.errors import EndpointError, ParameterError
+from operators.errors import EndpointError
 from operators.ports import Clock, Json, Run
 from storage import Dataset, arrow
 from storage.background_task import BackgroundTask
@@ -45,69 +39,32 @@ FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingerti
 _POLL: Final = 0.05  # s
 
 
-async def collect(
-    plan: CollectionPlan,
-    robot: str,
-    out: Path,
-    *,
-    bus: int | str | I2cBus = 1,
-    rows: tuple[int, ...] = (0,),
-    seed: int = 0,
-    log: Callable[[str], None] = lambda _: None,
-    clock: Clock | None = None,
-) -> "Collector":
+async def collect(collector: "Collector") -> None:
     """Execute a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
 
     Args:
-        plan: Plan of the strokes.
-        robot: Address of the UR controller.
-        out: Folder of the dataset.
-        bus: I2C bus of the fingertips, see `TakkTile`.
-        rows: Rows of the fingertips on the bus.
-        seed: Random seed of the order of directions.
-        log: Called with progress messages.
-        clock: Clock of all sessions; default: `LoopClock`.
+        collector: Recorder of the strokes; its `error` says why the arm was stopped.
 
     Raises:
         EndpointError: if a device is not ready; nothing has moved then.
-        ParameterError: if the path leaves the workspace.
         SlipflowError: if a session cannot be recorded; the arm stands still.
     """
-    clock = clock or LoopClock()
-    here = await read_pose(robot, clock)
-    series = plan.series(here, seed)
-    low, high = workspace(series, here, plan.limits)
-    touch = TakkTile(bus, rows)
-    await _check_sampling(touch, clock)
+    await _check_sampling(collector.touch, collector.clock)
     await asyncio.to_thread(arrow.load)
-    limits = plan.limits
-    bounds = Bounds(low, high, limits.force)
-    arm = UrArm(robot, bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
-    collector = Collector(
-        arm,
-        touch,
-        UrMotion(robot),
-        out,
-        clock,
-        plan,
-        {"plan": plan.name, "seed": seed, "workspace": [*low, *high], "force_limit": limits.force},
-        log,
-    )
-    await asyncio.to_thread(collector.compile_operators, here)
+    await asyncio.to_thread(collector.compile_operators)
     stop = collector.interrupt
     actions = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: collector.pause_or_resume}
     with signal_handlers(actions):
         try:
-            async with arm:
-                await collector.collect(series)
+            async with collector.arm:
+                await collector.collect()
         except EndpointError as stopped:
-            if not arm.fault or not (collector.runs or collector.interrupted):
+            if not collector.arm.fault or not (collector.runs or collector.interrupted):
                 raise
             collector.error = str(stopped)
-    return collector
 
 
-async def _check_sampling(touch: TakkTile, clock: Clock) -> None:
+async def _check_sampling(touch: Source[Touch], clock: Clock) -> None:
     """Wait for a first sample.
 
     Raises:
@@ -118,36 +75,7 @@ async def _check_sampling(touch: TakkTile, clock: Clock) -> None:
         async with asyncio.timeout(FIRST_SAMPLE), aclosing(batches):
             await anext(batches)
     except TimeoutError as error:
-        raise EndpointError(touch.path, f"gives no sample within {FIRST_SAMPLE:g} s") from error
-
-
-async def read_pose(robot: str, clock: Clock) -> Pose:
-    """Return the TCP pose of an arm.
-
-    Raises:
-        EndpointError: if its controller sends no state.
-    """
-    x, y, z, a, b, c = (await read_state(clock, robot)).pose
-    return x, y, z, a, b, c
-
-
-def workspace(series: Sequence[StrokeSeries], here: Pose | None, limits: Limits) -> tuple[Point, Point]:
-    """Return the lowest and highest corner (m) of the workspace: as planned, or the path with its margin.
-
-    Raises:
-        ParameterError: if the path, from the arm's pose if known, leaves the planned workspace.
-    """
-    path, margin = total_extent(series, here), limits.margin
-    if limits.workspace is None:
-        a, b, c = (each - margin for each in path.low)
-        d, e, f = (each + margin for each in path.high)
-        return (a, b, c), (d, e, f)
-    low, high = limits.workspace[:3], limits.workspace[3:]
-    for axis, a, b, c, d in zip("xyz", low, path.low, path.high, high, strict=True):
-        if not a <= b <= c <= d:
-            must_be = f"around the path, which leads from {b:.4f} to {c:.4f} m along {axis}"
-            raise ParameterError("collect", "limits.workspace", [*low, *high], must_be)
-    return low, high
+        raise EndpointError("touch", f"gives no sample within {FIRST_SAMPLE:g} s") from error
 
 
 @dataclass
@@ -155,13 +83,12 @@ class Collector:
     """Recorder of series of strokes, one session each.
 
     Attributes:
-        arm: Open arm.
+        path: Path of the plan.
+        arm: Arm that makes the strokes; `collect` opens and closes it.
         touch: Source of the fingertips.
         motion: Source of the arm's motion.
         out: Folder of the dataset.
         clock: Clock of all sessions.
-        plan: The plan, for its limits and label delay.
-        about: Description of the collection, copied to every session.
         log: Called with progress messages.
         driver: Driver of the arm.
         runs: One run for each series so far.
@@ -169,13 +96,12 @@ class Collector:
         interrupted: True after `interrupt`.
     """
 
-    arm: UrArm
+    path: PlannedPath
+    arm: Arm
     touch: Source[Touch]
     motion: Source[Motion]
     out: Path
     clock: Clock
-    plan: CollectionPlan
-    about: dict[str, Json]
     log: Callable[[str], None] = lambda _: None
     driver: StrokeDriver = field(init=False)
     runs: list[Run] = field(default_factory=list[Run], init=False)
@@ -184,24 +110,30 @@ class Collector:
     _runner: LiveRunner | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.driver = StrokeDriver(self.arm, self.clock, require_contact=self.plan.limits.require_contact)
+        self.driver = StrokeDriver(self.arm, self.clock, require_contact=self.limits.require_contact)
 
-    async def collect(self, series: Sequence[StrokeSeries]) -> None:
+    @property
+    def limits(self) -> Limits:
+        """Limits of the plan."""
+        return self.path.plan.limits
+
+    async def collect(self) -> None:
         """Record all series; if the arm has to be stopped, the part recorded so far is committed.
 
         Raises:
             EndpointError: if the arm had to be stopped.
             SlipflowError: if a session cannot be recorded.
         """
+        series = self.path.series
         stamp = f"{datetime.fromtimestamp(self.clock.now() // s, UTC):%Y%m%dT%H%M%S}Z"
         for number, each in enumerate(series, 1):
             self.log(f"{number}/{len(series)} {each.name}: {len(each.strokes)} strokes")
             await self.driver.follow([each.begin])
             await self._record(each, f"{each.name}-{stamp}")
 
-    def compile_operators(self, surface: Pose) -> None:
+    def compile_operators(self) -> None:
         """Compile the operators of a session; once the arm is commanded, this would delay the commands."""
-        CompiledFlow(self._declare(surface, ContactMonitor()))
+        CompiledFlow(self._declare(self.path.series[0].surface.middle, ContactMonitor()))
 
     def pause_or_resume(self) -> None:
         """Pause, or resume if paused."""
@@ -220,8 +152,14 @@ class Collector:
         self.arm.fail("interrupted")
 
     async def _record(self, series: StrokeSeries, name: str) -> None:
-        monitor = ContactMonitor()
-        self.driver.about = {**self.about, "recording": series.name, **series.describe()}
+        monitor, plan = ContactMonitor(), self.path.plan
+        about: dict[str, Json] = {
+            "plan": plan.name,
+            "seed": plan.seed,
+            "workspace": [*self.path.low, *self.path.high],
+        }
+        about |= {"force_limit": plan.limits.force, "recording": series.name}
+        self.driver.about = {**about, **series.describe()}
         flow = self._declare(series.surface.middle, monitor)
         # signals are handled by the collection, which stops the arm first
         runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
@@ -253,7 +191,7 @@ class Collector:
         flow, dataset = Flow("collect"), Dataset(self.out)
         touch, motion = flow.source(self.touch, "touch"), flow.source(self.motion, "motion")
         samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
-        label = Label(speed=0.003, rotation=0.2, delay=self.plan.label_delay)  # m/s, rad/s; paper
+        label = Label(speed=0.003, rotation=0.2, delay=self.path.plan.label_delay)  # m/s, rad/s; paper
         touch.to(dataset)
         motion.to(dataset)
         (motion | WatchClock()).to(dataset)
@@ -284,7 +222,7 @@ class Collector:
 
     async def _watch(self, monitor: ContactMonitor) -> None:
         """Stop the arm when a fingertip gives no more samples."""
-        timeout = self.plan.limits.sensor_timeout
+        timeout = self.limits.sensor_timeout
         while True:
             now = self.clock.now()
             for finger, newest in monitor.newest.items():

@@ -3,14 +3,11 @@
 import asyncio
 import math
 from collections.abc import AsyncIterator, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from connectors.ur.control_process import Pose
-from connectors.ur.path_follower import Point
-from connectors.ur.ur_arm import UrArm
-from connectors.ur.ur_state import ArmState
+from connectors.ur.ur_state import ArmState, Point, Pose
 from flows.lab.collection.arm_path import (
     Line,
     Slide,
@@ -28,6 +25,30 @@ from operators.batch import MOTIONS, SURFACES, Episodes
 from operators.ports import Clock, Description, Json, Source
 
 _POLL: Final = 0.05  # s
+
+
+class Arm(Protocol):
+    """Arm that makes one move at a time: `UrArm` or `SimulatedArm`, which document the moves.
+
+    Entering its context opens it, leaving stops it. The moves raise EndpointError if it had to be stopped.
+    """
+
+    fault: str  # reason why it was stopped; empty if it was not
+
+    @property
+    def state(self) -> ArmState: ...  # noqa: D102
+    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None: ...  # noqa: D102
+    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None: ...  # noqa: D102
+    async def trace(  # noqa: D102
+        self, points: Sequence[Point], speed: float, acceleration: float, seconds: float
+    ) -> None: ...
+    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float: ...  # noqa: D102
+    async def tare(self, seconds: float) -> None: ...  # noqa: D102
+    async def wait(self, seconds: float) -> None: ...  # noqa: D102
+    async def stop(self) -> None: ...  # noqa: D102
+    def fail(self, reason: str) -> None: ...  # noqa: D102
+    async def __aenter__(self) -> Self: ...
+    async def __aexit__(self, *_: object) -> None: ...
 
 
 class Contact(NamedTuple):
@@ -55,7 +76,7 @@ class StrokeDriver(Source[Episodes]):
 
     stale_after = None  # episodes are rare
 
-    def __init__(self, arm: UrArm, clock: Clock, *, require_contact: bool = True) -> None:
+    def __init__(self, arm: Arm, clock: Clock, *, require_contact: bool = True) -> None:
         self.about: Mapping[str, Json] = {}
         self.strokes = 0
         self._episodes = asyncio.Queue[Episodes]()
@@ -106,7 +127,7 @@ class StrokeDriver(Source[Episodes]):
             await self._wait_until_resumed()
             while not await self._make_unless_paused(series, stroke, monitor):
                 await self._wait_until_resumed()
-                up = raise_pose(_pose(self._arm.state), series.surface.middle, series.plan.path.clearance)
+                up = raise_pose(self._arm.state.pose, series.surface.middle, series.plan.path.clearance)
                 await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
             self.strokes += 1
 
@@ -121,7 +142,7 @@ class StrokeDriver(Source[Episodes]):
         """
         contact = Contact()
         for step in steps:
-            start = _pose(self._arm.state)
+            start = self._arm.state.pose
             seconds = step.seconds(start)
             match step:
                 case Line(pose, speed, acceleration):
@@ -136,7 +157,7 @@ class StrokeDriver(Source[Episodes]):
                     await self._arm.wait(time)
                 case Touchdown(path, force, speed, acceleration):
                     found = await self._arm.touch(path, force, speed, acceleration)
-                    contact = Contact(step.shortfall(start, _pose(self._arm.state)), found)
+                    contact = Contact(step.shortfall(start, self._arm.state.pose), found)
         return contact
 
     async def _wait_until_resumed(self) -> None:
@@ -212,8 +233,3 @@ def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, star
         np.array([SURFACES.index(series.surface.shape)], np.int8),
         *(np.array([value]) for value in values),
     )
-
-
-def _pose(state: ArmState) -> Pose:
-    x, y, z, a, b, c = state.pose
-    return x, y, z, a, b, c

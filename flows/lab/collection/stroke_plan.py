@@ -10,15 +10,15 @@ finger.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 
-from connectors.ur.control_process import WATCHDOG, Pose
-from connectors.ur.path_follower import Point
+from connectors.ur.control_process import WATCHDOG
+from connectors.ur.ur_state import Bounds, Point, Pose
 from flows.graph.quantity import Duration, Force, Length, Speed
 from flows.lab.collection.arm_path import (
     Extent,
@@ -187,7 +187,7 @@ class CollectionPlan:
         ParameterError: on an invalid value.
 
     >>> plan = CollectionPlan(speeds=(0.05,), repeats=1, rotations=1, rounds=1)
-    >>> [(series.name, len(series.strokes)) for series in plan.series((0.4, 0, 0.1, math.pi, 0, 0), seed=0)]
+    >>> [(series.name, len(series.strokes)) for series in plan.series((0.4, 0, 0.1, math.pi, 0, 0))]
     [('plane-050-01', 8), ('plane-rotation-01', 8)]
     """
 
@@ -196,6 +196,7 @@ class CollectionPlan:
     repeats: int = 9
     rotations: int = 5
     rounds: int = 2
+    seed: int = 0
     label_delay: Duration = 0
     surfaces: tuple[Surface, ...] = (Surface(),)
     press: Press = Press()
@@ -205,7 +206,7 @@ class CollectionPlan:
     def __post_init__(self) -> None:
         if not all(0 < speed < MAX_SPEED for speed in self.speeds):
             raise ParameterError(self.name, "speeds", self.speeds, f"above 0 and below {MAX_SPEED} m/s")
-        for name in ("repeats", "rotations"):
+        for name in ("repeats", "rotations", "seed"):
             check_at_least(self.name, name, getattr(self, name), 0)
         check_at_least(self.name, "rounds", self.rounds, 1)
         if not self.rotations and not (self.repeats and self.speeds):
@@ -221,19 +222,18 @@ class CollectionPlan:
             must_be = f"below the force limit, {self.limits.force:g} N"
             raise ParameterError(self.name, "press.force", self.press.force, must_be)
 
-    def series(self, here: Pose, seed: int) -> list[StrokeSeries]:
-        """Return all series, surface by surface, for an arm at a pose; directions are in random order.
+    def series(self, here: Pose) -> list[StrokeSeries]:
+        """Return all series, surface by surface; directions are in random order.
 
         Each surface, speed and split appears in the same proportion (`TURNS`).
 
         Args:
             here: Pose of a surface without one in the plan.
-            seed: Random seed; the same seed gives the same series.
 
         Raises:
             ParameterError: if a surface is too steep at the end of a stroke.
         """
-        random = np.random.default_rng(seed)
+        random = np.random.default_rng(self.seed)
         speeds = [speed for speed in self.speeds for _ in range(self.repeats)] + [None] * self.rotations
         counted, series, first = dict[str, int](), list[StrokeSeries](), int(random.integers(len(TURNS)))
         for surface in (each.located(here) for each in self.surfaces):
@@ -325,7 +325,50 @@ class CollectionPlan:
         return Line(pose, path.travel_speed, path.acceleration)
 
 
-def total_extent(series: Sequence[StrokeSeries], start: Pose | None = None) -> Extent:
-    """Return the extent of all series, from a pose or from above the first surface."""
-    begin = series[0].begin.pose if start is None else start
-    return Extent.of(chain.from_iterable(each.steps for each in series), begin)
+@dataclass(frozen=True, slots=True)
+class PlannedPath:
+    """Path of a plan and its workspace.
+
+    Attributes:
+        plan: The plan.
+        series: All series of strokes.
+        extent: Extent of the path, from the arm's pose if it is known.
+        low, high: Lowest and highest corner of the workspace, m: as planned, or the path with its margin.
+    """
+
+    plan: CollectionPlan
+    series: tuple[StrokeSeries, ...]
+    extent: Extent
+    low: Point
+    high: Point
+
+    @classmethod
+    def of(cls, plan: CollectionPlan, surface: Pose, here: Pose | None = None) -> "PlannedPath":
+        """Return the path of a plan.
+
+        Args:
+            plan: The plan.
+            surface: Pose of a surface without one in the plan.
+            here: Pose of the arm; None: above the first surface.
+
+        Raises:
+            ParameterError: if a surface is too steep, or the path leaves the planned workspace.
+        """
+        series, limits = tuple(plan.series(surface)), plan.limits
+        steps = chain.from_iterable(each.steps for each in series)
+        path = Extent.of(steps, here or series[0].begin.pose)
+        if limits.workspace is None:
+            a, b, c = (each - limits.margin for each in path.low)
+            d, e, f = (each + limits.margin for each in path.high)
+            return cls(plan, series, path, (a, b, c), (d, e, f))
+        low, high = limits.workspace[:3], limits.workspace[3:]
+        for axis, a, b, c, d in zip("xyz", low, path.low, path.high, high, strict=True):
+            if not a <= b <= c <= d:
+                must_be = f"around the path, which leads from {b:.4f} to {c:.4f} m along {axis}"
+                raise ParameterError("collect", "limits.workspace", [*low, *high], must_be)
+        return cls(plan, series, path, low, high)
+
+    @property
+    def bounds(self) -> Bounds:
+        """Bounds within which the arm may move."""
+        return Bounds(self.low, self.high, self.plan.limits.force)

@@ -6,7 +6,8 @@ from collections import deque
 import numpy as np
 import pytest
 
-from connectors.ur.path_follower import PathFollower, Point
+from connectors.ur.path_follower import PathFollower
+from connectors.ur.ur_state import Point
 from operators import ParameterError
 from operators.batch import Reals
 

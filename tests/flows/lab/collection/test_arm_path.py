@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from connectors.ur.control_process import Pose
+from connectors.ur.ur_state import Pose
 from flows.lab.collection.arm_path import (
     Extent,
     Line,

@@ -18,8 +18,8 @@ from connectors.emulators.lab_loop import run_lab
 from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
 from connectors.sim.commanded_motion import STIFFNESS
 from connectors.sim.scene import Curvature, commanded_scene
-from connectors.ur.control_process import Pose
 from connectors.ur.ur_arm import UrArm
+from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.collector import Collector, collect, workspace

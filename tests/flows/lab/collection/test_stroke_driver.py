@@ -7,10 +7,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.ur.control_process import Pose
-from connectors.ur.path_follower import Point
 from connectors.ur.ur_arm import UrArm
-from connectors.ur.ur_state import ArmState
+from connectors.ur.ur_state import ArmState, Point, Pose
 from flows.graph.testing import run_virtually
 from flows.lab.collection.arm_path import Extent, Slide, Trace
 from flows.lab.collection.contact_monitor import ContactMonitor

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.scene import Curvature, Scene
-from connectors.ur.control_process import Pose
+from connectors.ur.ur_state import Pose
 from flows.lab.collection.surfaces import STEEPEST, Surface
 from operators import ParameterError
 

@@ -1,0 +1,414 @@
+"""Arm of the simulated scene, which `collect --virtual` drives in its own process, without a controller.
+
+It moves exactly as planned, with linear ramps of speed, and presses the fingertip onto the surface. It does
+not have the wire protocol of a robot. Its coordinates are those of the fingertip that just touches the middle
+of the surface: x right, y up, z into the surface, yaw about z::
+
+    F = k max(0, z - drop(x, y))         normal force (N), k `STIFFNESS`
+"""
+
+import asyncio
+import logging
+import math
+from bisect import bisect_right
+from collections.abc import AsyncIterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import TYPE_CHECKING, Final, Self
+
+import numpy as np
+
+from connectors.sim.scene import Moves, Scene, Vibration, surface_drop
+from connectors.ur.ur_state import ArmState, Bounds, Point, Pose
+from flows.lab.collection.arm_path import offset_pose
+from flows.lab.collection.stroke_plan import PlannedPath
+from operators.batch import Motion, Reals, Touch, s
+from operators.errors import EndpointError, InputError
+from operators.fingertip import TAKKTILE, Fingertip
+from operators.ports import Clock, Description, Source
+from operators.rotation import quaternion, rotate, rotation_difference
+
+if TYPE_CHECKING:
+    from connectors.sim.finger import Finger
+
+log = logging.getLogger("slipflow")
+
+STIFFNESS: Final = 1000.0  # N/m of fingertip, arm and surface in series; assumed
+HEIGHT: Final = 0.02  # m, initial height above the middle of the surface
+STEP: Final = 0.008  # s between checks of the state, as of a controller with 125 Hz
+NAME: Final = "virtual arm"
+_SHORTEST: Final = 1e-12  # m, rad; a leg of length 0 has no direction
+_TICK: Final = 1e-9  # s, resolution of the clock
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """Motion along a polyline; its speed is linear between instants, and 0 from the last one on."""
+
+    corners: Reals  # (n, 4) m, m, m, rad: x, y, z, yaw
+    instants: Reals  # (k,) s
+    speeds: Reals  # (k,) m/s; rad/s if the rotation is longer
+    acceleration: float  # m/s2, rad/s2, at which it brakes
+    begun: float = 0.0  # m or rad, travelled before the first instant
+
+    @classmethod
+    def planned(cls, corners: Sequence[Reals], start: float, speed: float, acceleration: float) -> "Ride":
+        """Return the ride from the first to the last corner, from rest to rest."""
+        ride = cls(np.array(corners), np.array([start, start]), np.zeros(2), acceleration)
+        distance = float(ride.distances[-1])
+        top = min(speed, math.sqrt(acceleration * distance))
+        if not top:
+            return ride
+        ramp, slowing = top / acceleration, distance / top
+        instants = start + np.array([0.0, ramp, slowing, slowing + ramp])
+        return replace(ride, instants=instants, speeds=np.array([0.0, top, top, 0.0]))
+
+    @property
+    def end(self) -> float:
+        """Instant at which it comes to rest, s."""
+        return float(self.instants[-1])
+
+    @property
+    def distances(self) -> Reals:
+        """Distance (n,) from the first corner to each: of the translation, or of the rotation if longer."""
+        legs = np.diff(self.corners, axis=0)
+        longer = np.maximum(np.linalg.norm(legs[:, :3], axis=1), np.abs(legs[:, 3]))
+        return np.concatenate([[0.0], np.cumsum(longer)])
+
+    def travelled(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return the distance from the first corner, and the speed, at instants (k,) (s)."""
+        t, steps = np.clip(times, self.instants[0], self.end), np.diff(self.instants)
+        speed = np.interp(t, self.instants, self.speeds)
+        covered = np.concatenate([[self.begun], steps * (self.speeds[1:] + self.speeds[:-1]) / 2]).cumsum()
+        part = np.clip(self.instants.searchsorted(t, "right") - 1, 0, len(steps) - 1)
+        return covered[part] + (self.speeds[part] + speed) / 2 * (t - self.instants[part]), speed
+
+    def at(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return place and velocity (k, 4) at instants (k,) (s)."""
+        (distance, speed), corners = self.travelled(times), self.distances
+        leg = np.clip(corners.searchsorted(distance, "right") - 1, 0, len(corners) - 2)
+        along = np.diff(self.corners, axis=0) / np.maximum(np.diff(corners), _SHORTEST)[:, None]
+        place = self.corners[leg] + (distance - corners[leg])[:, None] * along[leg]
+        return place, speed[:, None] * along[leg]
+
+    def braked(self, instant: float) -> "Ride":
+        """Return the ride that comes to rest from an instant (s) on."""
+        [distance], [speed] = self.travelled(np.array([instant]))
+        instants = instant + np.array([0.0, speed / self.acceleration])
+        return replace(self, instants=instants, speeds=np.array([speed, 0.0]), begun=float(distance))
+
+
+class SimulatedArm:
+    """Arm over the surface of a scene, with fingertips; see `stroke_driver.Arm`.
+
+    Args:
+        scene: Surface, vibration and physics; its plan is not used.
+        surface: Pose of the TCP at which the fingertip just touches the middle of the surface.
+        bounds: Workspace and force limit.
+        clock: Clock of the moves and of the samples.
+        seed: Random seed of the fingertips; the same seed and the same moves give identical samples.
+        fingers: Fingertips that share the motion.
+
+    Attributes:
+        fault: Reason why the arm was stopped; empty if it was not.
+        fingertips: Source of their samples.
+        motion: Source of the arm's motion.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        surface: Pose,
+        bounds: Bounds,
+        clock: Clock,
+        *,
+        seed: int = 0,
+        fingers: tuple[int, ...] = (0,),
+    ) -> None:
+        from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
+
+        self.bounds, self.fault = bounds, ""
+        self._curvatures, self._surface = scene.curvatures, surface
+        self._clock, self._origin = clock, clock.now()
+        above = np.array([0.0, 0.0, -HEIGHT, 0.0])
+        self._starts, self._rides = [0.0], [Ride.planned([above, above], 0.0, 1.0, 1.0)]
+        self.fingertips = VirtualTouch(
+            {each: Finger(scene, seed, each, self) for each in fingers}, self._origin
+        )
+        self.motion = VirtualMotion(self, self._origin)
+
+    async def __aenter__(self) -> Self:
+        """Check the initial state.
+
+        Raises:
+            EndpointError: if the arm is out of bounds.
+        """
+        self._check()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.stop()
+
+    @property
+    def state(self) -> ArmState:
+        """State at the clock's time."""
+        return self.state_at(self._now())
+
+    def state_at(self, instant: float) -> ArmState:
+        """Return the state at an instant (s since the start)."""
+        place, velocity, force = (each[0].tolist() for each in self._states(np.array([instant])))
+        turned = quaternion(self._surface[3:])
+        linear, angular = rotate(tuple(velocity[:3]), turned), rotate((0.0, 0.0, velocity[3]), turned)
+        pose = offset_pose(self._surface, tuple(place[:3]), place[3])
+        return ArmState(pose, (*linear, *angular), rotate((0.0, 0.0, -force), turned))
+
+    def at(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return drive (k, 6) and pose (k, 3) at increasing instants (k,) (s); see `PlannedArm.at`."""
+        place, velocity, force = self._states(times)
+        drive = np.zeros((len(times), 6))
+        cos, sin = np.cos(place[:, 3]), np.sin(place[:, 3])
+        drive[:, 0] = cos * velocity[:, 0] + sin * velocity[:, 1]
+        drive[:, 1] = cos * velocity[:, 1] - sin * velocity[:, 0]
+        drive[:, 2], drive[:, 3] = velocity[:, 3], force
+        return drive, place[:, [0, 1, 3]]
+
+    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
+        """Move in a straight line to a pose and stop there.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        del seconds
+        self._check_target(pose)
+        await self._follow(Ride.planned([self._place, self._local(pose)], self._now(), speed, acceleration))
+
+    async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
+        """Move along a polyline at constant speed and orientation.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        del seconds
+        corners, turned = [self._place], self.state.pose[3:]
+        for point in points:
+            self._check_target((*point, *turned))
+            corners.append(self._local((*point, *turned)))
+        await self._follow(Ride.planned(corners, self._now(), speed, acceleration))
+
+    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
+        """Move with a velocity (m/s, rad/s) for a time (s), then come to rest.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        back, start = self._to_surface, self._now()
+        along = np.array([*rotate(velocity[:3], back), rotate(velocity[3:], back)[2]])
+        speed = max(float(np.linalg.norm(along[:3])), abs(float(along[3])))
+        top = min(speed, acceleration * seconds)
+        instants = start + np.array([0.0, top / acceleration, seconds, seconds + top / acceleration])
+        corners = np.array([self._place, self._place + along * seconds])
+        await self._follow(Ride(corners, instants, np.array([0.0, top, top, 0.0]), acceleration))
+
+    async def tare(self, seconds: float) -> None:
+        """Stand still; the simulated force has no offset.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        await self.wait(seconds)
+
+    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
+        """Move along a straight path (m) until the contact force reaches `force` (N).
+
+        Returns:
+            The force (N) at rest.
+
+        Raises:
+            EndpointError: if the arm had to be stopped, for example at the end of a path without contact.
+        """
+        along = np.array([*rotate(path, self._to_surface), 0.0])
+        ride = Ride.planned([self._place, self._place + along], self._now(), speed, acceleration)
+        await self._follow(ride, force)
+        if self._push < force:
+            length = 1000 * math.hypot(*path)
+            self.fail(f"no contact of {force:g} N within {length:.1f} mm: {self._push:.1f} N at the end")
+            self._check()
+        await self.stop()
+        return self._push
+
+    async def wait(self, seconds: float) -> None:
+        """Wait while the arm continues its motion.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        end = self._now() + seconds
+        self._check()
+        while (left := end - self._now()) > _TICK:
+            await self._clock.sleep_until(self._clock.now() + round(min(left, STEP) * s))
+            self._check()
+
+    def fail(self, reason: str) -> None:
+        """Stop the arm permanently; the current move and all later ones raise this reason."""
+        if not self.fault:
+            self.fault = reason
+            log.error("%s is stopped: %s", NAME, reason)
+            self._brake()
+
+    async def stop(self) -> None:
+        """Stop the arm; return when it stands."""
+        self._brake()
+        await self._clock.sleep_until(self._origin + round(self._rides[-1].end * s))
+
+    @property
+    def _to_surface(self) -> tuple[float, float, float, float]:
+        """Rotation from the base frame to that of the surface."""
+        w, x, y, z = quaternion(self._surface[3:])
+        return w, -x, -y, -z
+
+    @property
+    def _place(self) -> Reals:
+        place: Reals = self._states(np.array([self._now()]))[0][0]
+        return place
+
+    @property
+    def _push(self) -> float:
+        return float(self._states(np.array([self._now()]))[2][0])
+
+    def _now(self) -> float:
+        return (self._clock.now() - self._origin) / s
+
+    def _local(self, pose: Sequence[float]) -> Reals:
+        """Return the coordinates (4,) of a pose; the arm cannot tilt, so only its yaw counts."""
+        offset = pose[0] - self._surface[0], pose[1] - self._surface[1], pose[2] - self._surface[2]
+        turn = rotation_difference(self._surface[3:], (pose[3], pose[4], pose[5]))
+        return np.array([*rotate(offset, self._to_surface), rotate(turn, self._to_surface)[2]])
+
+    def _states(self, times: Reals) -> tuple[Reals, Reals, Reals]:
+        """Return place (k, 4), velocity (k, 4) and normal force (k,) at increasing instants (k,) (s)."""
+        place, velocity = np.zeros((2, len(times), 4))
+        if len(times):
+            first = bisect_right(self._starts, times[0]) - 1
+            cuts = [0, *np.searchsorted(times, self._starts[first + 1 :]), len(times)]
+            for number, ride in enumerate(self._rides[first:]):
+                part = slice(cuts[number], cuts[number + 1])
+                place[part], velocity[part] = ride.at(times[part])
+        drop = np.zeros(len(times))  # (k,) m
+        if any(self._curvatures):
+            drop[:] = [surface_drop(self._curvatures, x, y) for x, y in place[:, :2].tolist()]
+        return place, velocity, STIFFNESS * np.maximum(0.0, place[:, 2] - drop)
+
+    def _begin(self, ride: Ride) -> None:
+        self._starts.append(float(ride.instants[0]))
+        self._rides.append(ride)
+
+    async def _follow(self, ride: Ride, force: float = math.inf) -> None:
+        """Follow a ride to its end, or until a normal force (N) is reached; stop if cancelled."""
+        self._check()
+        self._begin(ride)
+        try:
+            while (left := ride.end - self._now()) > _TICK and self._push < force:
+                await self.wait(min(left, STEP))
+        except asyncio.CancelledError:
+            self._brake()
+            raise
+
+    def _brake(self) -> None:
+        """Come to rest on the path of the current ride."""
+        if (now := self._now()) < self._rides[-1].end:
+            self._begin(self._rides[-1].braked(now))
+
+    def _check_target(self, pose: Pose) -> None:
+        if reason := self.bounds.violation(ArmState(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))):
+            self.fail(f"target outside the bounds: {reason}")
+        self._check()
+
+    def _check(self) -> None:
+        if not self.fault and (reason := self.bounds.violation(self.state)):
+            self.fail(reason)
+        if self.fault:
+            raise EndpointError(NAME, self.fault)
+
+
+class VirtualTouch(Source[Touch]):
+    """Source of the fingertips of a `SimulatedArm`, by number: a sample of each every 10 ms."""
+
+    def __init__(self, fingertips: Mapping[int, "Finger"], origin: int) -> None:
+        self._fingertips, self._origin = fingertips, origin
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Type of the batches: raw counts."""
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """Numbers of the fingertips."""
+        return tuple(self._fingertips)
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Yield the samples in turn; a late one shows the instant at which it was due."""
+        async for time in ticks(clock, self._origin, s // 100):
+            for fingertip in self._fingertips.values():
+                sample, _ = fingertip.sense((time - self._origin) / s)
+                yield replace(sample, time=sample.time + self._origin)
+
+    @property
+    def fingertip(self) -> Fingertip:
+        """A TakkTile at 100 Hz."""
+        return replace(TAKKTILE, rate=100.0)
+
+    def describe(self) -> Description:
+        """Return the sensor."""
+        return {"sensor": "TakkTile 2x3, simulated"}
+
+
+class VirtualMotion(Source[Motion]):
+    """Source of the motion of a `SimulatedArm`: a sample every 8 ms."""
+
+    def __init__(self, arm: SimulatedArm, origin: int) -> None:
+        self._arm, self._origin = arm, origin
+
+    @property
+    def kind(self) -> type[Motion]:
+        """Type of the batches."""
+        return Motion
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
+        """Yield the samples; the controller's clock shows the time since the arm was created."""
+        async for time in ticks(clock, self._origin, round(STEP * s)):
+            state = self._arm.state_at((time - self._origin) / s)
+            stamp = np.array([time - self._origin])
+            yield Motion(np.array([time]), stamp, np.array([state.velocity]), np.array([state.pose]))
+
+    def describe(self) -> Description:
+        """Return the arm."""
+        return {"arm": "simulated"}
+
+
+def start_pose(surface: Pose) -> Pose:
+    """Return the pose in which the arm starts, above a surface."""
+    return offset_pose(surface, (0.0, 0.0, -HEIGHT))
+
+
+async def simulate_arm(path: PlannedPath, clock: Clock, fingers: tuple[int, ...] = (0,)) -> SimulatedArm:
+    """Return an arm over the surface of a plan; the first one in a process compiles the physics.
+
+    Raises:
+        InputError: if the plan has several surfaces.
+    """
+    from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
+
+    surface, plan = path.series[0].surface, path.plan
+    if len(plan.surfaces) > 1:
+        raise InputError(plan.name, "has several surfaces; the virtual arm has one")
+    await asyncio.to_thread(compile_physics)
+    scene = Scene(Moves(()), surface.shape, surface.radius, vibration=Vibration())
+    return SimulatedArm(scene, surface.middle, path.bounds, clock, seed=plan.seed, fingers=fingers)
+
+
+async def ticks(clock: Clock, origin: int, period: int) -> AsyncIterator[int]:
+    """Yield the times (ns) of a schedule from now on, each when the clock reaches it."""
+    for number in count(max(0, -((origin - clock.now()) // period))):
+        await clock.sleep_until(origin + number * period)
+        yield origin + number * period
