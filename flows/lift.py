@@ -3,7 +3,7 @@
 from typing import Final
 
 from connectors import Console, Gripper, TakkTile
-from connectors.gripper.grip_force import ForceScale
+from connectors.gripper.robotiq import ForceScale
 from connectors.sim.grasp import least_force
 from connectors.sim.grasp_source import SimulatedGrasp
 from connectors.sim.objects import OBJECTS, named

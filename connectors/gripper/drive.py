@@ -28,25 +28,30 @@ class GripperDrive:
 
     Attributes:
         target: Request that sets the target.
-        target_sent: True if the newest force was sent, over any connection.
         status: Newest status after the newest request was echoed; None before the first of a connection.
         ready: True if the gripper accepts requests.
     """
 
     def __init__(
-        self,
-        new_link: Callable[[], GripperLink],
-        target: Request,
-        counted: dict[str, int],
-        timeout: float,
+        self, new_link: Callable[[], GripperLink], target: Request, counted: dict[str, int], timeout: float
     ) -> None:
-        self.target, self.target_sent = target, True
+        self.target = target
         self._new_link, self._counted, self._timeout = new_link, counted, timeout
         self._changed = asyncio.Event()
         self._was_ready = False  # the gripper was ready when it last answered
         self._link: GripperLink | None = None
-        self.status: Status | None = None
         self.drop()
+
+    def drop(self) -> None:
+        """Close the connection, if there is one."""
+        if self._link:
+            self._link.close()
+        self._link, self.ready = None, False
+        self.status: Status | None = None
+        self._sent: Request | None = None  # newest request of this connection
+        self._due = -inf  # loop time (s) of the next status request
+        self._requested = 0.0  # loop time (s) of the newest request whose echo is checked
+        self._waiting = 0.0  # loop time (s), start of the wait for readiness
 
     @property
     def connected(self) -> bool:
@@ -55,14 +60,12 @@ class GripperDrive:
 
     @property
     def pending(self) -> bool:
-        """True if the target has not been sent."""
+        """True if the target has not been sent over this connection."""
         return self.target.go and self.target != self._sent
 
     def grip(self, force: int) -> None:
         """Set the force, as a register value."""
-        target = replace(self.target, go=True, force=force)
-        self.target_sent = self.target_sent and target == self.target
-        self.target = target
+        self.target = replace(self.target, go=True, force=force)
         self._changed.set()
 
     async def connect(self) -> GripperLink:
@@ -75,17 +78,6 @@ class GripperDrive:
         self._waiting = asyncio.get_running_loop().time()
         await link.connect()
         return link
-
-    def drop(self) -> None:
-        """Close the connection, if there is one."""
-        if self._link:
-            self._link.close()
-        self._link = self.status = None
-        self._sent: Request | None = None  # newest request of this connection
-        self.ready = False
-        self._due = -inf  # loop time (s) of the next status request
-        self._requested = 0.0  # loop time (s) of the newest request whose echo is checked
-        self._waiting = 0.0  # loop time (s), start of the wait for readiness
 
     async def start(self) -> None:
         """Connect, reset a fault, activate the gripper and send the target if it is set.
@@ -151,13 +143,7 @@ class GripperDrive:
         return POLL
 
     async def _send(self, link: GripperLink, request: Request) -> None:
-        on_target = request == self.target
-        self.target_sent = self.target_sent or on_target
-        try:
-            await link.write(request)
-        except BaseException:
-            self.target_sent = self.target_sent and not on_target
-            raise
+        await link.write(request)
         if self._sent is None or replace(self._sent, force=request.force) != request:
             self._requested = self._due = asyncio.get_running_loop().time()
         self._sent = request

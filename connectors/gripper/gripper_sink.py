@@ -9,9 +9,8 @@ from typing import Final
 import numpy as np
 
 from connectors.gripper.drive import GripperDrive
-from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.modbus_link import GripperLink
-from connectors.gripper.robotiq import FULL, PORT, UNIT, Request, Status
+from connectors.gripper.robotiq import FULL, PORT, UNIT, ForceScale, Request, Status
 from operators.back_off import BackOff
 from operators.batch import Commands
 from operators.checks import check_above, check_between
@@ -83,8 +82,7 @@ class Gripper(Sink[Commands]):
             raise ParameterError("Gripper", "limits", self.limits, must_be)
         if self.force is not None:
             check_between("Gripper", "force", self.force, low, high, unit="N")
-        names = ["taken", "superseded", "limited", "sent", "restarts", "failures"]
-        self._counted = dict.fromkeys(names, 0)
+        self._counted = dict.fromkeys(["taken", "limited", "sent", "restarts", "failures"], 0)
         self._reset()
 
     def _reset(self) -> None:
@@ -110,9 +108,8 @@ class Gripper(Sink[Commands]):
     def describe(self) -> Description:
         """Return gripper, address, limits, target, newest status and counts.
 
-        ``taken`` counts commands with a force; of these, ``superseded`` were replaced before they were sent,
-        and ``limited`` were clipped. ``sent`` counts requests, including activations; ``restarts`` and
-        ``failures`` count those of the gripper.
+        ``taken`` counts batches with a force; of these, ``limited`` were clipped. ``sent`` counts requests,
+        including activations; ``restarts`` and ``failures`` count those of the gripper.
         """
         status, request = self.status, self._drive.target
         return {
@@ -194,15 +191,16 @@ class Gripper(Sink[Commands]):
         await serving.end()
         try:
             async with asyncio.timeout(self.timeout):
-                while self._drive.connected and not self._drive.target_sent:
+                while self._drive.connected and self._drive.pending:
                     await self._drive.step()
+            unsent = self._failure if self._drive.pending else ""
         except TimeoutError:
-            self._failure = "is not ready for the newest command"
+            unsent = "is not ready for the newest command"
         finally:
             self._drive.drop()
         serving.check()
-        if not self._drive.target_sent:
-            raise EndpointError(self.destination, self._failure)
+        if unsent:
+            raise EndpointError(self.destination, unsent)
 
     def _take(self, batch: Commands) -> None:
         forces = batch.force[~np.isnan(batch.force)]
@@ -210,8 +208,7 @@ class Gripper(Sink[Commands]):
             return
         low, high = self.limits
         newest = float(forces[-1])
-        self._counted["taken"] += len(forces)
-        self._counted["superseded"] += len(forces) - 1 + (not self._drive.target_sent)
+        self._counted["taken"] += 1
         self._counted["limited"] += not low <= newest <= high
         self._drive.grip(self.scale.register(min(max(newest, low), high)))
 

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
-from connectors.gripper.robotiq import PACE, SETTLE, STATUS, Request, RobotiqError, Status, octets, registers
+from connectors.gripper.robotiq import PACE, SETTLE, STATUS, Request, Status, octets, registers
 from operators.errors import EndpointError
 from operators.extras import require_extra
 
@@ -42,8 +42,12 @@ class GripperLink:
     """
 
     def __init__(self, endpoint: str, host: str, port: int, unit: int, timeout: float) -> None:
-        check_pymodbus(endpoint)
+        require_extra("gripper", endpoint)
         from pymodbus.client import AsyncModbusTcpClient  # noqa: PLC0415 - an extra
+
+        log = logging.getLogger("pymodbus.logging")
+        if log.level == logging.NOTSET:
+            log.setLevel(logging.CRITICAL)  # it duplicates the errors raised here
 
         self.endpoint, self._unit, self._timeout = endpoint, unit, timeout
         self._loop = asyncio.get_running_loop()
@@ -96,7 +100,7 @@ class GripperLink:
         )
         try:
             return Status.decode(octets(answer.registers))
-        except RobotiqError as error:
+        except ValueError as error:
             raise EndpointError(self.endpoint, f"sends {error}: is it a 3-finger gripper?") from None
 
     def close(self) -> None:
@@ -135,15 +139,3 @@ class GripperLink:
     def _changed(self, connected: bool) -> None:  # noqa: FBT001 - as pymodbus calls it
         if not connected and not self._lost.done():
             self._lost.set_result(None)
-
-
-def check_pymodbus(owner: str) -> None:
-    """Check that pymodbus is installed, and silence its log, which duplicates the errors raised here.
-
-    Raises:
-        InputError: if it is not installed.
-    """
-    require_extra("gripper", owner)
-    log = logging.getLogger("pymodbus.logging")
-    if log.level == logging.NOTSET:
-        log.setLevel(logging.CRITICAL)

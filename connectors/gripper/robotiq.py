@@ -1,4 +1,4 @@
-"""Registers of a Robotiq 3-finger gripper in simplified control mode, as bytes. No I/O.
+"""Registers of a Robotiq 3-finger gripper in simplified control mode, and their force scale. No I/O.
 
 A request is written to registers 0 to 2 (Modbus function 16), the status is read from registers 0 to 7
 (function 4); a register holds two bytes. The manual's example closes the gripper at full speed and force:
@@ -23,7 +23,9 @@ from struct import Struct
 from types import MappingProxyType
 from typing import Final, Self
 
-from operators.errors import SlipflowError
+import numpy as np
+
+from operators.errors import ParameterError
 
 PORT: Final = 502
 UNIT: Final = 2  # unit in the manual's examples
@@ -49,10 +51,6 @@ FAULTS: Final[Mapping[int, str]] = MappingProxyType(
 
 _BYTES: Final = Struct("6B")
 _RELEASING: Final = 0x0B  # lowest code of the faults that need a reset
-
-
-class RobotiqError(SlipflowError):
-    """Bytes that are not a valid request or status."""
 
 
 class Phase(IntEnum):
@@ -82,7 +80,7 @@ class Request:
         go: Move to the position; False: stay [rGTO].
         position: 0 open to 255 closed [rPRA].
         speed: 0 slowest to 255 fastest [rSPA].
-        force: 0 weakest to 255 strongest, see `connectors.gripper.grip_force.ForceScale` [rFRA].
+        force: 0 weakest to 255 strongest, see `ForceScale` [rFRA].
 
     >>> Request(active=True).encode().hex(" ")
     '01 00 00 00 00 00'
@@ -98,18 +96,6 @@ class Request:
         """Return the 6 bytes of its registers."""
         action = self.active | self.go << 3
         return _BYTES.pack(action, 0, 0, self.position, self.speed, self.force)
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Return the request in the bytes from register 0 on; those after the sixth are for other modes.
-
-        Raises:
-            RobotiqError: if there are fewer than 6.
-        """
-        if len(data) < _BYTES.size:
-            raise RobotiqError(f"a request of {len(data)} bytes")
-        action, _, _, position, speed, force = _BYTES.unpack_from(data)
-        return cls(bool(action & 1), bool(action & 1 << 3), position, speed, force)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,10 +125,10 @@ class Status:
         """Return the status in the 16 bytes from register 0 on.
 
         Raises:
-            RobotiqError: if there are not 16.
+            ValueError: if there are not 16.
         """
         if len(data) != 2 * STATUS:
-            raise RobotiqError(f"a status of {len(data)} bytes")
+            raise ValueError(f"a status of {len(data)} bytes")
         gripper = data[0]
         return cls(
             active=bool(gripper & 1),
@@ -191,3 +177,51 @@ def registers(data: bytes) -> list[int]:
 def octets(values: Sequence[int]) -> bytes:
     """Return the bytes of 16-bit registers."""
     return b"".join(value.to_bytes(2, "big") for value in values)
+
+
+@dataclass(frozen=True)
+class ForceScale:
+    """Grip force (N) for each value of the force register, linear between points.
+
+    Robotiq's manual states the ends, 15 N and 60 N, and a nonlinear relation of about 0.175 N per count. The
+    default is linear; replace it by points measured with a force gauge.
+
+    Args:
+        points: Register value and force (N), both increasing, from register 0 to 255.
+
+    Raises:
+        ParameterError: if the points are invalid.
+
+    >>> scale = ForceScale()
+    >>> scale.register(15.0), scale.register(37.5), scale.register(60.0), scale.force(127)
+    (0, 127, 255, 37.411764705882355)
+    """
+
+    points: tuple[tuple[int, float], ...] = ((0, 15.0), (FULL, 60.0))
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, np.float64).reshape(-1, 2)  # (n, 2)
+        ends = [*points[:1, 0], *points[-1:, 0]] == [0, FULL] and points[0, 1] > 0 and points[-1, 1] < np.inf
+        if not (ends and (np.diff(points, axis=0) > 0).all() and len(points) > 1):
+            must_be = f"registers that increase from 0 to {FULL}, and forces that increase from above 0 N"
+            raise ParameterError("ForceScale", "points", self.points, must_be)
+
+    @property
+    def weakest(self) -> float:
+        """Minimum grip force, N."""
+        return self.points[0][1]
+
+    @property
+    def strongest(self) -> float:
+        """Maximum grip force, N."""
+        return self.points[-1][1]
+
+    def register(self, force: float) -> int:
+        """Return the greatest register value whose force is at most `force` (N), or 0."""
+        registers, forces = zip(*self.points, strict=True)
+        return int(np.interp(force, forces, registers) + 1e-6)  # 1e-6: inverts `force` exactly
+
+    def force(self, register: int) -> float:
+        """Return the force (N) of a register value."""
+        registers, forces = zip(*self.points, strict=True)
+        return float(np.interp(register, registers, forces))

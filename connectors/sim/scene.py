@@ -168,11 +168,6 @@ class Scene:
             start += move.seconds
 
 
-def commanded_scene(curvature: Curvature = "plane", radius: float = RADIUS) -> Scene:
-    """Return a scene without moves, for a commanded arm that vibrates."""
-    return Scene(Moves(()), curvature, radius, vibration=Vibration())
-
-
 def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
     """Return the depth (m) of a surface below its highest point.
 

@@ -30,7 +30,7 @@ class ScanThread:
     """
 
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        self._schedule, self._now, self._path = schedule, now, schedule.bus.path
+        self._schedule, self._now, self._path = schedule, now, schedule.path
         self._loop = asyncio.get_running_loop()
         self._scans = deque[Scan]()
         self._error: BaseException | None = None

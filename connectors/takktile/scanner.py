@@ -1,6 +1,7 @@
 """Scanner of TakkTile fingertips on an I2C bus; transfers block, so run it in its own thread."""
 
 import errno
+import fcntl
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -8,9 +9,8 @@ from time import sleep
 from typing import Final, NamedTuple
 
 import numpy as np
-from smbus2 import I2cFunc
+from smbus2 import I2cFunc, SMBus
 
-from connectors.takktile.i2c_access import I2cBus
 from connectors.takktile.takktile_protocol import (
     ALL,
     BAROMETER,
@@ -43,7 +43,7 @@ class Schedule:
     """Fingertips to scan, and the times of the scans.
 
     Attributes:
-        bus: The bus.
+        path: Path of the bus, such as /dev/i2c-1.
         rows: Rows of the fingertips.
         conversion: Waiting time for a conversion, ns.
         period: Time between two scans, ns.
@@ -52,7 +52,7 @@ class Schedule:
         coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not read yet.
     """
 
-    bus: I2cBus
+    path: str
     rows: Sequence[int]
     conversion: int
     period: int
@@ -74,6 +74,23 @@ class Scan(NamedTuple):
         """Return a scan without samples."""
         counts, temperature = np.zeros((2, fingertips, BAROMETERS), np.int16)
         return cls(time, counts, temperature, np.zeros((fingertips, BAROMETERS), np.bool_), error)
+
+
+def open_bus(path: str) -> SMBus:
+    """Open a bus and lock it against other programs that scan it.
+
+    Raises:
+        OSError: if the bus does not exist, cannot be accessed or is locked.
+    """
+    bus = SMBus()
+    try:
+        bus.open(path)
+        assert bus.fd is not None
+        fcntl.flock(bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BaseException:
+        bus.close()
+        raise
+    return bus
 
 
 def i2c_reason(error: OSError) -> str:
@@ -100,7 +117,7 @@ class Scanner:
         rows, self._conversion, self._coefficients = schedule.rows, schedule.conversion, schedule.coefficients
         self._rows, self._now = rows, now
         self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in rows]
-        self._bus = schedule.bus.open()
+        self._bus = open_bus(schedule.path)
         try:
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect_all()

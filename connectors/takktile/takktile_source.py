@@ -1,7 +1,7 @@
 """Live source of TakkTile fingertips on an I2C bus."""
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator, Sequence
 from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
@@ -9,10 +9,8 @@ from typing import Final, cast
 
 import numpy as np
 
-from connectors.takktile.i2c_access import I2cBus, LinuxI2cBus
 from connectors.takktile.scan_thread import ScanThread
-from connectors.takktile.scanner import Scan, Schedule
-from connectors.takktile.takktile_diagnosis import answering_rows, rate_finding, row_findings
+from connectors.takktile.scanner import Scan, Scanner, Schedule
 from connectors.takktile.takktile_protocol import ROWS, Coefficients, compensate
 from operators.batch import BAROMETERS, Reals, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_choice
@@ -23,6 +21,8 @@ from operators.ports import Clock, Description, Finding, Json, Source
 RETRY: Final = 0.25  # s, between attempts to find a lost sensor
 SHORTEST: Final = ms // 10  # ns, least conversion time; a smaller number is not in ns
 DIAGNOSIS: Final = 1 * s  # ns, duration of the measurement of the rate
+RATE_LEAST: Final = 0.95  # smallest measured rate, of the nominal
+VALID_LEAST: Final = 0.5  # smallest share of valid samples of a cell
 ADAPTERS: Final = Path("/sys/class/i2c-dev")
 
 
@@ -37,7 +37,7 @@ class TakkTile(Source[Touch]):
     the gap, and retries every 0.25 s. The bus is locked against other programs that scan it.
 
     Args:
-        bus: Number of the I2C bus (1 for /dev/i2c-1), its path, or a bus object such as a virtual lab's.
+        bus: Number of the I2C bus (1 for /dev/i2c-1), or its path.
         rows: Rows of the fingertips, as programmed into their ATtinys: 0 to 7.
         fingers: Numbers of the fingertips in the flow (default 0, 1 and so on).
         rate: Scans per second, Hz.
@@ -58,7 +58,7 @@ class TakkTile(Source[Touch]):
 
     def __init__(
         self,
-        bus: int | str | I2cBus = 1,
+        bus: int | str = 1,
         rows: tuple[int, ...] = (0,),
         *,
         fingers: tuple[int, ...] | None = None,
@@ -78,15 +78,13 @@ class TakkTile(Source[Touch]):
         if not SHORTEST <= conversion < s / rate:
             must_be = f"from {SHORTEST} ns to less than {s / rate:.0f} ns, such as 3 * ms"
             raise ParameterError("TakkTile", "conversion", conversion, must_be)
-        if isinstance(bus, int | str):
-            bus = LinuxI2cBus(f"/dev/i2c-{bus}" if isinstance(bus, int) else bus)
-        self.path = bus.path
+        self.path = f"/dev/i2c-{bus}" if isinstance(bus, int) else bus
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}
         self._fingers = fingers
         counted = {"made": 0, "silent": 0, "late": 0, "missed": 0}
         cells = [self.coefficients[finger] for finger in fingers]
-        self._schedule = Schedule(bus, rows, conversion, round(s / rate), counted, cells)
+        self._schedule = Schedule(self.path, rows, conversion, round(s / rate), counted, cells)
         self._thread: ScanThread | None = None  # newest thread
         self._reported: Clock | None = None  # clock of the run in which the loss of the sensor was reported
 
@@ -158,15 +156,15 @@ class TakkTile(Source[Touch]):
             failure = error
         others: list[int] | None = None
         if not all(any(cells) for cells in self.coefficients.values()):
-            others = await asyncio.to_thread(answering_rows, self._schedule.bus, clock.now)
+            others = await asyncio.to_thread(_answering_rows, self.path, clock.now)
         if failure and not others:
             raise failure
         about = (f"{name} {value}" for name, value in _adapter(self.path).items() if value is not None)
         yield Finding(self.path, f"opens; {', '.join(about) or 'its speed is unknown'}")
-        for finding in row_findings(self._schedule, scans, others):
+        for finding in _row_findings(self._schedule, scans, others):
             yield finding
         if scans:
-            yield rate_finding(self._schedule, scans)
+            yield _rate_finding(self._schedule, scans)
 
     def pressure(self, touch: Touch) -> Reals:
         """Return the absolute pressure (kPa) at the cells, (n, 6), from a fingertip's raw counts.
@@ -216,3 +214,50 @@ def _adapter(path: str) -> dict[str, Json]:
     except OSError:  # no such bus, or no speed configured
         pass
     return about
+
+
+def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:
+    """Return the rows of the bus at which a cell answers; none if the bus cannot be used."""
+    cells = [list[Coefficients | None]([None] * BAROMETERS) for _ in range(ROWS)]
+    try:
+        Scanner(Schedule(path, range(ROWS), 3 * ms, s, {}, cells), now).close()
+    except OSError:
+        return []
+    return [row for row, known in enumerate(cells) if any(known)]
+
+
+def _row_findings(
+    schedule: Schedule, scans: Sequence[Scan], others: Sequence[int] | None
+) -> Iterator[Finding]:
+    """Yield a finding for each declared row; `others` are all rows that answer, None if not searched."""
+    shares = np.mean([scan.valid for scan in scans], axis=0) if scans else None  # (fingertips, 6)
+    for index, row in enumerate(schedule.rows):
+        subject, known = f"{schedule.path} row {row}", schedule.coefficients[index]
+        silent = [cell for cell, coefficients in enumerate(known) if coefficients is None]
+        weak = [] if shares is None else np.flatnonzero(shares[index] < VALID_LEAST).tolist()
+        if len(silent) == BAROMETERS:
+            found = f"rows {_join(others)} answer: declare them, or program the fingertip" if others else ""
+            yield Finding(subject, f"does not answer; {found or 'check its power and its row'}", "bad")
+        elif silent:
+            text = f"cells {_join(silent)} do not answer: check their soldering and cable"
+            yield Finding(subject, text, "bad")
+        elif weak:
+            text = f"cells {_join(weak)} give implausible values: unload the fingertip, or replace it"
+            yield Finding(subject, text, "bad")
+        else:
+            yield Finding(subject, f"{BAROMETERS} cells answer")
+
+
+def _rate_finding(schedule: Schedule, scans: Sequence[Scan]) -> Finding:
+    """Return the measured rate of successive scans."""
+    nominal, span = s / schedule.period, scans[-1].time - scans[0].time
+    rate = (len(scans) - 1) * s / span if span else 0.0
+    text = f"{rate:.1f} scans per second of {nominal:g}"
+    if rate >= RATE_LEAST * nominal:
+        return Finding(schedule.path, text)
+    remedy = "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate; check the load"
+    return Finding(schedule.path, f"{text}: {remedy}", "bad")
+
+
+def _join(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers))

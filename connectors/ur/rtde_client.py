@@ -8,7 +8,17 @@ from typing import Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 
-from connectors.ur.rtde import PROTOCOL, Kind, Packages, Recipe, RtdeError, Version, ask_outputs, pack, text
+from connectors.ur.rtde import (
+    PROTOCOL,
+    Kind,
+    Packages,
+    RtdeError,
+    Version,
+    ask_outputs,
+    granted_types,
+    pack,
+    text,
+)
 from operators.batch import Times
 from operators.errors import EndpointError, os_error_reason
 from operators.ports import Clock
@@ -56,7 +66,7 @@ class RtdeClient(asyncio.Protocol):
         self._outputs, self._rate = outputs, rate
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
         self._row = np.dtype([("recipe", "u1"), *fields])
-        self._packages, self._recipe = Packages(), Recipe(0, (), ())
+        self._packages, self._recipe = Packages(), 0
         self._expected = Kind.PROTOCOL  # kind of the next answer; DATA once the controller sends
         self._received = deque[tuple[int, bytes]]()  # arrival (ns) and payload
         self._transport: asyncio.Transport | None = None
@@ -123,7 +133,9 @@ class RtdeClient(asyncio.Protocol):
         elif kind != self._expected:
             raise RtdeError(f"received package {chr(kind)!r}, expected {chr(self._expected)!r}")
         elif kind == Kind.DATA:
-            self._recipe.check(payload)
+            if payload[:1] != bytes([self._recipe]) or len(payload) != self._row.itemsize:
+                found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
+                raise RtdeError(f"data of {found}, not {self._row.itemsize} for {self._recipe:02x}")
             self._received.append((arrival, payload))
         else:
             self._answer(payload)
@@ -140,8 +152,8 @@ class RtdeClient(asyncio.Protocol):
                 self.controller = Version.read(payload)
                 self._request(Kind.OUTPUTS, ask_outputs(self._rate, [*self._outputs]))
             case Kind.OUTPUTS:
-                self._recipe = Recipe.granted([*self._outputs], payload)
-                self._check_types(self._recipe.types)
+                self._recipe, types = granted_types([*self._outputs], payload)
+                self._check_types(types)
                 self._request(Kind.START)
             case _:
                 if payload != b"\1":

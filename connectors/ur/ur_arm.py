@@ -238,7 +238,7 @@ class UrArm:
         x, y, z, *_ = self.state.pose
         return x, y, z
 
-    def _check_target(self, pose: tuple[float, ...]) -> None:
+    def _check_target(self, pose: Pose) -> None:
         """Stop the arm if a target is outside its bounds, and raise if the arm was stopped."""
         if reason := self.bounds.violation(ArmState(pose, _REST)):
             self.fail(f"target outside the bounds: {reason}")

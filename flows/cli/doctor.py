@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from contextlib import AsyncExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -45,9 +44,6 @@ def doctor(
         str, typer.Option(metavar="SITE/RIG", help="Rig whose rights on the broker are checked, with --mqtt.")
     ] = "lab/rig",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
-    virtual: Annotated[
-        bool, typer.Option("--virtual", help="Check the devices of a virtual lab, which is started for this.")
-    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Check this machine, and the devices that a flow uses.
@@ -62,18 +58,16 @@ def doctor(
       slipflow doctor --bus 1 --rows 0,1 --robot 10.0.0.2
       slipflow doctor --mqtt mqtts://broker.example --rig lab/fingertip
       slipflow doctor mine.py --set robot=10.0.0.2
-      slipflow doctor --virtual --json
+      slipflow doctor --json
     """
     from connectors import Mqtt
-    from connectors.emulators.lab_loop import run_lab
 
     parts: dict[str, Endpoint] = _declared(target, settings)
     parts |= _devices(bus, rows, robot, gripper)
     if mqtt is not None:
         site, _, name = rig.partition("/")
         parts["--mqtt"] = Mqtt(mqtt, site, name)
-    execute = run_lab if virtual else asyncio.run
-    found = execute(_diagnose(parts, out, virtual=virtual))
+    found = asyncio.run(_diagnose(parts, out))
     bad = sum(finding.state == "bad" for findings in found.values() for finding in findings)
     typer.echo(_as_json(found) if as_json else _as_text(found, bad))
     if bad:
@@ -109,8 +103,8 @@ def _devices(bus: str | None, rows: str, robot: str | None, gripper: str | None)
     return found
 
 
-async def _diagnose(parts: "dict[str, Endpoint]", out: Path, *, virtual: bool) -> "Findings":
-    """Check the machine and `parts`, and with `virtual` the devices of a virtual lab."""
+async def _diagnose(parts: "dict[str, Endpoint]", out: Path) -> "Findings":
+    """Check the machine and `parts`."""
     from connectors import Metrics, Page
     from flows.run.clocks import LoopClock
     from flows.run.diagnosis import diagnose
@@ -118,40 +112,18 @@ async def _diagnose(parts: "dict[str, Endpoint]", out: Path, *, virtual: bool) -
     from storage import Dataset
 
     clock = LoopClock()
-    async with AsyncExitStack() as running:
-        if virtual:
-            parts |= await _start_virtual_lab(running)
-        unused: dict[str, Endpoint] = {"disk": Dataset(out), "page": Page(), "metrics": Metrics()}
-        taken = {type(part) for part in parts.values()}
-        unused = {name: part for name, part in unused.items() if type(part) not in taken}
-        machine = await diagnose(unused, clock)
-        for name in machine.keys() - {"disk"}:  # ports that a run need not use
-            machine[name] = [_at_most_a_note(finding) for finding in machine[name]]
-        host = [*host_findings(), *(finding for name in unused for finding in machine[name])]
-        return {HOST: host, **await diagnose(parts, clock)}
+    unused: dict[str, Endpoint] = {"disk": Dataset(out), "page": Page(), "metrics": Metrics()}
+    taken = {type(part) for part in parts.values()}
+    unused = {name: part for name, part in unused.items() if type(part) not in taken}
+    machine = await diagnose(unused, clock)
+    for name in machine.keys() - {"disk"}:  # ports that a run need not use
+        machine[name] = [_at_most_a_note(finding) for finding in machine[name]]
+    host = [*host_findings(), *(finding for name in unused for finding in machine[name])]
+    return {HOST: host, **await diagnose(parts, clock)}
 
 
 def _at_most_a_note(finding: "Finding") -> "Finding":
     return replace(finding, state="note") if finding.state == "bad" else finding
-
-
-async def _start_virtual_lab(running: AsyncExitStack) -> "dict[str, Endpoint]":
-    """Start a virtual lab on free ports; return its devices, with a gripper if that extra is installed."""
-    from connectors import Gripper, TakkTile, UrMotion
-    from connectors.emulators.ur_controller import Ports
-    from connectors.emulators.virtual_lab import virtual_lab
-    from operators.extras import missing_packages
-
-    gripper = None if missing_packages("gripper") else 0
-    lab = await running.enter_async_context(virtual_lab(ports=Ports(0, 0, 0), gripper=gripper))
-    controller = lab.controller
-    found: dict[str, Endpoint] = {
-        "virtual fingertip": TakkTile(lab.bus),
-        "virtual arm": UrMotion(controller.host, port=controller.ports.rtde),
-    }
-    if lab.gripper:
-        found["virtual gripper"] = Gripper(lab.gripper.host, lab.gripper.port, lab.gripper.unit)
-    return found
 
 
 def _as_text(found: "Findings", bad: int) -> str:

@@ -38,7 +38,6 @@ TABLE: Final = CommandTable(
         "models": Entry(_LEARN, "List the shipped detectors and what each is meant for.", "model_list"),
         "onnx": Entry(_LEARN, "Export a tcn as ONNX for other runtimes.", "onnx"),
         "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
-        "rig": Entry(_ROBOTS, "Serve the virtual lab: a simulated UR arm and gripper.", "rig"),
         "experiment": Entry(
             _ROBOTS, "Run the paper's robot experiments in closed loop, simulated.", "experiments"
         ),

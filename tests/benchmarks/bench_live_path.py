@@ -28,7 +28,6 @@ import numpy as np
 import smbus2.smbus2
 
 from connectors import TakkTile, UrMotion
-from connectors.emulators.ur_controller import E_SERIES, Ports, UrController
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Scene
 from flows.graph import Flow
@@ -51,9 +50,10 @@ from operators import (
 from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import commit, machine
-from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
-from tests.connectors.emulators.free_arm import FreeArm
-from tests.connectors.emulators.i2c_device import served
+from tests.emulators.free_arm import FreeArm
+from tests.emulators.i2c_bus import EmulatedI2cBus
+from tests.emulators.i2c_device import served
+from tests.emulators.ur_controller import E_SERIES, Ports, UrController
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -210,7 +210,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
     """One run; `apart`: what it is made of is timed."""
     spent, touch, told = Spent(), Noting(), Told()
     motion = UrMotion(HOST, 500.0, port=port)
-    bus = FaultyI2cBus(Table(felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS})
+    bus = EmulatedI2cBus(Table(felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS})
     with tempfile.TemporaryDirectory() as out, served(bus, BUS):
         runner = LiveRunner(declared(touch, motion, told, out), "path")
         if apart:

@@ -50,12 +50,12 @@ def resident(field: str = "VmRSS") -> float:
 async def work(flow_file: str, table: Table, settings: dict[str, str], seconds: float) -> dict[str, object]:
     """Run for so long; gives what was used and done."""
     sys.path.append(str(Path(__file__).parents[2]))  # for `tests` alone: the installed slipflow comes first
-    from tests.connectors.emulators.faulty_i2c import FaultyI2cBus  # noqa: PLC0415
-    from tests.connectors.emulators.i2c_device import served  # noqa: PLC0415
+    from tests.emulators.i2c_bus import EmulatedI2cBus  # noqa: PLC0415
+    from tests.emulators.i2c_device import served  # noqa: PLC0415
 
     flow = load(flow_file).flow(settings)
     runner = LiveRunner(flow, "edge", duration=round(seconds * s))
-    with served(FaultyI2cBus(table), f"/dev/i2c-{BUS}"):
+    with served(EmulatedI2cBus(table), f"/dev/i2c-{BUS}"):
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(seconds / 2)
         wall, cpu, first = time.monotonic(), time.process_time(), resident()

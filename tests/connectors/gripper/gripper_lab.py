@@ -10,13 +10,12 @@ from typing import Any, cast
 import numpy as np
 
 from connectors import Gripper
-from connectors.gripper.grip_force import ForceScale
-from connectors.gripper.robotiq import Request
+from connectors.gripper.robotiq import ForceScale, Request
 from flows.run.clocks import LoopClock
 from operators import s
 from operators.batch import Commands
 from operators.ports import Run
-from tests.connectors.emulators.faulty_gripper import FaultyGripperServer
+from tests.emulators.gripper import GripperServer, decode_request
 
 IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' transport without sockets, for virtual time
 PORT = 5020
@@ -25,37 +24,32 @@ SCALE = ForceScale()
 
 @dataclass
 class Scene:
-    """Record of commanded forces (N) and their times (s)."""
+    """Record of commanded forces (N)."""
 
-    commanded: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    forces: list[float] = field(default_factory=list[float])
     gripped: asyncio.Event = field(default_factory=asyncio.Event)
 
     def command(self, commands: Commands) -> None:
         """Record commands."""
-        self.commanded += zip((commands.time / s).tolist(), commands.force.tolist(), strict=True)
+        self.forces += commands.force.tolist()
         self.gripped.set()
-
-    @property
-    def forces(self) -> list[float]:
-        """Forces in order of arrival, N."""
-        return [force for _, force in self.commanded]
 
 
 @dataclass
 class Lab:
     """Emulated gripper on the event loop's time, and the requests that it received."""
 
-    server: FaultyGripperServer
+    server: GripperServer
     scene: Scene
     run: Run
     asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
 
-    def gripper(self, **parameters: Any) -> Gripper:  # noqa: ANN401 - those of a gripper
+    def gripper(self, **parameters: Any) -> Gripper:
         """Return a sink."""
         return Gripper(self.server.host, self.server.port, **parameters)
 
     @asynccontextmanager
-    async def gripping(self, **parameters: Any) -> AsyncGenerator[Gripper]:  # noqa: ANN401 - those of a gripper
+    async def gripping(self, **parameters: Any) -> AsyncGenerator[Gripper]:
         """Open a sink for a block."""
         gripper = self.gripper(**parameters)
         await gripper.open(self.run)
@@ -67,29 +61,24 @@ class Lab:
     @property
     def writes(self) -> list[Request]:
         """Requests to the gripper."""
-        return [Request.decode(data[-6:]) for _, data in self.asked if data[5] == 16]
+        return [decode_request(data[-6:]) for _, data in self.asked if data[5] == 16]
 
 
 @asynccontextmanager
-async def lab(
-    host: str = IN_MEMORY,
-    port: int = PORT,
-    **parameters: Any,  # noqa: ANN401 - those of a server
-) -> AsyncGenerator[Lab]:
+async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> AsyncGenerator[Lab]:
     """Serve a gripper for a block."""
     loop, scene, asked = asyncio.get_running_loop(), Scene(), list[tuple[float, bytes]]()
     begun = loop.time()
-    server = FaultyGripperServer(
+    server = GripperServer(
         scene, host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters
     )
-    pass_on = server._trace
 
     def listen(sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
         if data and not sending:
             asked.append((loop.time(), data[2:]))
-        return pass_on(sending, data)
+        return data
 
-    server._trace = listen  # type: ignore[method-assign]
+    server.trace = listen
     async with server:
         yield Lab(server, scene, Run("run1", "live", LoopClock(), 0), asked)
 

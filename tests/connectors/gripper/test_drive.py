@@ -4,11 +4,10 @@ from math import nan
 
 import pytest
 
-from connectors.emulators.gripper_mechanism import Mechanism
 from connectors.gripper.robotiq import Request
 from operators import EndpointError
-from tests.connectors.emulators.faulty_gripper import RELEASED, fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
+from tests.emulators.gripper import RELEASED, Mechanism
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
@@ -53,7 +52,7 @@ async def test_a_command_to_a_restarted_gripper_is_sent_once_it_is_ready() -> No
 async def test_a_reset_gripper_is_activated_again() -> None:
     async with lab() as at, at.gripping(force=20.0) as gripper:
         await asyncio.sleep(5)
-        fail(at.server.mechanism, RELEASED)
+        at.server.mechanism.fail(RELEASED)
         await asyncio.sleep(5)
         at.server.mechanism.power_up()
         await asyncio.sleep(10)

@@ -8,8 +8,7 @@ import pytest
 
 from connectors import Gripper
 from connectors.gripper.drive import GripperDrive
-from connectors.gripper.grip_force import ForceScale
-from connectors.gripper.robotiq import Request
+from connectors.gripper.robotiq import ForceScale, Request
 from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.run.diagnosis import diagnose
@@ -17,8 +16,8 @@ from flows.run.live_runner import LiveRunner
 from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
 from operators.ports import Run
-from tests.connectors.emulators.faulty_gripper import RELEASED, fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
+from tests.emulators.gripper import RELEASED
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.virtual
@@ -75,7 +74,7 @@ async def test_a_ready_gripper_keeps_its_object() -> None:
         assert len(at.writes) == 3
 
 
-async def test_requests_are_paced_and_superseded_forces_are_counted() -> None:
+async def test_requests_are_paced_and_the_newest_force_is_sent() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5.05)  # between two looks
         begun = asyncio.get_running_loop().time()
@@ -92,7 +91,6 @@ async def test_requests_are_paced_and_superseded_forces_are_counted() -> None:
         newest = [min(249, 1 + round(instant * 1000)) for instant in written]  # when each was sent
         assert all(fresh - force <= 1 for fresh, force in zip(newest, sent, strict=True))
         assert counted(gripper)["taken"] == 249
-        assert counted(gripper)["taken"] - counted(gripper)["superseded"] == len(sent)
         assert at.scene.forces[-1] == SCALE.force(249)
 
 
@@ -104,7 +102,7 @@ async def test_rows_without_a_force_have_no_effect() -> None:
         await asyncio.sleep(5)
         assert [each.force for each in at.writes] == [0, 0, 85]
         assert counted(gripper) == {
-            "taken": 2, "superseded": 1, "limited": 0, "sent": 3, "restarts": 0, "failures": 0,
+            "taken": 1, "limited": 0, "sent": 3, "restarts": 0, "failures": 0,
         }  # fmt: skip
 
 
@@ -133,7 +131,6 @@ async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:
         await asyncio.sleep(4)
         assert [each.force for each in at.writes[2:]] == [85]
         assert at.scene.forces == [15.0, SCALE.force(85)]
-        assert (counted(gripper)["taken"], counted(gripper)["superseded"]) == (3, 2)
         await gripper.write(commands(30.0))
 
 
@@ -148,7 +145,7 @@ async def test_a_retried_batch_is_counted_once() -> None:
         at.server.refusing = False
         await asyncio.sleep(4)
         await gripper.write(batch)
-        assert [counted(gripper)[name] for name in ("taken", "superseded", "limited")] == [2, 1, 1]
+        assert [counted(gripper)[name] for name in ("taken", "limited")] == [1, 1]
         await asyncio.sleep(4)
         assert at.scene.forces == [60.0]
 
@@ -158,7 +155,7 @@ async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
         gripper = at.gripper(force=20.0)
         await gripper.open(at.run)
         await asyncio.sleep(5)
-        fail(at.server.mechanism, RELEASED)
+        at.server.mechanism.fail(RELEASED)
         await asyncio.sleep(1)
         with pytest.raises(EndpointError, match="has released automatically, and must be reset"):
             await gripper.write(commands(30.0))
@@ -322,7 +319,7 @@ async def test_the_check_before_a_run_reads_the_status_and_moves_nothing() -> No
         async with at.gripping():
             await asyncio.sleep(10)
         states += (await diagnose({"hand": at.gripper()}, clock))["hand"]
-        fail(at.server.mechanism, RELEASED)
+        at.server.mechanism.fail(RELEASED)
         states += (await diagnose({"hand": at.gripper()}, clock))["hand"]
         assert [found.state for found in states] == ["note", "good", "bad"]
         assert states[2].text.startswith("has released automatically, and must be reset: remove what")

@@ -1,41 +1,27 @@
 from dataclasses import replace
+from math import inf, nan
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.gripper.robotiq import (
-    FAULTS,
-    Fingers,
-    Phase,
-    Request,
-    RobotiqError,
-    Status,
-    octets,
-    registers,
-)
+from connectors.gripper.robotiq import FAULTS, Fingers, ForceScale, Phase, Request, Status, octets, registers
+from operators import ParameterError
 
-HEADER = bytes.fromhex(
-    "00 00 00 0D 02 10 00 00 00 03 06"
-)  # after the transaction's two bytes, as the manual has it
-octet = st.integers(0, 255)
-requests = st.builds(Request, st.booleans(), st.booleans(), octet, octet, octet)
+MEASURED = ForceScale(((0, 12.0), (40, 30.0), (255, 65.0)))
 
 
 @pytest.mark.parametrize(
     ("frame", "request_"),
     [
-        ("33 9A 00 00 00 0D 02 10 00 00 00 03 06 01 00 00 00 00 00", Request(active=True)),
-        (
-            "71 EE 00 00 00 0D 02 10 00 00 00 03 06 09 00 00 FF FF FF",
-            Request(active=True, go=True, position=255, speed=255, force=255),
-        ),
+        ("01 00 00 00 00 00", Request(active=True)),
+        ("09 00 00 FF FF FF", Request(active=True, go=True, position=255, speed=255, force=255)),
     ],
 )
 def test_requests_have_the_bytes_in_the_manual(frame: str, request_: Request) -> None:
-    data = bytes.fromhex(frame)
-    assert data[2:] == HEADER + request_.encode()
-    assert Request.decode(data[-6:]) == request_
+    data = request_.encode()
+    assert data == bytes.fromhex(frame)
+    assert octets(registers(data)) == data
 
 
 @pytest.mark.parametrize(
@@ -57,29 +43,12 @@ def test_the_answers_in_the_manual_are_decoded(
     assert (status.echo, status.positions, status.fault) == (echo, positions, 0)
 
 
-@given(requests)
-def test_requests_are_restored_from_bytes(request_: Request) -> None:
-    assert Request.decode(request_.encode()) == request_
-    assert octets(registers(request_.encode())) == request_.encode()
-
-
 @given(st.binary(min_size=16, max_size=16))
 def test_any_sixteen_bytes_are_a_status(data: bytes) -> None:
     status = Status.decode(data)
     assert status.reason if status.fault else not status.reason
-
-
-@pytest.mark.parametrize("size", [0, 2, 15, 17])
-def test_a_status_of_another_size_is_refused(size: int) -> None:
-    with pytest.raises(RobotiqError, match=f"a status of {size} bytes"):
-        Status.decode(bytes(size))
-
-
-def test_a_short_request_is_refused_and_a_longer_one_is_read() -> None:
-    with pytest.raises(RobotiqError, match="a request of 5 bytes"):
-        Request.decode(bytes(5))
-    request = Request(active=True, go=True, position=9, speed=8, force=7)
-    assert Request.decode(request.encode() + bytes(10)) == request
+    with pytest.raises(ValueError, match="a status of 15 bytes"):
+        Status.decode(data[:-1])
 
 
 def test_fingers_that_stop_before_the_target_detect_an_object() -> None:
@@ -100,3 +69,39 @@ def test_faults_that_need_a_reset_are_recognised() -> None:
     assert [fault for fault in FAULTS if Status(fault=fault).needs_reset] == [0x0B, 0x0D, 0x0E, 0x0F]
     assert Status(fault=0x0C).needs_reset  # unknown ones of that rank are not worked around
     assert "0x0c" in Status(fault=0x0C).reason
+
+
+@given(st.integers(0, 255), st.sampled_from([ForceScale(), MEASURED]))
+def test_registers_and_forces_convert_both_ways(register: int, scale: ForceScale) -> None:
+    assert scale.register(scale.force(register)) == register
+
+
+@given(st.floats(15.0, 60.0))
+def test_the_requested_force_is_at_most_one_step_below_the_wanted_one(force: float) -> None:
+    scale = ForceScale()
+    assert force - 0.1765 < scale.force(scale.register(force)) <= force + 1e-6
+
+
+def test_forces_outside_the_scale_are_clipped_and_linear_between_points() -> None:
+    assert [MEASURED.register(force) for force in (-inf, 0.0, 11.0, 66.0, inf)] == [0, 0, 0, 255, 255]
+    assert (MEASURED.weakest, MEASURED.strongest) == (12.0, 65.0)
+    assert (MEASURED.force(20), MEASURED.register(21.0)) == (21.0, 20)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        (),
+        ((0, 15.0),),
+        ((1, 15.0), (255, 60.0)),
+        ((0, 15.0), (254, 60.0)),
+        ((0, 0.0), (255, 60.0)),
+        ((0, 15.0), (255, inf)),
+        ((0, 15.0), (255, nan)),
+        ((0, 15.0), (100, 15.0), (255, 60.0)),
+        ((0, 15.0), (100, 20.0), (100, 25.0), (255, 60.0)),
+    ],
+)
+def test_points_that_are_no_scale_are_refused(points: tuple[tuple[int, float], ...]) -> None:
+    with pytest.raises(ParameterError, match="ForceScale: points"):
+        ForceScale(points)

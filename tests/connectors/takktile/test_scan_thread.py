@@ -8,14 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.takktile.i2c_access import LinuxI2cBus
 from connectors.takktile.scan_thread import ScanThread, next_scan
 from connectors.takktile.scanner import Scan, Scanner, Schedule
 from connectors.takktile.takktile_protocol import Coefficients
 from operators import ms, us
 from operators.batch import Counts
-from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
-from tests.connectors.emulators.i2c_device import served
+from tests.emulators.i2c_bus import EmulatedI2cBus
+from tests.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 
@@ -44,8 +43,8 @@ class Counted(dict[str, int]):
 
 
 @pytest.fixture(autouse=True)
-def bus() -> Iterator[FaultyI2cBus]:
-    with served(FaultyI2cBus(Skin(), conversion=50 * us), PATH) as bus:
+def bus() -> Iterator[EmulatedI2cBus]:
+    with served(EmulatedI2cBus(Skin(), conversion=50 * us), PATH) as bus:
         yield bus
 
 
@@ -53,7 +52,7 @@ def begin(counted: Counted) -> ScanThread:
     """Start a thread that scans 500 times per second."""
 
     cells: list[list[Coefficients | None]] = [[None] * 6]
-    return ScanThread(Schedule(LinuxI2cBus(PATH), (0,), 100 * us, 2 * ms, counted, cells), time_ns)
+    return ScanThread(Schedule(PATH, (0,), 100 * us, 2 * ms, counted, cells), time_ns)
 
 
 @given(st.integers(0, 10**12), st.integers(0, 10**10), st.integers(1, 10**9))

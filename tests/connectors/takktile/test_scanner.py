@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 from smbus2 import SMBus
 
-from connectors.emulators.i2c_barometer import Barometer
-from connectors.takktile.i2c_access import LinuxI2cBus
 from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
 from connectors.takktile.takktile_protocol import Coefficients
 from operators.batch import Counts, us
-from tests.connectors.emulators.faulty_i2c import (
+from tests.emulators.i2c_bus import (
     DESIGNWARE,
     RASPBERRY_PI,
+    Cell,
     Defect,
-    FaultyFingertip,
-    FaultyI2cBus,
+    EmulatedI2cBus,
+    Fingertip,
 )
-from tests.connectors.emulators.i2c_device import served
+from tests.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 CELL, ALL = 0x60, 0x06
@@ -56,13 +55,13 @@ class Rig:
 
     def __init__(self) -> None:
         self.skin = Skin()
-        self.bus = FaultyI2cBus(
+        self.bus = EmulatedI2cBus(
             self.skin, dict(zip(self.rows, self.fingers, strict=True)), conversion=50 * us
         )
         self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
-        schedule = Schedule(LinuxI2cBus(PATH), self.rows, 100 * us, 0, {}, self.coefficients)
+        schedule = Schedule(PATH, self.rows, 100 * us, 0, {}, self.coefficients)
         return Scanner(schedule, time_ns)
 
     def right(self, scan: Scan) -> None:
@@ -145,7 +144,7 @@ def test_a_bus_error_invalidates_the_scan_and_a_silent_cell_only_itself(rig: Rig
 
 def test_a_dead_cell_is_invalid_and_reads_0(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        rig.bus.cell(3, 2).defect = Defect.DEAD
+        rig.bus.fingertips[3].cells[2].defect = Defect.DEAD
         for _ in range(3):
             scan = scanner.scan()
             assert invalid(scan) == [(1, 2)]
@@ -155,12 +154,12 @@ def test_a_dead_cell_is_invalid_and_reads_0(rig: Rig) -> None:
 
 def test_a_cell_that_converts_to_0_is_invalid(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        rig.bus.cell(0, 5).defect = Defect.ZERO
+        rig.bus.fingertips[0].cells[5].defect = Defect.ZERO
         assert invalid(scanner.scan()) == [(0, 5)]
 
 
 def test_a_cell_before_its_first_conversion_is_invalid(rig: Rig) -> None:
-    rig.bus.cell(3, 0).defect = Defect.STUCK
+    rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
     with closing(rig.open()) as scanner:
         assert invalid(scanner.scan()) == [(1, 0)]
 
@@ -168,7 +167,7 @@ def test_a_cell_before_its_first_conversion_is_invalid(rig: Rig) -> None:
 def test_a_stuck_cell_repeats_its_last_count(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         scanner.scan()
-        rig.bus.cell(3, 0).defect = Defect.STUCK
+        rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
         counts = [scanner.scan().counts[1, :2].tolist() for _ in range(3)]
         assert len({stuck for stuck, _ in counts}) == 1
         assert len({sound for _, sound in counts}) == 3
@@ -176,7 +175,7 @@ def test_a_stuck_cell_repeats_its_last_count(rig: Rig) -> None:
 
 def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        cell = rig.bus.cell(0, 3)
+        cell = rig.bus.fingertips[0].cells[3]
         seen = list[bool]()
         for overload in (0, 200, 380, 480, 600, 470, 200, 0):
             cell.overload = overload
@@ -189,11 +188,11 @@ def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> N
 
 def test_an_unplugged_fingertip_is_invalid_and_the_other_stays_right(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        rig.bus.tip(3).unplug()
+        rig.bus.fingertips[3].plugged = False
         scan = scanner.scan()
         assert invalid(scan) == [(1, cell) for cell in range(6)]
         rig.right(scan)
-        rig.bus.tip(3).plug()
+        rig.bus.fingertips[3].plug()
         rig.sound(scanner.scan())
 
 
@@ -218,11 +217,11 @@ def test_connected_cells_are_disconnected_at_the_start(rig: Rig) -> None:
 def test_a_cell_that_cannot_be_disconnected_invalidates_every_scan(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def connected(fingertip: FaultyFingertip) -> list[Barometer]:
+    def connected(fingertip: Fingertip) -> list[Cell]:
         return fingertip.cells[:1]
 
     with closing(rig.open()) as scanner:
-        monkeypatch.setattr(FaultyFingertip, "connected", property(connected))
+        monkeypatch.setattr(Fingertip, "connected", property(connected))
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
@@ -244,7 +243,7 @@ def test_an_adapter_without_quick_writes_a_byte_instead(
     rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if claims == "quick":
-        monkeypatch.setattr("tests.connectors.emulators.i2c_device._EMULATED_QUICK", 0)
+        monkeypatch.setattr("tests.emulators.i2c_device._EMULATED_QUICK", 0)
     rig.bus.adapter = DESIGNWARE
     with closing(rig.open()) as scanner:
         for _ in range(2):
@@ -269,7 +268,7 @@ def test_coefficients_are_read_once(rig: Rig) -> None:
 
 
 def test_coefficients_of_a_silent_cell_are_read_later(rig: Rig) -> None:
-    cells = rig.bus.tip(3).barometers
+    cells = rig.bus.fingertips[3].cells
     for cell in (1, 4):
         cells[cell].defect = Defect.DEAD
     with closing(rig.open()) as scanner:

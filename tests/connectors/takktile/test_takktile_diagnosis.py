@@ -9,8 +9,8 @@ from flows.run.diagnosis import diagnose
 from operators import us
 from operators.batch import Counts
 from operators.ports import Finding
-from tests.connectors.emulators.faulty_i2c import Defect, FaultyI2cBus
-from tests.connectors.emulators.i2c_device import served
+from tests.emulators.i2c_bus import Defect, EmulatedI2cBus
+from tests.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 
@@ -24,9 +24,9 @@ class Skin:
 
 
 @pytest.fixture
-def bus() -> Iterator[FaultyI2cBus]:
+def bus() -> Iterator[EmulatedI2cBus]:
     """A bus with fingertips at the rows 0 and 5."""
-    bus = FaultyI2cBus(Skin(), {0: 0, 5: 1}, conversion=200 * us)
+    bus = EmulatedI2cBus(Skin(), {0: 0, 5: 1}, conversion=200 * us)
     with served(bus, PATH):
         yield bus
 
@@ -51,17 +51,17 @@ async def test_a_wrong_row_is_bad_and_the_right_ones_are_named() -> None:
     assert (await found(0, 3))[2] == Finding(f"{PATH} row 3", text, "bad")
 
 
-async def test_silent_and_defective_cells_are_named(bus: FaultyI2cBus) -> None:
-    bus.tip(0).barometers[2].defect = Defect.DEAD
-    bus.tip(5).barometers[4].defect = Defect.ZERO
+async def test_silent_and_defective_cells_are_named(bus: EmulatedI2cBus) -> None:
+    bus.fingertips[0].cells[2].defect = Defect.DEAD
+    bus.fingertips[5].cells[4].defect = Defect.ZERO
     silent, defective = (await found(0, 5))[1:3]
     assert (silent.state, silent.text.startswith("cells 2 do not answer")) == ("bad", True)
     assert (defective.state, defective.text.startswith("cells 4 give implausible values")) == ("bad", True)
 
 
-async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: FaultyI2cBus) -> None:
+async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: EmulatedI2cBus) -> None:
     for row in bus.fingertips:
-        bus.tip(row).unplug()
+        bus.fingertips[row].plugged = False
     silent = "no fingertip answers: check the power and the rows (errno 121)"
     assert await found(0) == [Finding(PATH, silent, "bad")]
     [missing] = (await diagnose({"touch": TakkTile(99)}, LoopClock()))["touch"]
@@ -72,7 +72,7 @@ async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: FaultyI2cB
     )
 
 
-async def test_a_slow_bus_is_bad(bus: FaultyI2cBus) -> None:
+async def test_a_slow_bus_is_bad(bus: EmulatedI2cBus) -> None:
     bus.adapter = type(bus.adapter)(chained=False, speed=20_000)
     rate = (await found(0, 5))[-1]
     assert rate.state == "bad"

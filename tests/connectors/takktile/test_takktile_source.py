@@ -13,16 +13,14 @@ import numpy as np
 import pytest
 
 from connectors import TakkTile
-from connectors.emulators.shared_scene import SharedScene
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Clock, EndpointError, ParameterError, Score, Scores, Touch, Zero, Zeroed, ms, us
+from operators import Clock, EndpointError, ParameterError, Touch, Zeroed, ms, us
 from operators.batch import Batch, Counts, concat
-from operators.detectors.psd import Psd
-from tests.connectors.emulators.faulty_i2c import Defect, FaultyI2cBus
-from tests.connectors.emulators.i2c_device import served
+from tests.emulators.i2c_bus import Defect, EmulatedI2cBus
+from tests.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 SILENT = f"{PATH}: no fingertip answers: check the power and the rows (errno 121)"
@@ -53,7 +51,7 @@ class Rig:
 
     def __init__(self) -> None:
         self.skin = Skin()
-        self.bus = FaultyI2cBus(self.skin, {0: 0, 1: 1, 5: 2}, conversion=200 * us)
+        self.bus = EmulatedI2cBus(self.skin, {0: 0, 1: 1, 5: 2}, conversion=200 * us)
 
     def source(
         self,
@@ -180,7 +178,7 @@ async def test_a_missing_sensor_fails_in_every_run(rig: Rig) -> None:
 
 
 async def test_fingertips_without_a_working_cell_give_no_sample(rig: Rig) -> None:
-    for cell in rig.bus.tip(0).barometers:
+    for cell in rig.bus.fingertips[0].cells:
         cell.defect = Defect.DEAD
     taken, why = await lost(stream(rig.source()))
     assert not taken
@@ -215,7 +213,7 @@ async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(
 
 
 async def test_pressure_is_compensated_by_each_cells_coefficients(rig: Rig) -> None:
-    rig.bus.cell(5, 3).defect = Defect.DEAD
+    rig.bus.fingertips[5].cells[3].defect = Defect.DEAD
     source = rig.source(rows=(1, 5), fingers=(3, 4))
     async with aclosing(stream(source)) as batches:
         one, other = await take(batches, 2)
@@ -319,31 +317,6 @@ async def test_a_run_records_the_gap_and_logs_it_once(rig: Rig, caplog: pytest.L
         f"touch failed, retrying: {SILENT}",
         "touch works again",
     ]
-
-
-async def test_a_flow_detects_slip_on_the_virtual_lab() -> None:
-    lab = SharedScene(seed=1, fingers=(0, 3))
-    with served(FaultyI2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
-        flow, scores, raw = Flow("feel"), TestSink(), TestSink()
-        touch = flow.source(TakkTile(rows=(0, 2), fingers=(0, 3)))
-        touch.to(raw)
-        (touch | Zero(scans=50) | Score(Psd())).to(scores)
-        runner = LiveRunner(flow, "test", duration=120_000 * ms)
-        running = asyncio.create_task(runner.execute())
-        for _ in range(2000):  # a busy host scans slowly
-            if running.done() or min(len(raw.rows(Touch, finger)) for finger in (0, 3)) > 80:
-                break
-            await asyncio.sleep(0.05)
-        runner.stop()
-        run = await running
-    assert not run.sources["touch"].gaps
-    for finger in (0, 3):
-        counts, judged = raw.rows(Touch, finger), scores.rows(Scores, finger)
-        assert counts.valid.all()
-        assert len(counts) > 80
-        assert len(judged) == len(counts) - 24
-        np.testing.assert_array_equal(judged.time, counts.time[24:])
-        assert np.isfinite(judged.probability).all()
 
 
 @pytest.mark.parametrize(

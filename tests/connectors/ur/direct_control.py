@@ -5,8 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from connectors.emulators.ur_control_box import ControlBox, SafetyMode
 from connectors.ur.control_process import STOP_DECELERATION, Command, Move, MoveTo, Signal
+from tests.emulators.ur_control_box import ControlBox, SafetyMode
 
 
 class DirectControl:

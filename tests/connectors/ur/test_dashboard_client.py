@@ -3,10 +3,10 @@ import asyncio
 import numpy as np
 import pytest
 
-from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur import dashboard_client
 from operators import EndpointError
-from tests.connectors.emulators.free_arm import FreeArm
+from tests.emulators.free_arm import FreeArm
+from tests.emulators.ur_controller import Ports, UrController
 from tests.waiting import PATIENCE
 
 

@@ -14,18 +14,19 @@ from hypothesis import strategies as st
 
 from connectors import UrMotion
 from connectors.ur import rtde_client
-from connectors.ur.rtde import Kind, Packages, Recipe, Version, ask_outputs, pack
+from connectors.ur.rtde import Kind, Packages, Version, ask_outputs, pack
 from connectors.ur.rtde_client import RtdeClient
 from connectors.ur.ur_motion import OUTPUTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
 from operators import EndpointError, Motion, ms, s
+from tests.emulators.rtde_recipe import Recipe, Request, version_payload
+from tests.emulators.ur_controller import CB3, E_SERIES
 
 Answer = Callable[[int], bytes]  # to a package, by its kind
 
 HOST = "127.0.0.1"
 NAMES, TYPES = tuple(OUTPUTS), tuple(OUTPUTS.values())
-CB3, E_SERIES = Version(3, 15, 8, 1), Version(5, 11, 0, 1)
 
 
 async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], EndpointError]:
@@ -78,7 +79,7 @@ def controller(*stamps: float, version: Version = E_SERIES, types: tuple[str, ..
 
     def answer(kind: int) -> bytes:
         if kind == Kind.CONTROLLER:
-            return pack(kind, version.payload)
+            return pack(kind, version_payload(version))
         if kind == Kind.OUTPUTS:
             return pack(kind, recipe.answer)
         data = [pack(Kind.DATA, recipe.pack((stamp, *zeros))) for stamp in stamps]
@@ -164,11 +165,10 @@ class TestTransport(asyncio.Transport):
         self.reads = True
 
 
-VERSION = Version(3, 15, 8, 1)
 RECIPE = Recipe(7, NAMES, TYPES)
 ANSWERS = [
     pack(Kind.PROTOCOL, b"\1"),
-    pack(Kind.CONTROLLER, VERSION.payload),
+    pack(Kind.CONTROLLER, version_payload(CB3)),
     pack(Kind.OUTPUTS, RECIPE.answer),
     pack(Kind.START, b"\1"),
 ]
@@ -206,7 +206,7 @@ def test_each_answer_is_followed_by_the_next_request() -> None:
         for number, answer in enumerate(ANSWERS, 1):
             assert len(transport.written) == number
             reader.data_received(answer)
-        assert reader.controller == VERSION
+        assert reader.controller == CB3
         return transport.written
 
     assert run_virtually(main()) == [
@@ -229,7 +229,7 @@ def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
     ("answers", "wrong", "reason"),
     [
         (0, pack(Kind.PROTOCOL, b"\0"), "does not support RTDE version 2"),
-        (0, pack(Kind.CONTROLLER, VERSION.payload), "'v', expected 'V'"),
+        (0, pack(Kind.CONTROLLER, version_payload(CB3)), "'v', expected 'V'"),
         (0, pack(Kind.DATA, DATA[0]), "'U', expected 'V'"),
         (1, pack(Kind.CONTROLLER, b"\1"), "version has 1 bytes"),
         (2, pack(Kind.OUTPUTS, b"\0DOUBLE,NOT_FOUND"), "actual_TCP_pose NOT_FOUND"),
@@ -237,7 +237,7 @@ def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
         (3, pack(Kind.DATA, DATA[0]), "'U', expected 'S'"),
         (4, pack(Kind.DATA, DATA[0][:-1]), "data of 104 bytes"),
         (4, pack(Kind.DATA, b"\1" + DATA[0][1:]), "recipe 01, not 105 for 07"),
-        (4, pack(Kind.PAUSE, b"\1"), "'P', expected 'U'"),
+        (4, pack(Request.PAUSE, b"\1"), "'P', expected 'U'"),
         (4, b"HTTP/1.1 400 Bad Request", "package of 18516 bytes"),
     ],
 )
@@ -270,7 +270,7 @@ def test_a_full_backlog_pauses_reading(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not transport.reads
         arrivals, rows = await reader.receive()
         assert len(arrivals) == len(rows) == 20
-        assert rows.nbytes == 20 * RECIPE.size
+        assert rows.nbytes == 20 * 105
         assert transport.reads
 
     run_virtually(main())

@@ -16,20 +16,19 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.emulators.lab_loop import LabLoop, run_lab
-from connectors.emulators.ur_control_box import Arm, RuntimeState
-from connectors.emulators.ur_program import Program
 from connectors.ur.control_process import Command, Move, Signal
 from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmState, Bounds
-from flows.graph.testing import run_virtually
+from flows.graph.testing import VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Reals
-from tests.connectors.emulators.faulty_ur import FaultyUrController, stop_in_emergency
-from tests.connectors.emulators.free_arm import FreeArm, PressedArm
 from tests.connectors.ur.direct_control import DirectControl
+from tests.emulators.free_arm import FreeArm, PressedArm
+from tests.emulators.ur_control_box import Arm, RuntimeState
+from tests.emulators.ur_controller import UrController
+from tests.emulators.ur_program import Program
 from tests.loopback import own_host
 
 real = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
@@ -43,7 +42,7 @@ CB3 = Version(3, 15, 8, 0)
 
 @dataclass
 class Lab:
-    controller: FaultyUrController
+    controller: UrController
     arm: UrArm
 
 
@@ -61,13 +60,11 @@ class Leaning(PressedArm):
 
 @asynccontextmanager
 async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator[Lab]:
-    """Serve an arm; in a `LabLoop` ur-rtde commands it, else `DirectControl` does."""
+    """Serve an arm; in virtual time `DirectControl` commands it, else ur-rtde."""
     clock, arm, loop = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0), asyncio.get_running_loop()
-    async with FaultyUrController(arm, host=HOST, version=CB3, now=clock.now) as controller:
+    async with UrController(arm, host=HOST, version=CB3, now=clock.now) as controller:
         with pytest.MonkeyPatch.context() as patch:
-            if isinstance(loop, LabLoop):
-                loop.hold_while(lambda: controller.command_overdue)
-            else:
+            if isinstance(loop, VirtualLoop):
                 patch.setattr("connectors.ur.ur_arm.ControlClient", partial(DirectControl, controller.box))
             moved = UrArm(HOST, bounds, clock, watchdog=0.1)
         async with moved:
@@ -115,7 +112,7 @@ def test_it_moves_along_lines_slides_and_turns() -> None:
             assert not arm.fault
         return poses
 
-    first, second = run_lab(main())
+    first, second = asyncio.run(main())
     np.testing.assert_allclose(first, (0.42, 0.05, 0.12, math.pi, 0, 0), atol=6e-4)
     assert second[0] - first[0] > 0.015
     assert abs(second[4]) > 0.1  # turned about the vertical
@@ -136,7 +133,7 @@ def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytes
             assert here.arm.state.pose[1] > 0.02
             monkeypatch.undo()
 
-    run_lab(main())
+    asyncio.run(main())
 
 
 def test_it_follows_an_arc_at_its_speed_and_height() -> None:
@@ -254,7 +251,7 @@ def test_a_protective_stop_ends_its_moves() -> None:
 
 
 def test_an_emergency_stop_ends_its_moves() -> None:
-    here = refused(lambda here: stop_in_emergency(here.controller.box), away)
+    here = refused(lambda here: here.controller.stop_in_emergency(), away)
     assert here.arm.fault == "emergency stop"
 
 
@@ -284,7 +281,7 @@ def test_a_process_that_dies_leaves_no_arm_moving() -> None:
         assert process.pid
         os.kill(process.pid, signal.SIGSEGV)
 
-    here = refused(kill, away, run_lab)
+    here = refused(kill, away, asyncio.run)
     assert "died" in here.arm.fault
     assert here.controller.box.runtime_state == RuntimeState.STOPPED
 
@@ -331,8 +328,8 @@ def test_a_cancelled_move_stops_the_arm() -> None:
 def test_an_arm_that_may_not_move_is_not_opened() -> None:
     async def main() -> None:
         arm = FreeArm(np.array(BEGIN))
-        async with FaultyUrController(arm, host=HOST, version=CB3) as controller:
-            stop_in_emergency(controller.box)
+        async with UrController(arm, host=HOST, version=CB3) as controller:
+            controller.stop_in_emergency()
             async with UrArm(HOST, BOUNDS, LoopClock()):
                 pass
 

@@ -33,25 +33,6 @@ def findings(*arguments: str | Path, cwd: Path) -> list[dict[str, Any]]:
     return list(result["findings"])
 
 
-def test_the_devices_of_a_virtual_lab_are_checked(tmp_path: Path) -> None:
-    pytest.importorskip("pymodbus")
-    found = findings("--virtual", cwd=tmp_path)
-    texts = {
-        part: [f["text"] for f in found if f["part"] == f"virtual {part}"]
-        for part in ("fingertip", "arm", "gripper")
-    }
-    assert texts["fingertip"][1] == "6 cells answer"
-    assert texts["fingertip"][2].split(" scans per second of ")[1][:3] == "100"
-    assert texts["arm"][0] == "controller of version 3.15.8.0"
-    assert " packages per second of 125" in texts["arm"][1]
-    assert texts["gripper"] == [
-        "answers, not activated: the start of a run activates it, which moves its fingers"
-    ]
-    machine = [f["subject"] for f in found if f["part"] == "machine"]
-    assert {"Python", "slipflow", "extra ur", "clock", "I2C", str(tmp_path / "recordings")} <= set(machine)
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.broker
 def test_the_sources_and_sinks_of_a_flow_are_checked(broker: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(FLOW)

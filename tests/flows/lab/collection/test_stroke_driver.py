@@ -2,12 +2,11 @@ import asyncio
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, cast
+from typing import Any, Self
 
 import numpy as np
 import pytest
 
-from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmState, Point, Pose
 from flows.graph.testing import run_virtually
 from flows.lab.collection.arm_path import Extent, Slide, Trace
@@ -20,7 +19,7 @@ from operators import EndpointError, Episodes, s
 from operators.batch import MOTIONS, SURFACES, columns
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
-REST = (0.0,) * 6
+REST: Pose = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass
@@ -42,7 +41,7 @@ class TestArm:
 
     async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
         slide = Slide(velocity, seconds, acceleration)
-        here = cast("Pose", self.state.pose)
+        here = self.state.pose
         await self.wait(slide.seconds(here))
         self.state = ArmState(slide.end(here), REST)
         self.ways.append(slide.end(here))
@@ -50,7 +49,7 @@ class TestArm:
     async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
         await self.wait(seconds)
         self.state = ArmState((*points[-1], *self.state.pose[3:]), REST)
-        self.ways += [cast("Pose", (*point, *self.state.pose[3:])) for point in points]
+        self.ways += [(*point, *self.state.pose[3:]) for point in points]
 
     async def tare(self, seconds: float) -> None:
         await self.wait(seconds)
@@ -59,8 +58,8 @@ class TestArm:
     async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
         part = self.surface / math.hypot(*path)  # of the path, until contact
         await self.wait(part * math.hypot(*path) / speed)
-        x, y, z, *turned = self.state.pose
-        self.state = ArmState((x + part * path[0], y + part * path[1], z + part * path[2], *turned), REST)
+        x, y, z, a, b, c = self.state.pose
+        self.state = ArmState((x + part * path[0], y + part * path[1], z + part * path[2], a, b, c), REST)
         return 1.1 * force
 
     async def wait(self, seconds: float) -> None:
@@ -71,8 +70,14 @@ class TestArm:
     async def stop(self) -> None:
         self.stops += 1
 
-    def fail(self, why: str) -> None:
-        self.fault = why
+    def fail(self, reason: str) -> None:
+        self.fault = reason
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        pass
 
 
 def row(episode: Episodes) -> dict[str, Any]:
@@ -104,7 +109,7 @@ def session(strokes: int = 2, *, rotations: bool = False, force: float | None = 
         surfaces=(Surface("sphere"),),
         press=Press(force=force),
     )
-    (whole,) = plan.series(PLACE, seed=0)
+    (whole,) = plan.series(PLACE)
     return replace(whole, strokes=whole.strokes[:strokes])
 
 
@@ -132,7 +137,7 @@ def drive(
             async for episode in driver.batches(clock):
                 episodes.append(episode)
 
-        driver = StrokeDriver(cast("UrArm", arm), clock, require_contact=require_contact)
+        driver = StrokeDriver(arm, clock, require_contact=require_contact)
         taking = asyncio.create_task(take())
         await driver.follow([planned.begin])
         loop, began = asyncio.get_running_loop(), clock.now()

@@ -13,9 +13,9 @@ from flows.lab.collection.stroke_plan import (
     CollectionPlan,
     Limits,
     PathSettings,
+    PlannedPath,
     Press,
     StrokeSeries,
-    total_extent,
 )
 from flows.lab.collection.surfaces import Surface
 from operators import ParameterError
@@ -24,7 +24,7 @@ PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 
 
 def only(plan: CollectionPlan, surface: Surface | None = None, place: Pose = PLACE) -> StrokeSeries:
-    (series,) = replace(plan, surfaces=(surface or Surface(),)).series(place, seed=0)
+    (series,) = replace(plan, surfaces=(surface or Surface(),)).series(place)
     return series
 
 
@@ -34,7 +34,7 @@ TURNS = CollectionPlan(speeds=(), rotations=1)
 
 def test_the_papers_plan_has_all_surfaces_speeds_directions_and_rotations() -> None:
     surfaces = (Surface(), Surface("sphere", pose=offset_pose(PLACE, (0.2, 0, 0))))
-    sessions = replace(load_plan("paper"), surfaces=surfaces).series(PLACE, seed=3)
+    sessions = replace(load_plan("paper"), surfaces=surfaces, seed=3).series(PLACE)
     counted = Counter((each.surface.shape, each.speed) for each in sessions)
     assert counted == {
         (surface, speed): 5 if speed is None else 9
@@ -86,7 +86,7 @@ def test_rotations_alternate_at_their_rate_in_place() -> None:
 
 
 def test_the_bounds_and_the_duration_of_a_plan_are_those_of_its_path() -> None:
-    reach = total_extent([only(STROKES)])
+    reach = PlannedPath.of(STROKES, PLACE).extent
     np.testing.assert_allclose(reach.low, (0.37, -0.03, 0.1 - STROKES.press.depth), atol=1e-12)
     np.testing.assert_allclose(reach.high, (0.43, 0.03, 0.1 + STROKES.path.clearance), atol=1e-12)
     contact = 16 * (2 * STROKES.path.rest + 0.6 + 0.1 / 0.5)
@@ -96,7 +96,10 @@ def test_the_bounds_and_the_duration_of_a_plan_are_those_of_its_path() -> None:
 
 
 def test_the_seed_determines_the_order_of_directions() -> None:
-    orders = [[stroke.direction for stroke in STROKES.series(PLACE, seed)[0].strokes] for seed in (0, 0, 1)]
+    orders = [
+        [stroke.direction for stroke in replace(STROKES, seed=seed).series(PLACE)[0].strokes]
+        for seed in (0, 0, 1)
+    ]
     assert orders[0] == orders[1] != orders[2]
 
 
@@ -177,4 +180,4 @@ def test_with_a_force_a_stroke_tares_and_then_searches_from_above_the_surface() 
             (slide,) = [step for step in stroke.contact if isinstance(step, Line | Trace)]
             touching, end = down.end(start), slide.end(start)
             assert touching[2] == pytest.approx(end[2])  # as deep at both ends
-        assert total_extent([session]).low[2] <= 0.1 - plan.press.max_depth + 1e-12
+        assert Extent.of(session.steps, session.begin.pose).low[2] <= 0.1 - plan.press.max_depth + 1e-12

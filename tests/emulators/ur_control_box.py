@@ -1,19 +1,23 @@
-"""Control box of an emulated UR arm: clock, safety, modes, registers and program, per cycle. No I/O."""
+"""Control box of an emulated UR arm: clock, safety, modes, variables, program and dashboard. No I/O.
+
+Sources: Universal Robots, "Real-Time Data Exchange (RTDE) Guide": the variables of version 3.4, and the later
+ones that ur-rtde requests; "Dashboard Server e-Series, port 29999" and "..., CB-Series".
+"""
 
 import logging
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from enum import IntEnum
 from math import inf, nan
+from types import MappingProxyType
 from typing import Final, Protocol, cast
 
 import numpy as np
 
-from connectors.emulators.ur_drive import Drive
-from connectors.emulators.ur_program import Program, Registers
-from connectors.emulators.ur_variables import OUTPUTS
-from connectors.ur.rtde import Value, Version
+from connectors.ur.rtde import Version
 from operators.batch import Commands, Reals
+from tests.emulators.rtde_recipe import Value
+from tests.emulators.ur_program import REGISTERS, Drive, Program, Registers
 
 log = logging.getLogger("slipflow")
 
@@ -49,6 +53,30 @@ SAFETY_BITS: Final = {  # RTDE guide, safety_status_bits
     SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
 }
 
+_BY_TYPE: Final = {
+    "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum"
+    " actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0"
+    " standard_analog_input1 standard_analog_output0 standard_analog_output1 payload",
+    "VECTOR3D": "actual_tool_accelerometer payload_cog",
+    "VECTOR6D": "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current"
+    " actual_current_as_torque joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force"
+    " target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage ft_raw_wrench payload_inertia",
+    "VECTOR6INT32": "joint_mode",
+    "INT32": "robot_mode safety_mode",
+    "UINT32": "runtime_state robot_status_bits safety_status_bits",
+    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
+}
+
+OUTPUTS: Final[Mapping[str, str]] = MappingProxyType(
+    {name: kind for kind, names in _BY_TYPE.items() for name in names.split()}
+    | {f"output_int_register_{i}": "INT32" for i in range(REGISTERS)}
+    | {f"output_double_register_{i}": "DOUBLE" for i in range(REGISTERS)}
+)
+INPUTS: Final[Mapping[str, str]] = MappingProxyType(
+    {f"input_int_register_{i}": "INT32" for i in range(REGISTERS)}
+    | {f"input_double_register_{i}": "DOUBLE" for i in range(REGISTERS)}
+    | {"external_force_torque": "VECTOR6D"}
+)
 _INTEGER: Final = {"INT32", "UINT32", "UINT64"}
 _WIDTH: Final = {"VECTOR3D": 3, "VECTOR6D": 6}
 
@@ -63,7 +91,7 @@ def _placeholder(kind: str) -> Value:
 
 
 class Arm(Protocol):
-    """An arm that follows velocity commands, such as a `connectors.emulators.shared_scene.SharedScene`."""
+    """An arm that follows velocity commands, such as a `FreeArm`."""
 
     @property
     def wrench(self) -> Reals:
@@ -113,11 +141,6 @@ class ControlBox:
     def timestamp(self) -> float:
         """Clock of the controller (s since power-up)."""
         return self.cycles / self.rate
-
-    @property
-    def command_overdue(self) -> bool:
-        """True while the program waits for a client that has set a watchdog and is late with a command."""
-        return self.runtime_state == RuntimeState.PLAYING and bool(self._running and self._running.overdue)
 
     def cycle(self, time: int) -> None:
         """Run one cycle that begins at a host time (ns)."""
@@ -199,3 +222,52 @@ class ControlBox:
         if kind == "output_double":
             return self.registers.output_double[int(index)]
         return self._values[name]
+
+
+# dashboard: one reply line per request line
+
+GREETING: Final = "Connected: Universal Robots Dashboard Server"
+FAREWELL: Final = "Disconnected"
+SERIAL_NUMBER: Final = "20195501234"  # ur-rtde requires one
+
+
+def answer(box: ControlBox, line: str) -> str:
+    """Execute a request line on a control box and return the reply.
+
+    Unknown requests are answered as a real server does: ``could not understand: REQUEST``.
+    """
+    request = line.strip()
+    execute = _COMMANDS.get(request.lower())
+    return execute(box) if execute else f"could not understand: {request}"
+
+
+def _stop(box: ControlBox) -> str:
+    if box.runtime_state == RuntimeState.STOPPED:
+        return "Failed to execute: stop"
+    box.stop_program()
+    return "Stopped"
+
+
+def _unlock(box: ControlBox) -> str:
+    box.unlock()
+    return "Protective stop releasing"
+
+
+def _state(box: ControlBox) -> str:
+    return f"{box.runtime_state.name} {box.program or '<unnamed>'}"
+
+
+_COMMANDS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
+    {
+        "polyscopeversion": lambda box: f"URSoftware {box.version} (Jan 01 2022)",
+        "get serial number": lambda _: SERIAL_NUMBER,
+        "is in remote control": lambda _: "true",
+        "running": lambda box: f"Program running: {str(box.runtime_state == RuntimeState.PLAYING).lower()}",
+        "programstate": _state,
+        "stop": _stop,
+        "robotmode": lambda box: f"Robotmode: {box.robot_mode.name}",
+        "safetystatus": lambda box: f"Safetystatus: {box.safety_mode.name}",
+        "unlock protective stop": _unlock,
+        "quit": lambda _: FAREWELL,
+    }
+)

@@ -1,88 +1,29 @@
-"""The emulated controller's own clock and ports, and the real classes of ur-rtde against it."""
+"""The real classes of ur-rtde against the emulated controller.
+
+They know one port only, so each worker of the tests has an address of its own. Each test runs them in a
+process of their own: their constructors hold Python's lock, and after a lost link they may crash.
+"""
 
 import asyncio
 import json
-import socket
 import sys
 from collections.abc import Callable
 from importlib.util import find_spec
 from textwrap import dedent
-from time import time_ns
 from typing import Any
 
 import numpy as np
 import pytest
 
-from connectors.emulators.lab_loop import loop_clock, run_lab
-from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur.rtde import Version
-from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
-from operators import EndpointError
-from operators.batch import Commands, Reals
-from tests.connectors.emulators.faulty_ur import FaultyUrController, release_emergency, stop_in_emergency
-from tests.connectors.emulators.free_arm import FreeArm
+from operators.batch import Commands
+from tests.emulators.free_arm import FreeArm
+from tests.emulators.ur_controller import CB3, E_SERIES, UrController
 from tests.loopback import own_host
 from tests.waiting import PATIENCE
 
-HOST = "127.0.0.1"
-CB3, E_SERIES, NEWEST = Version(3, 15, 8, 1), Version(5, 11, 0, 1), Version(5, 24, 0, 1)
-
-
-def controller(now: Callable[[], int], drift: float = 0.0) -> FaultyUrController:
-    """A CB3 controller on free ports."""
-    arm = FreeArm(np.zeros(6))
-    return FaultyUrController(arm, host=HOST, ports=Ports(0, 0, 0), version=CB3, now=now, drift=drift)
-
-
-def test_its_clock_runs_fast_by_its_drift() -> None:
-    async def main() -> float:
-        async with controller(LoopClock(0).now, drift=0.01) as running:
-            await asyncio.sleep(10.0)
-            return running.box.timestamp
-
-    assert run_virtually(main()) == pytest.approx(10.1, abs=0.01)
-
-
-def test_an_arm_that_fails_is_no_silence(caplog: pytest.LogCaptureFixture) -> None:
-    class Broken(FreeArm):
-        def motion(self, time: int) -> tuple[Reals, Reals]:
-            raise ZeroDivisionError
-
-    async def main() -> bytes:
-        ports = Ports(0, 0, 0)
-        async with UrController(Broken(np.zeros(6)), host=HOST, ports=ports, now=LoopClock().now) as running:
-            reader, writer = await asyncio.open_connection(HOST, running.ports.rtde)
-            heard = await reader.read()
-            writer.close()
-            return heard
-
-    with pytest.raises(EndpointError, match="the arm has failed") as caught:
-        run_virtually(main())
-    assert isinstance(caught.value.__cause__, ZeroDivisionError)
-    assert "the arm has failed: ZeroDivisionError" in caplog.text
-
-
-def test_a_port_that_is_taken_is_an_error_and_nothing_keeps_listening() -> None:
-    with socket.socket() as free:
-        free.bind((HOST, 0))
-        port = free.getsockname()[1]
-
-    async def main() -> None:
-        async with controller(time_ns) as running:
-            ports = Ports(port, 0, running.ports.script)
-            with pytest.raises(EndpointError, match="cannot listen"):
-                await UrController(FreeArm(np.zeros(6)), host=HOST, ports=ports).__aenter__()
-            with pytest.raises(OSError, match="Connect call failed"):
-                await asyncio.open_connection(HOST, port)
-
-    asyncio.run(main())
-
-
-# --- the real classes of ur-rtde -------------------------------------------------------------------------
-# They know one port only, so each worker of the tests has an address of its own. Each test runs them in a
-# process of their own: their constructors hold Python's lock, and after a lost link they may crash.
-
+NEWEST = Version(5, 24, 0, 1)
 real = pytest.mark.skipif(find_spec("rtde_control") is None, reason="needs ur-rtde: the extra ur")
 
 PRELUDE = """
@@ -115,7 +56,7 @@ def speed():
 def with_ur_rtde(
     script: str, version: Version, *faults: Callable[[UrController], None], arm: FreeArm | None = None
 ) -> list[Any]:
-    """Run a script against a controller; give what it says.
+    """Run a script against a controller; return what it says.
 
     The script knows what `PRELUDE` defines: `receive`, the real interface, `say`, `until` something is true,
     and `fault`, which returns once the next of `faults` is done.
@@ -125,7 +66,7 @@ def with_ur_rtde(
 
     async def main() -> list[Any]:
         due, said = list(faults), list[Any]()
-        served = UrController(arm, host=host, version=version, now=loop_clock())
+        served = UrController(arm, host=host, version=version, now=LoopClock().now)
         async with asyncio.timeout(PATIENCE), served as controller:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-c", PRELUDE + dedent(script), host),
@@ -151,7 +92,7 @@ def with_ur_rtde(
         assert not due
         return said
 
-    return run_lab(main())
+    return asyncio.run(main())
 
 
 @real
@@ -241,8 +182,8 @@ def test_the_real_control_sees_stops_and_comes_back_after_them() -> None:
     said = with_ur_rtde(
         dedent(unlocked) + dedent(script),
         E_SERIES,
-        lambda controller: stop_in_emergency(controller.box),
-        lambda controller: release_emergency(controller.box),
+        UrController.stop_in_emergency,
+        UrController.release_emergency,
     )
     assert said == [
         ["triggered", True, True],

@@ -2,29 +2,22 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+import socket
+import struct
+from collections import deque
+from collections.abc import Mapping
 from typing import Final, cast
 
-from connectors.emulators.dashboard_server import FAREWELL, GREETING, answer
-from connectors.emulators.ur_control_box import ControlBox
-from connectors.emulators.ur_variables import INPUTS, OUTPUTS
-from connectors.ur.rtde import (
-    PROTOCOL,
-    Kind,
-    Package,
-    Packages,
-    Recipe,
-    RtdeError,
-    names,
-    outputs_asked,
-    pack,
-)
+from connectors.ur.rtde import PROTOCOL, Kind, Package, Packages, RtdeError, names, pack
+from tests.emulators.rtde_recipe import Recipe, Request, outputs_asked, version_payload
+from tests.emulators.ur_control_box import FAREWELL, GREETING, INPUTS, OUTPUTS, ControlBox, answer
 
 log = logging.getLogger("slipflow")
 
 UNREAD_LIMIT: Final = 1 << 16  # bytes that a client may leave unread before it is disconnected
 SCRIPT_LIMIT: Final = 1 << 20  # bytes of an uploaded script
 LINE_LIMIT: Final = 4096  # bytes of a dashboard line
+HELD: Final = 1 << 15  # packages, a minute; then the oldest are lost
 MAX_RECIPES: Final = 255  # a recipe number is a uint8
 
 
@@ -63,10 +56,12 @@ class Connection(asyncio.Protocol):
 
 
 class RtdeConnection(Connection):
-    """A client connection on the RTDE port."""
+    """A client connection on the RTDE port, which can be held up, reset, or lost without a sign (`gone`)."""
 
-    def __init__(self, box: ControlBox, connections: set[Connection]) -> None:
+    def __init__(self, box: ControlBox, connections: set[Connection], *, gone: bool = False) -> None:
         super().__init__(box, connections)
+        self.gone = gone
+        self._held: deque[bytes] | None = None
         self._packages, self._started = Packages(), False
         self._outputs: Recipe | None = None
         self._interval = 1  # cycles between packages
@@ -79,6 +74,8 @@ class RtdeConnection(Connection):
 
     def data_received(self, data: bytes) -> None:
         """Handle packages; disconnect a client that violates the protocol."""
+        if self.gone:
+            return
         try:
             for package in self._packages.feed(data):
                 self._handle(package)
@@ -91,9 +88,27 @@ class RtdeConnection(Connection):
         if self._started and self._outputs and self.box.cycles % self._interval == 0:
             self.send(Kind.DATA, self._outputs.pack(self.box.values(self._outputs.names)))
 
-    def send(self, kind: Kind, payload: bytes) -> None:
+    def hold(self) -> None:
+        """Hold up all packages."""
+        self._held = deque(self._held or (), HELD)
+
+    def release(self, *, burst: bool) -> None:
+        """Send again, with a burst of what was held up; else that is lost."""
+        held, self._held = self._held or (), None
+        if burst and not self.gone:
+            self.transport.write(b"".join(held))
+
+    def reset(self) -> None:
+        """Reset the connection."""
+        linger = struct.pack("ii", 1, 0)  # close sends RST
+        self.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+        self.transport.abort()
+
+    def send(self, kind: int, payload: bytes) -> None:
         """Send a package; disconnect a client that does not read."""
-        if not self.transport.is_closing():
+        if self._held is not None:
+            self._held.append(pack(kind, payload))
+        elif not self.gone and not self.transport.is_closing():
             self.transport.write(pack(kind, payload))
             if self.transport.get_write_buffer_size() > UNREAD_LIMIT:
                 log.warning("disconnecting an RTDE client that does not read")
@@ -105,17 +120,17 @@ class RtdeConnection(Connection):
             case Kind.PROTOCOL:
                 self.send(Kind.PROTOCOL, bytes([int.from_bytes(payload, "big") == PROTOCOL]))
             case Kind.CONTROLLER:
-                self.send(Kind.CONTROLLER, self.box.version.payload)
+                self.send(Kind.CONTROLLER, version_payload(self.box.version))
             case Kind.OUTPUTS:
                 self.send(Kind.OUTPUTS, self._grant_outputs(payload))
-            case Kind.INPUTS:
-                self.send(Kind.INPUTS, self._grant_inputs(names(payload)))
+            case Request.INPUTS:
+                self.send(Request.INPUTS, self._grant_inputs(names(payload)))
             case Kind.START:
                 self._started = self._outputs is not None
                 self.send(Kind.START, bytes([self._started]))
-            case Kind.PAUSE:
+            case Request.PAUSE:
                 self._started = False
-                self.send(Kind.PAUSE, b"\1")
+                self.send(Request.PAUSE, b"\1")
             case Kind.DATA:
                 recipe = self._inputs.get(payload[0] if payload else 0)
                 if recipe is None:
@@ -202,9 +217,6 @@ class DashboardConnection(TextConnection):
 
     def _send(self, line: str) -> None:
         self.transport.write(f"{line}\n".encode())
-
-
-Listener = Callable[[ControlBox, set[Connection]], Connection]
 
 
 def _types(wanted: tuple[str, ...], known: Mapping[str, str]) -> tuple[str, ...]:

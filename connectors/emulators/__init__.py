@@ -1,1 +1,0 @@
-"""Emulated devices that serve the simulated scene over real protocols."""

@@ -1,0 +1,100 @@
+"""An unmodified smbus2 and the emulated bus."""
+
+import os
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+from smbus2 import I2cFunc, SMBus
+
+from operators.batch import Counts, ms
+from tests.emulators.i2c_bus import DESIGNWARE, EmulatedI2cBus
+from tests.emulators.i2c_device import served
+
+PATH = "/dev/i2c-7"
+CELL = 0x60
+ALL = 0x06
+
+
+class Bench:
+    """A bus with the fingers 0 and 3 at rows 0 and 2, whose time the test sets, and a client."""
+
+    def __init__(self) -> None:
+        self.time, self.pressure = 1000, [400, 410, 420, 430, 440, 450]
+        self.bus = EmulatedI2cBus(self, {0: 0, 2: 3}, now=lambda: self.time)
+        self.client = SMBus()
+
+    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
+        return np.array(self.pressure, np.int16), np.arange(500, 506).astype(np.int16)
+
+    def convert(self) -> None:
+        """Convert all cells, as a host does it."""
+        self.client.write_quick(ALL)
+        self.client.write_i2c_block_data(CELL, 0x12, [1])
+        self.client.read_byte(ALL)
+        self.time += 3 * ms
+
+    def read(self, address: int) -> tuple[int, int]:
+        """Return pressure and temperature of one cell."""
+        self.client.write_quick(address)
+        b = self.client.read_i2c_block_data(CELL, 0, 4)
+        self.client.read_byte(address)
+        return (b[0] << 8 | b[1]) >> 6, (b[2] << 8 | b[3]) >> 6
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    with served(bench.bus, PATH), SMBus(PATH) as bench.client:
+        yield bench
+
+
+def refused(number: int, call: Callable[..., object], *arguments: object) -> None:
+    with pytest.raises(OSError, match=os.strerror(number)) as raised:
+        call(*arguments)
+    assert raised.value.errno == number
+
+
+def test_smbus2_scans_cells_one_by_one(bench: Bench) -> None:
+    refused(121, bench.client.read_byte, CELL)  # after power-up all barometers are off
+    bench.convert()
+    assert [bench.read(2 << 3 | cell) for cell in range(6)] == [(400 + 10 * k, 500 + k) for k in range(6)]
+    refused(121, bench.client.write_quick, 1 << 3)  # no fingertip has this row
+    bench.client.write_quick(3)
+    assert bytes(bench.client.read_i2c_block_data(CELL, 4, 8)) == bytes.fromhex("3EE6 B3F9 C517 33C8")
+
+
+def test_a_conversion_shows_the_previous_sample_until_it_ends(bench: Bench) -> None:
+    assert bench.read(4) == (0, 0)
+    bench.convert()
+    bench.pressure = [300] * 6
+    bench.convert()
+    bench.time -= 1
+    assert bench.read(4) == (440, 504)
+    bench.time += 1
+    assert bench.read(4) == (300, 504)
+
+
+def test_two_connected_cells_answer_together_as_the_logical_and(bench: Bench) -> None:
+    bench.pressure[:2] = 372, 223
+    bench.convert()
+    bench.client.write_quick(0)
+    bench.client.write_quick(1)
+    b = bench.client.read_i2c_block_data(CELL, 0, 4)
+    assert (b[0] << 8 | b[1]) >> 6 == 84
+
+
+def test_an_adapter_without_quick_refuses_it_and_a_byte_takes_effect_though_refused(bench: Bench) -> None:
+    bench.bus.adapter = DESIGNWARE
+    with SMBus(PATH) as client:
+        assert not client.funcs & I2cFunc.SMBUS_QUICK
+        refused(95, client.write_quick, ALL)
+        refused(121, client.write_byte, ALL, 0)
+        client.read_byte(CELL)
+
+
+def test_a_scan_has_the_expected_cost_on_the_wire(bench: Bench) -> None:
+    bench.convert()
+    for cell in range(6):
+        bench.read(cell)
+    assert (bench.bus.octets, bench.bus.transfers) == (66, 21)
