@@ -9,7 +9,7 @@ from connectors.ur.rtde_client import RtdeClient
 from operators.checks import check_above
 from operators.errors import ParameterError
 from operators.ports import Clock
-from operators.rotation import rotation_difference
+from operators.rotation import compose, quaternion, rotate, rotation_difference
 
 Point: TypeAlias = tuple[float, float, float]  # m
 Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or per s
@@ -102,6 +102,19 @@ class Bounds:
         if (push := hypot(*state.force)) > self.force:  # False for an unknown force, NaN
             return f"a force of {push:.1f} N, more than {self.force:g} N"
         return ""
+
+
+def offset_pose(pose: Pose, offset: Point = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Pose:
+    """Return a pose moved (m) in its own frame and rotated (rad) about its own z.
+
+    >>> [round(each, 6) for each in offset_pose((0.4, 0, 0.1, 3.141592653589793, 0, 0), (0, 0.01, -0.02))[:3]]
+    [0.4, -0.01, 0.12]
+    """
+    by = quaternion((pose[3], pose[4], pose[5]))
+    x, y, z = rotate(offset, by)
+    a, b, c = rotate((0.0, 0.0, yaw), by)
+    u, v, w = compose((pose[3], pose[4], pose[5]), by=(a, b, c)) if yaw else pose[3:]
+    return pose[0] + x, pose[1] + y, pose[2] + z, u, v, w
 
 
 def state_client(clock: Clock, host: str) -> RtdeClient:

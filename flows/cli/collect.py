@@ -81,8 +81,8 @@ def collect(
 
 async def _planned(plan: "CollectionPlan", robot: str | None, *, virtual: bool) -> "PlannedPath":
     """Return the path from the arm's pose, if known."""
+    from connectors.sim.simulated_arm import start_pose
     from connectors.ur.ur_state import read_state
-    from flows.lab.collection.simulated_arm import start_pose
     from flows.lab.collection.stroke_plan import PlannedPath
     from flows.run.clocks import LoopClock
 
@@ -102,14 +102,13 @@ async def _collect(
 ) -> "Collector":
     from connectors import TakkTile, UrMotion
     from connectors.ur.ur_arm import UrArm
-    from flows.lab.collection.collector import Collector, collect
-    from flows.lab.collection.simulated_arm import simulate_arm
+    from flows.lab.collection.collector import Collector, collect, virtual_arm
     from flows.run.clocks import LoopClock
 
     path, clock = await _planned(plan, robot, virtual=virtual), LoopClock()
     if virtual:
         note("the first start compiles the physics, which takes some seconds")
-        moved = await simulate_arm(path, clock, fingers=tuple(range(len(rows))))
+        moved = await virtual_arm(path, clock, fingers=tuple(range(len(rows))))
         collector = Collector(path, moved, moved.fingertips, moved.motion, out, clock, note)
     else:
         assert robot

@@ -164,19 +164,6 @@ class Extent:
         return cls(seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2]), pose)
 
 
-def offset_pose(pose: Pose, offset: Point = (0.0, 0.0, 0.0), yaw: float = 0.0) -> Pose:
-    """Return a pose moved (m) in its own frame and rotated (rad) about its own z.
-
-    >>> [round(each, 6) for each in offset_pose((0.4, 0, 0.1, math.pi, 0, 0), (0, 0.01, -0.02))[:3]]
-    [0.4, -0.01, 0.12]
-    """
-    by = quaternion((pose[3], pose[4], pose[5]))
-    x, y, z = rotate(offset, by)
-    a, b, c = rotate((0.0, 0.0, yaw), by)
-    u, v, w = compose((pose[3], pose[4], pose[5]), by=(a, b, c)) if yaw else pose[3:]
-    return pose[0] + x, pose[1] + y, pose[2] + z, u, v, w
-
-
 def spin_velocity(pose: Pose, spin: float) -> Pose:
     """Return the velocity in the base frame of a rotation about a pose's own z (rad/s)."""
     return 0.0, 0.0, 0.0, *rotate((0.0, 0.0, spin), quaternion((pose[3], pose[4], pose[5])))

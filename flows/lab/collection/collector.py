@@ -9,6 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, cast
 
+from connectors.sim.scene import Moves, Scene, Vibration
+from connectors.sim.simulated_arm import SimulatedArm
 from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
@@ -30,7 +32,7 @@ from operators import (
     ms,
     s,
 )
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Json, Run
 from storage import Dataset, arrow
 from storage.background_task import BackgroundTask
@@ -232,3 +234,19 @@ class Collector:
                     )
                     self.arm.fail(reason)
             await self.clock.sleep_until(now + round(_POLL * s))
+
+
+async def virtual_arm(path: PlannedPath, clock: Clock, fingers: tuple[int, ...] = (0,)) -> SimulatedArm:
+    """Return a simulated arm over the surface of a plan; the first one in a process compiles the physics.
+
+    Raises:
+        InputError: if the plan has several surfaces.
+    """
+    from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
+
+    surface, plan = path.series[0].surface, path.plan
+    if len(plan.surfaces) > 1:
+        raise InputError(plan.name, "has several surfaces; the virtual arm has one")
+    await asyncio.to_thread(compile_physics)
+    scene = Scene(Moves(()), surface.shape, surface.radius, vibration=Vibration())
+    return SimulatedArm(scene, surface.middle, path.bounds, clock, seed=plan.seed, fingers=fingers)

@@ -18,7 +18,7 @@ from typing import Annotated, Final, TypeAlias
 import numpy as np
 
 from connectors.ur.control_process import WATCHDOG
-from connectors.ur.ur_state import Bounds, Point, Pose
+from connectors.ur.ur_state import Bounds, Point, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
 from flows.lab.collection.arm_path import (
     Extent,
@@ -29,7 +29,6 @@ from flows.lab.collection.arm_path import (
     Touchdown,
     Trace,
     Wait,
-    offset_pose,
     spin_velocity,
 )
 from flows.lab.collection.surfaces import Surface

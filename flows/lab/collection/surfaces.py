@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 from typing import Final, get_args
 
 from connectors.sim.scene import Curvature, Scene, surface_drop
-from connectors.ur.ur_state import Pose
+from connectors.ur.ur_state import Pose, offset_pose
 from flows.graph.quantity import Length
-from flows.lab.collection.arm_path import offset_pose
 from operators.checks import check_between, check_choice
 from operators.errors import ParameterError
 

@@ -163,7 +163,7 @@ def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:
 
 def test_the_flow_on_the_hardware_page_is_valid() -> None:
     page = (Path(__file__).parents[3] / "docs" / "how-to" / "hardware.md").read_text()
-    [block] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    [block] = re.findall(r"```python hold.py\n(.*?)```", page, re.DOTALL)
     names = dict[str, Any]()
     exec(block, names)  # noqa: S102 - the page's own code
     assert problems(names["hold"]("10.0.0.2", "10.0.0.3")) == []

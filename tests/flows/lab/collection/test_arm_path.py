@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from connectors.ur.ur_state import Pose
+from connectors.ur.ur_state import Pose, offset_pose
 from flows.lab.collection.arm_path import (
     Extent,
     Line,
@@ -13,7 +13,6 @@ from flows.lab.collection.arm_path import (
     Touchdown,
     Trace,
     Wait,
-    offset_pose,
     raise_pose,
     shift_steps,
     spin_velocity,

@@ -15,12 +15,12 @@ import pytest
 
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Curvature
+from connectors.sim.simulated_arm import STIFFNESS, SimulatedArm, start_pose
 from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import run_virtually
-from flows.lab.collection.collector import Collector, collect
-from flows.lab.collection.simulated_arm import STIFFNESS, SimulatedArm, simulate_arm, start_pose
+from flows.lab.collection.collector import Collector, collect, virtual_arm
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
     Limits,
@@ -139,7 +139,7 @@ def made(
         clock = LoopClock(1_700_000_000 * s)
         surfaces = (Surface(surface, pose=PLACE),)
         path = PlannedPath.of(replace(plan, surfaces=surfaces), PLACE, start_pose(PLACE))
-        arm = await simulate_arm(path, clock)
+        arm = await virtual_arm(path, clock)
         arm._surface = path.series[0].surface.at(0.0, 0.0, above)
         if steady:
             for finger in arm.fingertips._fingertips.values():
@@ -332,8 +332,8 @@ def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.Monk
         await asyncio.sleep(math.inf)
         yield Touch.empty()
 
-    monkeypatch.setattr("flows.lab.collection.simulated_arm.VirtualTouch.batches", silent)
-    monkeypatch.setattr("flows.lab.collection.simulated_arm.SimulatedArm", Sampled)
+    monkeypatch.setattr("connectors.sim.simulated_arm.VirtualTouch.batches", silent)
+    monkeypatch.setattr("flows.lab.collection.collector.SimulatedArm", Sampled)
     with pytest.raises(EndpointError, match="gives no sample within 10 s"):
         made(tmp_path / "data")
     assert not list(tmp_path.iterdir())
@@ -345,7 +345,7 @@ def test_operators_are_compiled_before_the_arm_is_commanded(
     def compiled(_: Flow) -> CompiledFlow:
         raise AssertionError("compiled")
 
-    monkeypatch.setattr("flows.lab.collection.simulated_arm.SimulatedArm", Sampled)
+    monkeypatch.setattr("flows.lab.collection.collector.SimulatedArm", Sampled)
     monkeypatch.setattr("flows.lab.collection.collector.CompiledFlow", compiled)
     with pytest.raises(AssertionError, match="compiled"):
         made(tmp_path / "data")

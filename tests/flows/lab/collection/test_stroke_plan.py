@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.ur.ur_state import Pose
-from flows.lab.collection.arm_path import Extent, Line, Slide, Tare, Touchdown, Trace, offset_pose
+from connectors.ur.ur_state import Pose, offset_pose
+from flows.lab.collection.arm_path import Extent, Line, Slide, Tare, Touchdown, Trace
 from flows.lab.collection.plan_file import load_plan
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
