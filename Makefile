@@ -73,30 +73,25 @@ bench:  ## run the benchmarks and print their tables
 models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
 models: DATA := $(addprefix models/,paper-0 wide-3 wide-4 wide-5 wide-6 wide-7 wide-8 slow-3 slow-4 slow-5)
-models: PAPER := train models/paper-0 --resume --method
-models:  ## train the models in storage/trained and those that its pages compare: two to three hours on two cores; resumes; trace=FILE: scores on a real trace
+models: PAPER := train models/paper-0 --method
+models:  ## train the models in storage/trained and those that its pages compare: two hours on two cores; trace=FILE: scores on a real trace
 	@deploy/prepare test
 	mkdir -p models
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
-	{ echo "$(PAPER) paper_tcn --epochs 25 -o models/paper_tcn.safetensors"; \
-	  for seed in 0 1 2; do \
-	    echo "train $(DATA) --resume --seed $$seed -o models/tcn-seed$$seed.safetensors"; done; \
-	  echo "train $(DATA) --resume --stretch 2 -o models/tcn_wide.safetensors"; \
-	  echo "train $(DATA) --resume --target sliding -o models/tcn_sliding.safetensors"; \
+	{ echo "train $(DATA) --seed 1 -o models/tcn.safetensors"; \
+	  echo "train $(DATA) --stretch 2 -o models/tcn_wide.safetensors"; \
+	  echo "train $(DATA) --target sliding -o models/tcn_sliding.safetensors"; \
 	  for filters in 24 8 4; do \
-	    echo "train $(DATA) --resume --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
-	  echo "$(PAPER) frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors"; \
-	  echo "$(PAPER) frequency_cnn_interleaved --epochs 6 -o models/frequency_cnn_interleaved.safetensors"; \
+	    echo "train $(DATA) --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
+	  for network in paper_tcn frequency_cnn frequency_cnn_interleaved; do \
+	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
 	} | xargs -P 2 -L 1 slipflow
-	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
-	env -u OMP_NUM_THREADS slipflow experiment learn -o models
-	for name in tcn tcn_wide tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp paper_grasp; do \
+	for name in tcn tcn_wide tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
-	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
-	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn-seed?.safetensors)
+	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 
-detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark and alarms too
+detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark too
 	slipflow evaluate models/paper-0 --out models/pages
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages

@@ -57,8 +57,8 @@ class Event:
     site: str
     rig: str
     finger: str
-    epoch: str  # name of the number series of the rig's outbox
-    seq: int  # counts from 1 in each epoch, over all runs; a gap is a late or lost event
+    epoch: str  # name of the number series of one run
+    seq: int  # counts from 1 in each epoch; a gap is a late or lost event
     onset: bool = field(kw_only=True)  # False: the end of a slip
     time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, of the deciding sample
     probability: float | None = field(kw_only=True)  # probability of slip, 0..1; None: unknown

@@ -110,15 +110,21 @@ class Fields:
         items = self._items(name)
         return [items.object(item) for item in items.values]
 
+    def integers(self, name: str) -> list[int]:
+        """Return a field with a list of integers from 1."""
+        items = self._items(name)
+        return [items.integer(item) for item in items.values]
+
     def ranges(self, name: str) -> list[tuple[int, int]]:
         """Return a field with a list of ranges ``[first, last]`` of integers from 1."""
         items, found = self._items(name), list[tuple[int, int]]()
         for item, value in items.values.items():
             if not isinstance(value, list) or len(value) != len(("first", "last")):
                 items.fail(item, "[first, last]")
-            ends = Fields({"first": value[0], "last": value[1]}, self.where, f"{items.path}{item}.")
-            first = ends.integer("first")
-            found.append((first, ends.integer("last", first)))
+            first, last = items.integers(item)
+            if last < first:
+                items.fail(item, "[first, last]")
+            found.append((first, last))
         return found
 
     def _items(self, name: str) -> "Fields":

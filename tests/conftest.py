@@ -10,7 +10,6 @@ from collections.abc import Callable, Generator, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import settings
@@ -21,9 +20,6 @@ from flows.graph.testing import run_virtually
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.waiting import PATIENCE
-
-if TYPE_CHECKING:
-    from tests.readability import ReportFaults
 
 LIMIT = 120.0  # s, for a coroutine
 
@@ -120,15 +116,6 @@ def broker(tmp_path: Path) -> Iterator[TestBroker]:
     """Running mosquitto without access control."""
     with TestBroker(tmp_path) as server:
         yield server
-
-
-@pytest.fixture(scope="session")
-def report_faults() -> Iterator["ReportFaults"]:
-    """Function that returns what makes the page of a report hard to read, written to a folder."""
-    from tests.readability import report_reader  # noqa: PLC0415 - imports a browser's library
-
-    with report_reader() as read:
-        yield read
 
 
 @pytest.fixture

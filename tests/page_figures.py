@@ -18,9 +18,7 @@ from flows.lab.simulation import simulate
 from storage import Session
 from tests.benchmarks.bench_page import WARM, demo
 from tests.chaos.latency import real_time_priority
-from tests.connectors.web.browsing import LATE, ServedRecording, drag
-from tests.connectors.web.test_browser import MOVE
-from tests.readability import chromium
+from tests.connectors.web.browsing import LATE, MOVE, ServedRecording, chromium, drag
 
 SESSION: Final = "plane-050-01"
 SELECTED: Final = 8300  # ms, in a slip of this session
@@ -62,8 +60,7 @@ def show_picture(browser: Browser, dataset: Path, folder: Path) -> None:
         tab = browser.new_page(viewport=ViewportSize(width=1280, height=1180), color_scheme="light")
         tab.set_default_timeout(LATE)
         tab.goto(served.url)
-        tab.get_by_role("combobox", name="Window").select_option(label="all")
-        expect(tab.locator("#axis")).to_contain_text("since the start")
+        expect(tab.locator("#readout")).to_contain_text("UTC")
         drag(tab, tab.locator("#counts"), 0.25, 0.85)
         expect(tab.locator("#unzoom")).to_be_visible()
         tab.get_by_label("Your name").fill("Ada")
@@ -71,7 +68,6 @@ def show_picture(browser: Browser, dataset: Path, folder: Path) -> None:
             drag(tab, tab.locator("#bands"), begin, end)
             tab.keyboard.press(key)
         tab.locator("#instant").evaluate(MOVE, SELECTED)
-        tab.mouse.move(5, 5)  # no hairline
         tab.wait_for_timeout(500)
         save(tab.screenshot(full_page=True), folder / "show.png")
 

@@ -1,14 +1,18 @@
-"""One connection to an MQTT 5 broker, based on aiomqtt."""
+"""One connection to an MQTT 5 broker, based on aiomqtt, and findings about the broker before a run."""
 
 import asyncio
 import logging
+import os
 import re
 import socket
 import ssl
+import time
 from collections import deque
-from collections.abc import Awaitable, Sequence
+from collections.abc import AsyncGenerator, Sequence
 from contextlib import suppress
-from typing import TypeVar
+from math import inf
+from secrets import token_hex
+from typing import Any, Final
 
 import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
@@ -22,9 +26,10 @@ from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker, Message
+from connectors.web.access import is_loopback
+from operators.batch import ms
 from operators.errors import EndpointError
-
-T = TypeVar("T")
+from operators.ports import Clock, Finding
 
 TIMEOUT = 3.0  # s, for each response of the broker
 KEEPALIVE = 5  # s
@@ -33,6 +38,8 @@ SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the l
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
 INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
+EXPIRES_SOON: Final = 14.0  # days
+DAY: Final = 86400.0  # s
 
 _CLOSED = "the broker closed the connection"
 _UNREACHABLE = "check the address and the network"
@@ -53,11 +60,14 @@ _paho_log = logging.getLogger("slipflow.paho")  # duplicates the errors raised h
 _paho_log.setLevel(logging.CRITICAL)
 
 
-class Link(aiomqtt.Client):
+class Link:
     """A connection for one use: after it is lost, create another.
 
-    In addition to aiomqtt, it reports messages that the broker refuses, detects a lost connection while it
-    waits for a response, and leaves no callback on a closed socket or event loop.
+    aiomqtt connects, subscribes, and runs the client of paho-mqtt in the event loop. But it ignores the
+    reason for which a broker refuses a message (`on_publish`) and the end of a connection that the broker
+    has not accepted yet (`on_disconnect`), has no limit of the time to connect, drops the newest messages
+    instead of the oldest (`on_message`), and may watch a closed socket (`on_socket_register_write`). So the
+    link sets these public attributes of the client of paho-mqtt.
     """
 
     def __init__(
@@ -80,7 +90,7 @@ class Link(aiomqtt.Client):
         delay = Properties(PacketTypes.WILLMESSAGE)  # type: ignore[no-untyped-call]
         delay.WillDelayInterval = WILL_DELAY
         user, password = broker.login()
-        super().__init__(
+        self._client = aiomqtt.Client(
             broker.host,
             broker.port,
             identifier=identifier,
@@ -96,10 +106,14 @@ class Link(aiomqtt.Client):
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             logger=_paho_log,
         )
-        self._client.connect_timeout = TIMEOUT
+        self._paho = paho = self._client._client  # noqa: SLF001 - see above
+        paho.connect_timeout = TIMEOUT
+        paho.on_publish, paho.on_message = self._on_publish, self._on_message
+        paho.on_disconnect, paho.on_socket_register_write = self._on_disconnect, self._watch_socket
         self._url = str(broker)
-        self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # PUBACKs, by packet identifier
-        self._deadline = 0.0  # loop time (s), limit for connecting
+        self._loop = asyncio.get_running_loop()
+        self._answers: dict[int, asyncio.Future[ReasonCode | None]] = {}  # PUBACKs, by packet identifier
+        self._lost: asyncio.Future[str] = self._loop.create_future()  # reason
         self._changed = changed or asyncio.Event()
         self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
         self.dropped = 0  # messages that were not read in time
@@ -107,7 +121,7 @@ class Link(aiomqtt.Client):
     @property
     def alive(self) -> bool:
         """False after the connection was lost."""
-        return not self._disconnected.done()
+        return not self._lost.done()
 
     async def connect(self) -> None:
         """Connect.
@@ -115,29 +129,30 @@ class Link(aiomqtt.Client):
         Raises:
             EndpointError: if the broker is unreachable, does not respond or refuses the client.
         """
-        self._deadline = asyncio.get_running_loop().time() + TIMEOUT
-        entering = asyncio.ensure_future(self.__aenter__())
+        entering = asyncio.ensure_future(self._client.__aenter__())
         try:
-            await asyncio.shield(entering)
+            waits: set[asyncio.Future[Any]] = {entering, self._lost}
+            await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+            if not entering.done():
+                entering.cancel()
+                raise aiomqtt.MqttError(_CLOSED)  # noqa: TRY301 - reported as those of aiomqtt
+            await entering
         except asyncio.CancelledError:
-            with suppress(aiomqtt.MqttError, ValueError):
-                await entering  # its thread cannot be stopped and may still run callbacks
+            await asyncio.wait([entering])  # its thread cannot be stopped and may still run callbacks
             self.abort()
             raise
         except (aiomqtt.MqttError, ValueError) as error:
             self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
-        self._disconnected.add_done_callback(lambda _: self._changed.set())
 
     def peer_certificate(self) -> dict[str, object]:
         """Return the certificate of a broker that uses TLS, as `ssl.SSLSocket.getpeercert` does."""
-        sock = self._client.socket()
+        sock = self._paho.socket()
         return dict((isinstance(sock, ssl.SSLSocket) and sock.getpeercert()) or {})
 
     def post(self, message: Message) -> None:
         """Publish a message without waiting for its acknowledgement, which may never come."""
-        if not (answer := self._publish(message)).cancel():
-            answer.exception()  # mark as retrieved, else asyncio logs it
+        self._publish(message)
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
@@ -149,19 +164,18 @@ class Link(aiomqtt.Client):
             EndpointError: if the connection is lost; the broker may have received any of the messages.
         """
         answers = [self._publish(message) for message in messages]
-        try:
-            await self._wait_for(asyncio.gather(*answers), None)
-        except aiomqtt.MqttError as error:
-            self.abort()
-            raise EndpointError(self._url, f"connection lost ({_reason(error)})") from None
-        finally:
-            for answer in answers:
-                answer.cancel()
-        refused = zip(messages, (answer.result() for answer in answers), strict=True)
-        return [
-            f"refuses to publish {message.topic}: {_refusal(code)}" if code.is_failure else ""
-            for message, code in refused
-        ]
+        unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
+        if unanswered:
+            self._lose(_reason(TimeoutError()))
+        refusals = list[str]()
+        for message, answer in zip(messages, answers, strict=True):
+            code = answer.result()
+            if code is None:
+                self.abort()
+                raise self._loss()
+            refused = f"refuses to publish {message.topic}: {_refusal(code)}"
+            refusals.append(refused if code.is_failure else "")
+        return refusals
 
     async def listen(self, *topics: str) -> None:
         """Subscribe to topic filters with QoS 1; `receive` returns their messages.
@@ -169,9 +183,11 @@ class Link(aiomqtt.Client):
         Raises:
             EndpointError: if the connection is lost, or the broker refuses a filter.
         """
+        filters = [(topic, SubscribeOptions(qos=1)) for topic in topics]
         try:
-            answers = await self.subscribe([(topic, SubscribeOptions(qos=1)) for topic in topics])
-        except aiomqtt.MqttError as error:
+            async with asyncio.timeout(TIMEOUT):
+                answers = await self._client.subscribe(filters, timeout=inf)
+        except (aiomqtt.MqttError, TimeoutError) as error:
             raise EndpointError(self._url, f"connection lost ({_reason(error)})") from None
         for topic, answer in zip(topics, answers, strict=True):
             if isinstance(answer, ReasonCode) and answer.is_failure:
@@ -197,22 +213,22 @@ class Link(aiomqtt.Client):
         if self._received:
             return self._received.popleft()
         if not self.alive:
-            reason = _reason(self._disconnected.exception())
-            raise EndpointError(self._url, f"connection lost ({reason})")
+            raise self._loss()
         return None
 
     async def disconnect(self) -> None:
         """Disconnect, so that the broker discards the will."""
-        with suppress(aiomqtt.MqttError):
-            await self.__aexit__(None, None, None)
+        if self.alive:
+            self._paho.disconnect()
+            await asyncio.wait([self._lost], timeout=TIMEOUT)
         self.abort()
 
     def abort(self) -> None:
         """Close the socket without DISCONNECT, so that the broker publishes the will."""
-        while isinstance(sock := self._client.socket(), socket.socket):
+        while isinstance(sock := self._paho.socket(), socket.socket):
             with suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
-            self._client.loop_read()
+            self._paho.loop_read()
 
     def _hint(self, error: Exception) -> str:
         """Return the likely remedy for a failed connection, empty if unknown."""
@@ -228,27 +244,30 @@ class Link(aiomqtt.Client):
             return f"; if it uses {'no TLS, write mqtt:// and its port' if tls else 'TLS, write mqtts://'}"
         return ""
 
-    async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - signature of the base class
-        try:
-            limit = self.timeout if timeout is None else timeout
-            if fut is self._connected:  # use the time left for connecting
-                limit = max(0.0, self._deadline - asyncio.get_running_loop().time())
-            async with asyncio.timeout(limit):
-                return await fut  # not asyncio.wait_for: before Python 3.12 that may lose a cancellation
-        except TimeoutError:
-            raise aiomqtt.MqttError("timed out") from None
+    def _loss(self) -> EndpointError:
+        return EndpointError(self._url, f"connection lost ({self._lost.result()})")
 
-    def _publish(self, message: Message) -> "asyncio.Future[ReasonCode]":
-        answer = asyncio.get_running_loop().create_future()
+    def _lose(self, reason: str) -> None:
+        """Note that the connection is lost; no PUBACK will arrive."""
+        if self.alive:
+            self._lost.set_result(reason)
+        for answer in self._answers.values():
+            if not answer.done():
+                answer.set_result(None)
+        self._answers.clear()
+        self._changed.set()
+
+    def _publish(self, message: Message) -> "asyncio.Future[ReasonCode | None]":
+        """Return the future answer of the broker; its result is None if the connection is lost."""
+        answer: asyncio.Future[ReasonCode | None] = self._loop.create_future()
         properties = None
         if message.content_type:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
             properties.ContentType = message.content_type
-        info = self._client.publish(message.topic, message.payload, 1, message.retain, properties)
+        info = self._paho.publish(message.topic, message.payload, 1, message.retain, properties)
+        self._answers[info.mid] = answer
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or not self.alive:
-            answer.set_exception(aiomqtt.MqttCodeError(info.rc))
-        else:
-            self._answers[info.mid] = answer
+            self._lose(_reason(aiomqtt.MqttCodeError(info.rc)))
         return answer
 
     def _on_message(self, client: Paho, userdata: object, message: MQTTMessage) -> None:  # noqa: ARG002
@@ -256,34 +275,22 @@ class Link(aiomqtt.Client):
         self._received.append((message.topic, bytes(message.payload)))
         self._changed.set()
 
-    def _on_publish(
-        self, client: Paho, userdata: object, mid: int, reason_code: ReasonCode, properties: Properties
-    ) -> None:
-        super()._on_publish(client, userdata, mid, reason_code, properties)
+    def _on_publish(self, client: Paho, userdata: object, mid: int, code: ReasonCode, _: Properties) -> None:  # noqa: ARG002
         answer = self._answers.pop(mid, None)
         if answer and not answer.done():
-            answer.set_result(reason_code)
+            answer.set_result(code)
 
     def _on_disconnect(
         self,
-        client: Paho,
-        userdata: object,
-        flags: DisconnectFlags,
-        reason_code: ReasonCode,
-        properties: Properties | None = None,
+        client: Paho,  # noqa: ARG002
+        userdata: object,  # noqa: ARG002
+        flags: DisconnectFlags,  # noqa: ARG002
+        code: ReasonCode,
+        properties: Properties | None,  # noqa: ARG002
     ) -> None:
-        super()._on_disconnect(client, userdata, flags, reason_code, properties)
-        if not self._connected.done():
-            self._connected.set_exception(aiomqtt.MqttError(_CLOSED))
-        for future in (self._connected, self._disconnected):
-            if future.done() and not future.cancelled():
-                future.exception()  # mark as retrieved, else asyncio logs it
-        for answer in self._answers.values():  # no PUBACK will arrive
-            if not answer.done():
-                answer.set_exception(aiomqtt.MqttCodeError(reason_code))
-        self._answers.clear()
+        self._lose(_reason(aiomqtt.MqttCodeError(code)))
 
-    def _on_socket_register_write(self, client: Paho, userdata: object, sock: PahoSocket) -> None:  # noqa: ARG002
+    def _watch_socket(self, client: Paho, userdata: object, sock: PahoSocket) -> None:  # noqa: ARG002
         def register() -> None:
             if sock.fileno() >= 0:  # it may be closed by now, and its descriptor reused
                 self._loop.add_writer(sock, client.loop_write)
@@ -293,7 +300,6 @@ class Link(aiomqtt.Client):
 
 class _Socket(ssl.SSLSocket):
     def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - signature of the base class
-        self.settimeout(TIMEOUT)
         try:
             super().do_handshake(block)
         except BaseException:
@@ -312,7 +318,7 @@ def _reason(error: BaseException | None) -> str:
     text = str(error.rc if isinstance(error, aiomqtt.MqttCodeError) else error)
     if error is None or text in ("Unspecified error", str(MQTTErrorCode.MQTT_ERR_NO_CONN)):
         return "closed unexpectedly"
-    if text == "timed out":
+    if text in ("timed out", "Operation timed out", ""):
         return f"no response within {TIMEOUT:g} s"
     return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] |\.? \(_ssl\.c:\d+\)$", "", text)
 
@@ -335,3 +341,49 @@ async def connect(
     link = Link(broker, identifier, will, changed)
     await link.connect()
     return link
+
+
+async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGenerator[Finding]:
+    """Yield findings about a broker, which gets one message on `topic`, not retained.
+
+    Raises:
+        EndpointError: if the broker is unreachable or refuses the client or the message.
+        InputError: if a file with credentials cannot be read.
+    """
+    user, password = broker.login()
+    link = await connect(broker, f"slipflow-doctor-{token_hex(4)}")
+    try:
+        yield _login(broker, user, password)
+        if broker.scheme == "mqtts":
+            yield _certificate(broker, link.peer_certificate())
+        start = clock.now()
+        [refusal] = await link.send_all([Message(topic, b"{}", retain=False)])
+        if refusal:
+            raise EndpointError(str(broker), refusal)
+        yield Finding(str(broker), f"accepts {topic} within {(clock.now() - start) / ms:.1f} ms")
+    finally:
+        await link.disconnect()
+
+
+def _login(broker: Broker, user: str | None, password: str | None) -> Finding:
+    """Return how the client logs in, with a note if its password can be read on the network."""
+    who = f"user {user}{' with a password' if password else ''}" if user else "any client"
+    if broker.scheme == "mqtts" and (own := os.environ.get(CERTIFICATE)):
+        return Finding(str(broker), f"admits {who if user else 'this client'} with the certificate {own}")
+    if password and broker.scheme == "mqtt" and not is_loopback(broker.host):
+        text = f"admits {who}, sent without encryption: set up TLS and write mqtts://"
+        return Finding(str(broker), text, "note")
+    remedy = f"; set {USER} if it should not" if not user and not is_loopback(broker.host) else ""
+    return Finding(str(broker), f"admits {who}{remedy}", "note" if remedy else "good")
+
+
+def _certificate(broker: Broker, certificate: dict[str, object]) -> Finding:
+    """Return for how long the broker's certificate is valid."""
+    end = str(certificate.get("notAfter", ""))
+    left = 0.0
+    with suppress(ValueError):
+        left = (ssl.cert_time_to_seconds(end) - time.time()) / DAY
+    text = f"TLS with a trusted certificate, valid for {left:.0f} days"
+    if left > EXPIRES_SOON:
+        return Finding(str(broker), text)
+    return Finding(str(broker), f"{text}: renew it, and set {CA} if another authority signs it", "note")

@@ -8,7 +8,7 @@ from pathlib import Path
 from random import uniform
 from secrets import token_hex
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal, NamedTuple, Self
 
 from connectors.events import Event
 from connectors.fields import Fields
@@ -27,7 +27,15 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("slipflow")
 
-REQUEST_EVERY = 3.0  # s, until an answer arrives
+REQUEST_EVERY = 3.0  # s; a request without an answer is repeated
+
+
+class _Request(NamedTuple):
+    """Request for missed events, from number `first` of an epoch."""
+
+    epoch: str
+    first: int
+    due: float  # loop time, s, at which it is repeated
 
 
 class Consumer(AsyncIterator[Event]):
@@ -74,11 +82,10 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._dropped = 0
-        # first number and time (s) of the latest request, by rig and epoch
-        self._requested: dict[tuple[RigId, str], tuple[int, float]] = {}
-        self._check_due = 0.0  # loop time (s) of the next check for gaps
+        self._requests: dict[RigId, _Request] = {}  # without an answer, by rig
+        self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
+        self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
-        self._unsaved: bytes | None = None
         self._changed = False  # the position changed since it was saved
 
     async def __aenter__(self) -> Self:
@@ -121,11 +128,13 @@ class Consumer(AsyncIterator[Event]):
 
     async def __anext__(self) -> Event:
         """Return the next event; wait as long as necessary."""
-        self._mark_done()
+        self._finish_event()
         while True:
             link = self._link or await self._reconnect()
             if asyncio.get_running_loop().time() >= self._check_due:
-                self._request_missed(link)
+                self._check_due = asyncio.get_running_loop().time() + REQUEST_EVERY
+                for rig in self._position.rigs():
+                    self._request_missed(link, rig)
             try:
                 async with asyncio.timeout_at(self._check_due):
                     topic, payload = await link.receive()
@@ -139,62 +148,67 @@ class Consumer(AsyncIterator[Event]):
                 dropped, self._dropped = link.dropped - self._dropped, link.dropped
                 self._report(f"{self._broker}: {dropped} messages dropped: the consumer is too slow")
             try:
-                event = self._process(topic, payload)
+                rig, self._event = self._process(topic, payload)
             except InputError as error:
                 self._report(f"ignoring malformed message: {error}")
                 continue
-            if event:
-                return event
-            self._mark_done()
+            if self._event:
+                return self._event
+            self._save_position()
+            self._request_missed(link, rig)
 
-    def _process(self, topic: str, payload: bytes) -> Event | None:
-        """Process a message; return its event if the event is new."""
-        _, _, site, rig, *rest = topic.split("/")
-        if not (topic.isprintable() and is_topic_level(site) and is_topic_level(rig)):
+    def _process(self, topic: str, payload: bytes) -> tuple[RigId, Event | None]:
+        """Process a message; return its rig, and its event if the event is new."""
+        _, _, site, name, *rest = topic.split("/")
+        rig = site, name
+        if not (topic.isprintable() and is_topic_level(site) and is_topic_level(name)):
             reason = f"site and rig of a topic must be printable text of 1 to {NAME_MAX} characters"
             raise InputError(f"{topic!a:.200}", reason)
-        if is_replay(rig) and not self._with_replays:
-            return None
+        if is_replay(name) and not self._with_replays:
+            return rig, None
         fields, reply = Fields.parse(payload, topic), ["replay", self._reply_name]
-        self._changed = True
         if rest == ["head"]:
-            lost = self._position.announce((site, rig), read_heads(fields))
-            self._report_lost([*lost, *self._position.give_up()])
+            self._change(self._position.announce(rig, read_heads(fields)))
         elif rest == reply and "specversion" not in fields.values:
-            self._settle((site, rig), GapAnswer.read(fields))
+            answer = GapAnswer.read(fields)
+            request = self._requests.get(rig)
+            if request and (request.epoch, request.first) == (answer.epoch, answer.first):  # else an old one
+                del self._requests[rig]
+                self._change(self._position.settle(rig, answer))
         else:
             event = Event.read(fields)
-            if (event.site, event.rig) != (site, rig) or rest not in ([event.finger, "event"], reply):
+            if (event.site, event.rig) != rig or rest not in ([event.finger, "event"], reply):
                 raise InputError(topic, f"has an event of {event.site}/{event.rig}/{event.finger}")
-            if self._position.take(event):
-                self._report_lost(self._position.give_up())
-                return event
-        return None
+            return rig, None if self._position.has(event) else event
+        return rig, None
 
-    def _settle(self, rig: RigId, answer: GapAnswer) -> None:
-        first, _ = self._requested.get((rig, answer.epoch), (0, 0.0))
-        if first != answer.first:  # an answer to an earlier request
-            return
-        self._report_lost(self._position.settle(rig, answer))
-        if (rig, answer.epoch, first) not in {gap[:3] for gap in self._position.gaps()}:
-            del self._requested[rig, answer.epoch]  # request the rest at once
+    def _finish_event(self) -> None:
+        """Mark the latest event as processed, and start saving the position."""
+        if self._saving:
+            self._saving.check()
+        if event := self._event:
+            self._event = None
+            self._change(self._position.take(event))
+            if self._link:
+                self._request_missed(self._link, (event.site, event.rig))
+        self._save_position()
 
-    def _report_lost(self, lost: list[str]) -> None:
+    def _change(self, lost: list[str]) -> None:
+        """Note that the position has changed, and report lost events."""
+        self._changed = True
         for text in lost:
             self._report(text)
-        self._check_due = 0.0
 
-    def _request_missed(self, link: "Link") -> None:
-        """Request missed events from each rig; repeat a request if the rig has not answered for 3 s."""
+    def _request_missed(self, link: "Link", rig: RigId) -> None:
+        """Request the first missed events of a rig, unless it may still answer a request of the last 3 s."""
         now = asyncio.get_running_loop().time()
-        self._check_due = now + REQUEST_EVERY
-        for rig, epoch, first, last in self._position.gaps():
-            _, when = self._requested.get((rig, epoch), (0, now - REQUEST_EVERY))
-            if now >= when + REQUEST_EVERY:
-                self._requested[rig, epoch] = first, now
-                topic = rig_topic("Consumer", *rig)
-                request = GapRequest(epoch, first, last, f"{topic}/replay/{self._reply_name}")
-                link.post(Message(f"{topic}/replay/request", request.encode(), retain=False))
+        request = self._requests.get(rig)
+        if (request and now < request.due) or not (gap := self._position.gap(rig)):
+            return
+        self._requests[rig] = _Request(*gap[:2], now + REQUEST_EVERY)
+        topic = rig_topic("Consumer", *rig)
+        payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
+        link.post(Message(f"{topic}/replay/request", payload, retain=False))
 
     async def _reconnect(self) -> "Link":
         retry, failures = BackOff(), 0
@@ -221,7 +235,7 @@ class Consumer(AsyncIterator[Event]):
             await link.disconnect()
             raise
         self._dropped, self._check_due = 0, 0.0
-        self._requested.clear()
+        self._requests.clear()
         return link
 
     async def _disconnect(self) -> None:
@@ -234,24 +248,18 @@ class Consumer(AsyncIterator[Event]):
             os.close(self._lock)
         self._lock = None
 
-    def _mark_done(self) -> None:
-        """Mark the latest event as processed, and start saving the position."""
-        if self._saving:
-            self._saving.check()
-        if not (self._position_file and self._changed):
-            return
-        self._unsaved, forgotten = self._position.encode_limited()
-        self._changed = False
-        for text in forgotten:
-            self._report(text)
-        if self._saving is None or self._saving.done:
-            path = self._position_file
-            purpose = "the saving of the position"
+    def _save_position(self) -> None:
+        """Start saving the position, if it has changed and is not being saved."""
+        if self._position_file and self._changed and (self._saving is None or self._saving.done):
+            path, purpose = self._position_file, "the saving of the position"
             self._saving = BackgroundTask(str(path), purpose, self._save(path), endless=False)
 
     async def _save(self, path: Path) -> None:
-        while self._unsaved is not None:  # save again what changed meanwhile
-            payload, self._unsaved = self._unsaved, None
+        while self._changed:
+            self._changed = False
+            payload, forgotten = self._position.encode()
+            for text in forgotten:
+                self._report(text)
             try:
                 await asyncio.to_thread(put, path, payload)
             except OSError as error:

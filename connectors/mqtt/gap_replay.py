@@ -1,13 +1,14 @@
 """Replay of missed events on request: request, answer, and the queue of requests to a rig."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from connectors.events import CONTENT_TYPE, encode
 from connectors.fields import Fields
 from connectors.mqtt.broker import Message
-from connectors.mqtt.range_set import RangeSet
 from operators.errors import EndpointError, InputError
 from operators.ports import Json
 
@@ -131,8 +132,8 @@ class GapReplies:
             except EndpointError:
                 continue  # unreadable now, but not lost: the client repeats its request
             if last >= request.first:  # else the numbers are not used yet
-                gaps = RangeSet((entry.seq, entry.seq) for entry in found).gaps(request.first, last)
-                closing = GapAnswer(request.epoch, request.first, last, tuple(gaps)).encode()
+                missing = _missing(request.first, last, [entry.seq for entry in found])
+                closing = GapAnswer(request.epoch, request.first, last, missing).encode()
                 events = (entry.payload for entry in found)
                 return [
                     *(
@@ -142,3 +143,13 @@ class GapReplies:
                     Message(request.reply_to, closing, retain=False),
                 ]
         return []
+
+
+def _missing(first: int, last: int, found: Sequence[int]) -> tuple[tuple[int, int], ...]:
+    """Return the ranges of `first` to `last` that are not among the sorted numbers `found`.
+
+    >>> _missing(1, 9, [3, 4, 9])
+    ((1, 2), (5, 8))
+    """
+    before = pairwise([first - 1, *found, last + 1])
+    return tuple((low + 1, high - 1) for low, high in before if high > low + 1)

@@ -10,7 +10,6 @@ from pathlib import Path
 from connectors.events import Event, Fault, encode, faults, finger_name, slips, timestamp
 from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
-from connectors.mqtt.broker_diagnosis import diagnose_broker
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import (
@@ -113,6 +112,8 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             EndpointError: if the broker cannot be used, or the outbox cannot be written.
             InputError: if a file with credentials cannot be read.
         """
+        from connectors.mqtt.broker_link import diagnose_broker  # noqa: PLC0415 - aiomqtt is slow to import
+
         for finding in await asyncio.to_thread(check_disk, self._outbox_path()):
             yield finding
         topic = f"{rig_topic('Mqtt', self.site, self.rig)}/doctor"
@@ -133,7 +134,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # newest state of the device clock
-        self._published: dict[str, int] = {}  # id of the newest event in the published state, by finger
+        self._published: dict[str, Entry] = {}  # event in the published state, by finger
         self._outbox = Outbox(
             self._outbox_path(replay=run.recording is not None), keep=KEEP, keep_for=KEEP_FOR
         )
@@ -216,10 +217,16 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Yield the retained documents that sent events change: state of each fingertip, and head."""
         newest = {entry.finger: entry for entry in sent}
         for finger, entry in newest.items():
-            if entry.id > self._published.get(finger, 0):  # skips an old event that was sent late
-                self._published[finger] = entry.id
+            if self._is_newer(entry, self._published.get(finger)):
+                self._published[finger] = entry
                 yield self._state(Event.decode(entry.payload))
         yield self._head()
+
+    def _is_newer(self, entry: Entry, before: Entry | None) -> bool:
+        """Return False for an old event that was sent late, because the disk could not be read."""
+        if before is None or before.epoch == entry.epoch:
+            return before is None or before.seq < entry.seq
+        return before.epoch != self._outbox.epoch
 
     def _message(self, name: str, document: dict[str, Json]) -> Message:
         return Message(f"{self._topic}/{name}", encode(document))

@@ -1,15 +1,14 @@
 """Numbered slip events in a folder of append-only logs; `connectors.mqtt.outbox.Outbox` calls it in threads.
 
-Each record of a segment is a line of JSON, followed by the payload if it is an event:
+Each run begins an epoch, which is a series of event numbers from 1. The logs of the folder are segments, in
+the order of their names. Each holds events of one epoch with consecutive numbers, and acknowledgements of any
+events. The records of a segment are JSON, followed by the payload if it is an event:
 
 .. code-block:: text
 
-    {"epoch": {"name", "base", "last"}, "ended": BOOL}            epoch of the events that follow
-    [ID, FINGERTIP, TIME]                                         event, time of its creation in s
-    {"acknowledged": [[FIRST, LAST], ...]}                        ids that the broker has received
-
-The ids of events count through all epochs; the number of an event is its id minus the base of its epoch. An
-epoch is complete if its end is the last record of the folder.
+    {"epoch": NAME, "first": NUMBER}                 first record: epoch, and number of the first event
+    [FINGERTIP, TIME] NEWLINE PAYLOAD                event, and time of its creation in s
+    {"acknowledged": [[EPOCH, NUMBER], ...]}         events that the broker has received
 """
 
 import json
@@ -17,14 +16,12 @@ import logging
 import os
 import time
 from array import array
-from bisect import bisect_left
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
-from connectors.mqtt.range_set import RangeSet
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.append_log import AppendLog, LogReader
@@ -32,92 +29,83 @@ from storage.lock import lock
 
 log = logging.getLogger("slipflow")
 
-IDENTITY: Final = b"slipflow outbox 1"
+IDENTITY: Final = b"slipflow outbox 2"
 SEGMENT_EVENTS = 1000  # events of a segment; older segments are deleted as a whole
 SEGMENT_SPAN = 86400.0  # s, from the first to the last event of a segment
 
-
-@dataclass
-class Epoch:
-    """Series of event numbers."""
-
-    name: str
-    base: int  # id before that of number 1
-    last: int = 0  # newest number
+Key: TypeAlias = tuple[str, int]  # epoch and number of an event
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
     """Numbered event."""
 
-    id: int
     epoch: str
     seq: int
     finger: str
     payload: bytes
     time: float  # s since 1970, of its creation
 
+    @property
+    def key(self) -> Key:
+        """Epoch and number."""
+        return self.epoch, self.seq
+
 
 @dataclass
 class _Segment:
-    """Segment file, and the id and offset of each of its events."""
+    """Segment file, and the offset of each of its events."""
 
     path: Path
-    ids: "array[int]" = field(default_factory=lambda: array("Q"))
+    epoch: str
+    first: int
     offsets: "array[int]" = field(default_factory=lambda: array("Q"))
     started: float = 0.0  # s since 1970, time of the first event
     time: float = 0.0  # s since 1970, time of the newest event
 
-    def add(self, number: int, offset: int, created: float) -> None:
-        at = bisect_left(self.ids, number)
-        if at < len(self.ids) and self.ids[at] == number:  # written again after a failed fsync
-            self.offsets[at] = offset
-        else:
-            self.ids.insert(at, number)
-            self.offsets.insert(at, offset)
-        self.started, self.time = self.started or created, created
+    @property
+    def last(self) -> int:
+        return self.first + len(self.offsets) - 1
 
-    def offset(self, number: int) -> int | None:
-        at = bisect_left(self.ids, number)
-        return self.offsets[at] if at < len(self.ids) and self.ids[at] == number else None
+    def __contains__(self, key: Key) -> bool:
+        return key[0] == self.epoch and self.first <= key[1] <= self.last
+
+    def add(self, offset: int, created: float) -> None:
+        self.offsets.append(offset)
+        self.started, self.time = self.started or created, created
 
 
 class OutboxLog:
-    """Events, acknowledgements and epochs of one rig on disk, locked for one process.
+    """Events and acknowledgements of one rig on disk, locked for one process.
 
     Attributes:
-        epochs: All epochs of which events are stored, oldest first; as of `open`.
-        complete: True if the newest epoch ended in order, so that it may continue; as of `open`.
-        settled: Ids that need not be sent: acknowledged or not readable; as of `open`.
+        epoch: Epoch of this run.
     """
 
-    def __init__(self, path: Path, *, keep: int, keep_for: float) -> None:
+    def __init__(self, path: Path, epoch: str, *, keep: int, keep_for: float) -> None:
         """Prepare to use the folder `path`, which keeps `keep` sent events for `keep_for` s."""
-        self.path, self._keep, self._keep_for = path, keep, keep_for
-        self.epochs: list[Epoch] = []
-        self.complete, self.settled = False, RangeSet()
+        self.path, self.epoch, self._keep, self._keep_for = path, epoch, keep, keep_for
         self._lock: int | None = None
         self._segments: list[_Segment] = []
-        self._log: AppendLog | None = None  # the newest segment
-        self._epoch = ""  # name in the newest epoch record
-
-    @property
-    def first(self) -> int:
-        """Id of the oldest stored event; 0 if there is none."""
-        return next((segment.ids[0] for segment in self._segments if segment.ids), 0)
-
-    @property
-    def last(self) -> int:
-        """Newest id that is stored or was used."""
-        return max([0, *(epoch.base + epoch.last for epoch in self.epochs)])
+        self._log: AppendLog | None = None  # the newest segment, if it is of this run
 
     @property
     def suspect(self) -> bool:
         """True if an fsync failed: events since the last one must be appended again."""
         return self._log is not None and self._log.suspect
 
-    def open(self) -> None:
-        """Create or lock the folder, and read it.
+    @property
+    def epochs(self) -> list[str]:
+        """Epochs of which events may be stored, oldest first."""
+        return list(dict.fromkeys(segment.epoch for segment in tuple(self._segments)))
+
+    def span(self, epoch: str) -> tuple[int, int]:
+        """Return the first and last stored number of an epoch; (1, 0) if there is none."""
+        found = [each for each in tuple(self._segments) if each.epoch == epoch and each.offsets]
+        return (min(each.first for each in found), max(each.last for each in found)) if found else (1, 0)
+
+    def open(self) -> dict[Key, str]:
+        """Create or lock the folder and read it; return the fingertips of unsent events, oldest first.
 
         Raises:
             EndpointError: if another process uses it.
@@ -125,49 +113,32 @@ class OutboxLog:
             OSError: if it cannot be read or created.
         """
         self._lock_folder()
-        paths = sorted(self.path.glob("*.log"))
-        for path in paths:
+        unsent = dict[Key, str]()
+        for path in sorted(self.path.glob("*.log")):
             with LogReader(path) as reader:
-                self._read_segment(reader)
-                if path == paths[-1] and reader.identity and not (reader.damage and reader.damage.more):
-                    self._log = AppendLog.resume(reader)
-        stored = RangeSet((number, number) for segment in self._segments for number in segment.ids)
-        oldest = self.first or self.last + 1
-        self.settled.add(1, oldest - 1)
-        for first, last in stored.gaps(oldest, self.last):
-            self.settled.add(first, last)
-            log.error("%s: %d events cannot be read and are lost", self.path, last - first + 1)
-        self.epochs = [each for each in self.epochs if self._is_stored(each)]
-        self._epoch = ""  # the next record marks the epoch as in use
+                self._read_segment(reader, unsent)
+        return unsent
 
-    def append(
-        self, epoch: Epoch, entries: Sequence[Entry], acknowledged: RangeSet, *, ended: bool = False
-    ) -> None:
-        """Append events and acknowledgements, all or none, in a new segment if the newest is full.
-
-        Args:
-            epoch: Epoch of the events.
-            entries: Events.
-            acknowledged: Ids that the broker has received.
-            ended: The epoch ends in order.
+    def append(self, entries: Sequence[Entry], acknowledged: Sequence[Key]) -> None:
+        """Append events with consecutive numbers, and acknowledgements: all or none.
 
         Raises:
             EndpointError: if another process uses the folder.
             OSError: if nothing was stored.
         """
-        if self._lock is None:
+        if self._lock is None:  # the disk was full when the folder was opened
             self._lock_folder()
-        if self._log is None or self.suspect or self._log.broken or self._is_full(self._segments[-1]):
-            self._start_segment(epoch, entries[0].id if entries else epoch.base + epoch.last + 1)
+        following = entries[0].seq if entries else self.span(self.epoch)[1] + 1
+        if self._log is None or self._log.suspect or self._log.broken or self._ends_before(following):
+            self._start_segment(following)
         assert self._log
-        begin = [] if epoch.name == self._epoch else [_encode_epoch(epoch)]
-        events = [_encode_event(entry) for entry in entries]
-        rest = [json.dumps({"acknowledged": [*acknowledged]}).encode()] if len(acknowledged) else []
-        end = [_encode_epoch(epoch, ended=True)] if ended else []
-        offsets = self._log.append([*begin, *events, *rest, *end])
-        self._epoch = epoch.name
-        for entry, offset in zip(entries, offsets[len(begin) :], strict=False):
-            self._segments[-1].add(entry.id, offset, entry.time)
+        records = [
+            json.dumps([entry.finger, entry.time]).encode() + b"\n" + entry.payload for entry in entries
+        ]
+        if acknowledged:
+            records.append(json.dumps({"acknowledged": acknowledged}).encode())
+        for entry, offset in zip(entries, self._log.append(records), strict=False):
+            self._segments[-1].add(offset, entry.time)
 
     def sync(self) -> None:
         """Make the appended records durable.
@@ -178,46 +149,48 @@ class OutboxLog:
         if newest := self._log:  # `append` may replace it in another thread
             newest.sync()
 
-    def read(self, ids: Sequence[int]) -> list[Entry]:
-        """Return the events with these ids that are stored and intact.
+    def read(self, keys: Sequence[Key]) -> list[Entry]:
+        """Return the events with these keys that are stored and intact, in this order.
 
         Raises:
             OSError: if a segment cannot be read.
         """
-        found = dict[int, Entry]()
-        for segment in tuple(self._segments):  # another thread may append or prune
-            wanted = [(number, offset) for number in ids if (offset := segment.offset(number)) is not None]
+        found = dict[Key, Entry]()
+        for segment in reversed(tuple(self._segments)):  # the newest copy of an event is intact
+            wanted = [key for key in keys if key in segment and key not in found]
             if not wanted:
                 continue
             with suppress(FileNotFoundError), LogReader(segment.path) as reader:  # may be pruned by now
-                for _, offset in wanted:
-                    if record := next(reader.records(offset), None):
-                        entry = self._decode(record.data)
-                        found[entry.id] = entry
-        return [found[number] for number in ids if number in found]
+                for epoch, seq in wanted:
+                    if record := next(reader.records(segment.offsets[seq - segment.first]), None):
+                        head, _, payload = record.data.partition(b"\n")
+                        finger, created = json.loads(head)
+                        found[epoch, seq] = Entry(epoch, seq, finger, payload, created)
+        return [found[key] for key in keys if key in found]
 
-    def prune(self, pending: int) -> None:
-        """Delete segments that are too old or too many; all ids before `pending` are settled.
+    def prune(self, oldest_unsent: Key | None) -> None:
+        """Delete segments that are too old or too many, from the oldest up to that of the first unsent event.
 
         Raises:
             OSError: if a file cannot be deleted.
         """
-        kept = sum(len(segment.ids) for segment in self._segments)
+        kept = sum(len(segment.offsets) for segment in self._segments)
         while len(self._segments) > 1:
             oldest = self._segments[0]
-            kept -= len(oldest.ids)
+            kept -= len(oldest.offsets)
             expired = kept >= self._keep or oldest.time < time.time() - self._keep_for
-            if not expired or (oldest.ids and oldest.ids[-1] >= pending):
+            if not expired or (oldest_unsent and oldest_unsent in oldest):
                 return
             del self._segments[0]
             files.unlink(oldest.path)
 
     def close(self) -> None:
         """Close the files and unlock the folder."""
-        self._close_log()
+        if self._log:
+            self._log.close()
         if self._lock is not None:
             os.close(self._lock)
-        self._lock = None
+        self._log = self._lock = None
 
     def _lock_folder(self) -> None:
         if self.path.is_file():
@@ -228,89 +201,55 @@ class OutboxLog:
             reason = "is in use: two runs may not publish as one rig; name another rig or outbox"
             raise EndpointError(str(self.path), reason)
 
-    def _read_segment(self, reader: LogReader) -> None:
+    def _read_segment(self, reader: LogReader, unsent: dict[Key, str]) -> None:
         if reader.identity not in (IDENTITY, b""):
             raise InputError(
                 str(reader.path), "is not part of an outbox: name another outbox, or move it away"
             )
-        if not reader.identity:
+        records = reader.records()
+        first = next(records, None)
+        if first is None:
             files.rename(reader.path, reader.path.with_suffix(".damaged"))
             log.error("%s: damaged, and renamed to .damaged", reader.path)
-            self.complete = False  # the lost records may have used numbers
             return
-        segment = _Segment(reader.path)
-        self._segments.append(segment)
+        acknowledgements = 0
         try:
-            for offset, data in reader.records():
-                self._read_record(segment, offset, data)
+            begin = json.loads(first.data)
+            segment = _Segment(reader.path, str(begin["epoch"]), int(begin["first"]))
+            for offset, data in records:
+                content: Any = json.loads(data.partition(b"\n")[0])
+                if isinstance(content, dict):
+                    acknowledgements += 1
+                    for epoch, seq in content["acknowledged"]:
+                        unsent.pop((epoch, seq), None)
+                else:
+                    finger, created = content
+                    segment.add(offset, created)
+                    unsent.setdefault((segment.epoch, segment.last), finger)
         except (ValueError, TypeError, LookupError) as error:
             reason = f"has an invalid record at byte {reader.end}: move it away"
             raise InputError(str(reader.path), reason) from error
-        if reader.damage:
-            self.complete = False
         if reader.damage and reader.damage.more:
             log.error("%s: damaged at byte %d; the rest of it is lost", reader.path, reader.damage.offset)
+        if segment.offsets or acknowledgements:
+            self._segments.append(segment)
+        else:  # of a run without events
+            files.unlink(reader.path)
 
-    def _read_record(self, segment: _Segment, offset: int, data: bytes) -> None:
-        content: Any = json.loads(data.partition(b"\n")[0])
-        self.complete = False
-        if data.startswith(b"["):
-            number, _, created = content
-            segment.add(number, offset, created)
-            self.epochs[-1].last = max(self.epochs[-1].last, number - self.epochs[-1].base)
-        elif "acknowledged" in content:
-            for first, last in content["acknowledged"]:
-                self.settled.add(first, last)
-        else:
-            name, base, last = (content["epoch"][key] for key in ("name", "base", "last"))
-            epoch, self.complete = Epoch(name, base, last), content["ended"]
-            if self.epochs and self.epochs[-1].name == epoch.name:
-                del self.epochs[-1]
-            self.epochs.append(epoch)
-            self._epoch = epoch.name
+    def _ends_before(self, following: int) -> bool:
+        """Return True if the newest segment is full or old, or cannot be continued by event `following`."""
+        segment = self._segments[-1]
+        old = 0 < segment.started < time.time() - SEGMENT_SPAN
+        return old or len(segment.offsets) >= SEGMENT_EVENTS or following != segment.last + 1
 
-    def _is_stored(self, epoch: Epoch) -> bool:
-        return epoch is self.epochs[-1] or epoch.base + epoch.last >= self.first > 0
-
-    def _is_full(self, segment: _Segment) -> bool:
-        full = len(segment.ids) >= SEGMENT_EVENTS
-        return full or 0 < segment.started < time.time() - SEGMENT_SPAN
-
-    def _start_segment(self, epoch: Epoch, first: int) -> None:
-        """Create a segment that begins with id `first`; replace one whose events are all written again."""
+    def _start_segment(self, first: int) -> None:
         if self._log and not self._log.suspect:
             self._log.sync()
-        path = self.path / f"{self._next_number(first):020}.log"
-        created = AppendLog.create(path, IDENTITY, [_encode_epoch(epoch)])
-        self._close_log()
-        self._log, self._epoch = created, epoch.name
-        self._segments = [*(each for each in self._segments if each.path != path), _Segment(path)]
-
-    def _next_number(self, first: int) -> int:
-        """Return the number of the next segment, which must be read after the newest one."""
-        if not self._segments:
-            return first
-        newest = self._segments[-1]
-        number = int(newest.path.stem)
-        if first > number:
-            return first
-        return number + (len(newest.ids) > 0 and newest.ids[0] < first)
-
-    def _decode(self, data: bytes) -> Entry:
-        head, _, payload = data.partition(b"\n")
-        number, finger, created = json.loads(head)
-        epoch = next(each for each in reversed(self.epochs) if each.base < number)
-        return Entry(number, epoch.name, number - epoch.base, finger, payload, created)
-
-    def _close_log(self) -> None:
+        number = int(self._segments[-1].path.stem) + 1 if self._segments else 1
+        path = self.path / f"{number:020}.log"
+        begin = json.dumps({"epoch": self.epoch, "first": first}).encode()
+        created = AppendLog.create(path, IDENTITY, [begin])
         if self._log:
             self._log.close()
-        self._log = None
-
-
-def _encode_event(entry: Entry) -> bytes:
-    return json.dumps([entry.id, entry.finger, entry.time]).encode() + b"\n" + entry.payload
-
-
-def _encode_epoch(epoch: Epoch, *, ended: bool = False) -> bytes:
-    return json.dumps({"epoch": asdict(epoch), "ended": ended}).encode()
+        self._log = created
+        self._segments.append(_Segment(path, self.epoch, first))

@@ -3,7 +3,8 @@
 Only `lock_position` and `load` do I/O.
 """
 
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
@@ -11,34 +12,63 @@ from typing import TypeAlias
 from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
-from connectors.mqtt.range_set import RangeSet
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
 from storage.files import read
 from storage.lock import lock_file
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
+Range: TypeAlias = tuple[int, int]  # first and last number
 
-FORMAT = 1
+FORMAT = 2
 FILE_MAX = 16 * 2**20  # bytes
-RIGS_MAX = 1000  # beyond it, the rig that was added first is forgotten
+RIGS_MAX = 1000  # beyond it, the rig without an event for the longest time is forgotten
 EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
-GAPS_MAX = 1000  # per epoch; beyond it, the first gap is given up
+AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
 
 
 @dataclass
 class _Epoch:
-    """Numbers of one epoch."""
+    """Numbers of one epoch: all up to `done` are received or lost, and those in `ahead` are received."""
 
-    seen: RangeSet = field(default_factory=RangeSet)
-    head: int = -1  # the newest number announced by the rig; -1: the rig has not announced the epoch yet
+    done: int = 0
+    ahead: list[int] = field(default_factory=list[int])  # sorted
+    head: int = -1  # newest number announced by the rig; -1: the rig has not announced the epoch yet
 
     @property
-    def announced(self) -> bool:
-        return self.head >= 0
+    def newest(self) -> int:
+        return max(self.done, self.head, *self.ahead[-1:])
 
-    def gaps(self) -> Iterator[tuple[int, int]]:
-        return self.seen.gaps(1, max(self.head, self.seen.highest))
+    @property
+    def gap(self) -> Range | None:
+        """The first range of missed numbers."""
+        last = self.ahead[0] - 1 if self.ahead else self.newest
+        return (self.done + 1, last) if last > self.done else None
+
+    def has(self, number: int) -> bool:
+        at = bisect_left(self.ahead, number)
+        return number <= self.done or self.ahead[at : at + 1] == [number]
+
+    def add(self, number: int) -> None:
+        if not self.has(number):
+            self.ahead.insert(bisect_left(self.ahead, number), number)
+            self._advance()
+
+    def give_up(self, last: int) -> list[Range]:
+        """Count the missed numbers up to `last` as lost, and return them."""
+        lost = list[Range]()
+        while self.done < last:
+            end = min([last, *(number - 1 for number in self.ahead[:1])])
+            lost.append((self.done + 1, end))
+            self.done = end
+            self._advance()
+        return lost
+
+    def _advance(self) -> None:
+        count = 0
+        while count < len(self.ahead) and self.ahead[count] == self.done + 1:
+            self.done, count = self.done + 1, count + 1
+        del self.ahead[:count]
 
 
 class Position:
@@ -50,8 +80,8 @@ class Position:
     >>> position = Position()
     >>> position.announce(("lab", "ur10"), {"ab": 4})
     []
-    >>> position.announce(("lab", "ur10"), {"ab": 6}), list(position.gaps())
-    ([], [(('lab', 'ur10'), 'ab', 5, 6)])
+    >>> position.announce(("lab", "ur10"), {"ab": 6}), position.gap(("lab", "ur10"))
+    ([], ('ab', 5, 6))
     >>> position.settle(("lab", "ur10"), GapAnswer("ab", 5, 6, ((5, 5),)))
     ['lab/ur10: event 5 of epoch ab is lost: no longer kept']
     """
@@ -61,107 +91,98 @@ class Position:
         self._everything = everything
         self._rigs: dict[RigId, dict[str, _Epoch]] = {}
 
-    def take(self, event: Event) -> bool:
-        """Mark an event as received; return False if it already was."""
-        rig, epochs = (event.site, event.rig), self._rigs.get((event.site, event.rig))
+    def has(self, event: Event) -> bool:
+        """Return True if an event was received or counts as lost."""
+        epoch = self._rigs.get((event.site, event.rig), {}).get(event.epoch)
+        return epoch is not None and epoch.has(event.seq)
+
+    def take(self, event: Event) -> list[str]:
+        """Mark an event as received; give up the oldest gap if too many events have come since."""
+        rig = event.site, event.rig
+        epochs = self._rigs.pop(rig, None)
         if epochs is None:
-            epochs = self._rigs[rig] = {}
-            if not self._everything:
-                epochs.setdefault(event.epoch, _Epoch()).seen.add(1, event.seq - 1)
-        epoch = self._epoch(epochs, event.epoch)
-        if event.seq in epoch.seen:
-            return False
-        epoch.seen.add(event.seq)
-        return True
+            epochs = {event.epoch: _Epoch(0 if self._everything else event.seq - 1)}
+        self._rigs[rig] = epochs  # the last to be forgotten
+        epoch = epochs.setdefault(event.epoch, _Epoch())
+        epoch.add(event.seq)
+        excess = epoch.ahead[0] - 1 if len(epoch.ahead) > AHEAD_MAX else 0
+        return [
+            *_lost(rig, event.epoch, epoch.give_up(excess), "given up after too many gaps without an answer"),
+            *self._forget_rest(epochs),
+        ]
 
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
         """Set the newest number of each epoch that a rig keeps, the current epoch last.
 
-        A head that is older than the previous one is ignored: it has a lower number of a known epoch, or the
-        known number of an earlier epoch. The gaps of epochs that are no longer kept are closed and reported
-        as lost; the epochs stay known, so that an older head does not bring them back.
+        A head whose current epoch is known, but not the newest, is older than the one before, and is ignored
+        unless its number is new. The gaps of epochs that are no longer kept are closed and reported as lost;
+        the epochs stay known, so that an older head does not bring them back.
         """
         epochs = self._rigs.setdefault(rig, {})
-        newest = next((name for name in reversed(epochs) if epochs[name].announced), None)
+        newest = next((name for name in reversed(epochs) if epochs[name].head >= 0), None)
         current, last = list(heads.items())[-1]
-        known = epochs[current].head if current in epochs else -1
-        if known >= 0 and (last < known or (current != newest and last == known)):
+        if current != newest and current in epochs and last <= epochs[current].head:
             return []
         for name, head in heads.items():
             epoch = epochs.pop(name, None)  # the order of the epochs becomes that of the head
             if epoch is None:
-                epoch = _Epoch()
-                epoch.seen.add(1, head if newest is None and not self._everything else 0)
+                epoch = _Epoch(head if newest is None and not self._everything else 0)
             epoch.head = max(epoch.head, head)
             epochs[name] = epoch
         lost = list[str]()
         for name, epoch in epochs.items():
-            if name in heads or not epoch.announced:
+            if name in heads or epoch.head < 0:
                 continue
-            missed = [f"{first} to {last}" if first < last else str(first) for first, last in epoch.gaps()]
-            end = max(epoch.head, epoch.seen.highest)
-            epoch.seen.add(1, end)
-            if name == newest:  # its last number was never announced
+            end = epoch.newest
+            missed = [
+                f"{first} to {last}" if first < last else str(first) for first, last in epoch.give_up(end)
+            ]
+            if name == newest and end:  # its last number was never announced
                 missed.append(f"any after {end}")
             if missed:
                 which = ", ".join(missed)
                 lost.append(f"{'/'.join(rig)}: epoch {name} is no longer kept; lost events: {which}")
-        while len(epochs) > EPOCHS_MAX:
-            del epochs[next(iter(epochs))]
-        return lost
+        return lost + self._forget_rest(epochs)
 
     def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
         """Close the gaps that an answer lists as missing, and report their events as lost."""
         epoch = self._rigs.get(rig, {}).get(answer.epoch)
-        if epoch is None:
-            return []
-        missing = [gap for low, high in answer.missing for gap in epoch.seen.gaps(low, high)]
-        for gap in missing:
-            epoch.seen.add(*gap)
-        return [_lost(rig, answer.epoch, *gap, "no longer kept") for gap in missing]
+        lost = list[Range]()
+        for first, last in answer.missing if epoch else ():
+            if epoch and first <= epoch.done + 1:  # else an event of the answer did not arrive: request again
+                lost += epoch.give_up(min(last, epoch.newest))
+        return _lost(rig, answer.epoch, lost, "no longer kept")
 
-    def gaps(self) -> Iterator[tuple[RigId, str, int, int]]:
-        """Yield the first gap of each epoch: rig, epoch, first and last number."""
-        for rig, epochs in self._rigs.items():
-            for name, epoch in epochs.items():
-                for first, last in epoch.gaps():
-                    yield rig, name, first, last
-                    break
+    def gap(self, rig: RigId) -> tuple[str, int, int] | None:
+        """Return the first missed range of a rig: epoch, first and last number."""
+        for name, epoch in self._rigs.get(rig, {}).items():
+            if gap := epoch.gap:
+                return name, *gap
+        return None
 
-    def give_up(self) -> list[str]:
-        """Forget the first rigs and give up the oldest gaps if there are too many; report both."""
-        lost = list[str]()
-        while len(self._rigs) > RIGS_MAX:
-            lost.append(self._forget(f"there are more than {RIGS_MAX} rigs"))
-        for rig, epochs in self._rigs.items():
-            for name, epoch in epochs.items():
-                while len(epoch.seen) > GAPS_MAX:
-                    first, last = next(epoch.gaps())
-                    epoch.seen.add(first, last)
-                    lost.append(
-                        _lost(rig, name, first, last, "given up after too many gaps without an answer")
-                    )
-        return lost
+    def rigs(self) -> list[RigId]:
+        """Return the known rigs."""
+        return list(self._rigs)
 
-    def encode_limited(self) -> tuple[bytes, list[str]]:
+    def encode(self) -> tuple[bytes, list[str]]:
         """Return the position as JSON of at most `FILE_MAX` bytes; report the rigs forgotten for it."""
         forgotten = list[str]()
-        while len(payload := self.encode()) > FILE_MAX:
+        while len(payload := self._encode()) > FILE_MAX:
             forgotten.append(self._forget("the file would be too large"))
         return payload, forgotten
 
-    def encode(self) -> bytes:
-        """Return the position as JSON."""
+    def _encode(self) -> bytes:
         rigs: list[Json] = [
             {
                 "site": site,
                 "rig": rig,
                 "epoch": name,
-                "head": epoch.head,
-                "seen": [[first, last] for first, last in epoch.seen],
+                "done": each.done,
+                "ahead": each.ahead,
+                "head": each.head,
             }
             for (site, rig), epochs in self._rigs.items()
-            for name, epoch in epochs.items()
+            for name, each in epochs.items()
         ]
         return encode({"format": FORMAT, "rigs": rigs})
 
@@ -175,22 +196,26 @@ class Position:
         position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
         fields.integer("format", FORMAT, FORMAT)
         for rig in fields.objects("rigs"):
-            epoch = _Epoch(RangeSet(rig.ranges("seen")), rig.integer("head", -1))
-            name = rig.text("site"), rig.text("rig")
+            epoch, name = (
+                _Epoch(rig.integer("done", 0), head=rig.integer("head", -1)),
+                (rig.text("site"), rig.text("rig")),
+            )
+            for number in rig.integers("ahead"):
+                epoch.add(number)
             position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
         return position
 
+    def _forget_rest(self, epochs: dict[str, _Epoch]) -> list[str]:
+        """Drop the first epochs and the first rig if there are too many; report a forgotten rig."""
+        while len(epochs) > EPOCHS_MAX:
+            del epochs[next(iter(epochs))]
+        too_many = len(self._rigs) > RIGS_MAX
+        return [self._forget(f"there are more than {RIGS_MAX} rigs")] if too_many else []
+
     def _forget(self, why: str) -> str:
-        """Forget the rig that was added first, and report it."""
         rig = next(iter(self._rigs))
         del self._rigs[rig]
         return f"{'/'.join(rig)}: position forgotten, because {why}"
-
-    def _epoch(self, epochs: dict[str, _Epoch], name: str) -> _Epoch:
-        if name not in epochs:
-            while len(epochs) >= EPOCHS_MAX:
-                del epochs[next(iter(epochs))]
-        return epochs.setdefault(name, _Epoch())
 
 
 def read_heads(fields: Fields) -> dict[str, int]:
@@ -240,6 +265,15 @@ def load(path: Path, *, everything: bool = False) -> Position:
         raise InputError(str(path), f"{error.reason}: {hint}") from None
 
 
-def _lost(rig: RigId, epoch: str, first: int, last: int, why: str) -> str:
-    which, verb = (f"event {first}", "is") if first == last else (f"events {first} to {last}", "are")
-    return f"{'/'.join(rig)}: {which} of epoch {epoch} {verb} lost: {why}"
+def _lost(rig: RigId, epoch: str, ranges: Iterable[Range], why: str) -> list[str]:
+    """Return the reports of lost events."""
+    return [
+        f"{'/'.join(rig)}: "
+        + (
+            f"event {first} of epoch {epoch} is"
+            if first == last
+            else f"events {first} to {last} of epoch {epoch} are"
+        )
+        + f" lost: {why}"
+        for first, last in ranges
+    ]

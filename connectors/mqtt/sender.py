@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from random import uniform
 from typing import TYPE_CHECKING, TypeAlias
@@ -139,7 +139,7 @@ class Sender:
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         self._link = link = await connect(self._broker, self._identifier, self._will, self._wake)
-        self._restart()
+        self._refused.clear()
         self._replies.clear()
         self._changed = dict(self._retained)
         try:
@@ -176,12 +176,14 @@ class Sender:
             self._retain(self._health())
             if self._refused and now >= self._retry_due:
                 self._retry_due = now + self._retry.delay()
-                self._restart()
-        entries = await self._outbox.next(WINDOW)
+                self._refused.clear()
+        entries = await self._outbox.next(
+            WINDOW, lambda finger: self._event_topic(finger) not in self._refused
+        )
         replies = await self._replies.next()
         outgoing: list[Outgoing] = [
             *((message, None) for message in self._changed.values() if message.topic not in self._refused),
-            *self._allowed(entries),
+            *((self._event(entry), entry) for entry in entries),
             *((message, None) for message in replies),
         ]
         sent = list[Entry]()
@@ -197,22 +199,22 @@ class Sender:
             self._outbox.acknowledge(sent)
             for message in self._documents(sent):
                 self._retain(message)
-        if not outgoing and not entries and not self._closing:
+        if not outgoing and not self._closing:
             with suppress(TimeoutError):
                 async with asyncio.timeout_at(self._health_due):
                     await self._wake.wait()
-        return bool(outgoing or entries)
+        return bool(outgoing)
 
     def _retain(self, message: Message) -> None:
         """Publish a retained document now and after each connection, until a newer one replaces it."""
         self._retained[message.topic] = self._changed[message.topic] = message
 
-    def _allowed(self, entries: Iterable[Entry]) -> Iterator[Outgoing]:
-        """Yield the events on topics that the broker does not refuse."""
-        for entry in entries:
-            topic = f"{self._topic}/{entry.finger}/event"
-            if topic not in self._refused:
-                yield Message(topic, entry.payload, retain=False, content_type=CONTENT_TYPE), entry
+    def _event_topic(self, finger: str) -> str:
+        return f"{self._topic}/{finger}/event"
+
+    def _event(self, entry: Entry) -> Message:
+        topic = self._event_topic(entry.finger)
+        return Message(topic, entry.payload, retain=False, content_type=CONTENT_TYPE)
 
     def _accept(self, message: Message) -> None:
         if self._changed.get(message.topic) is message:
@@ -221,11 +223,6 @@ class Sender:
             self._logged.discard(message.topic)
             self._retry.reset()
             log.warning("%s: accepts %s again", self._broker, message.topic)
-
-    def _restart(self) -> None:
-        """Restart at the oldest unacknowledged event, and try refused topics again."""
-        self._refused.clear()
-        self._outbox.rewind()
 
     def _log_once(self, topic: str, text: str) -> None:
         if topic not in self._logged:

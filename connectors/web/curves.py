@@ -1,6 +1,6 @@
 """Curves of a page: plotted values, reduction to pixel columns, and JSON."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from connectors.events import Fault, Slip, quality
 from connectors.sim.truth import SLIDING
-from connectors.web.verdicts import judge_latency
 from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
 from operators.ports import Json, Run
 
@@ -40,30 +39,22 @@ def plotted_values(batch: Touch | Motion | Scores | Truth) -> Reals:
 
 
 def stream_name(batch: Touch | Motion | Scores | Truth) -> str:
-    """Return the name of a batch's stream in frames: touch, speed, scores or truth."""
+    """Return the name of a batch's stream on a page: touch, speed, scores or truth."""
     if isinstance(batch, Truth):
         return "truth"
     return "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
 
 
-def streams_json(
-    curves: Mapping[tuple[str, str], dict[str, Json]], zeroed: Collection[tuple[str, str]]
-) -> dict[str, Json]:
-    """Return curves, by stream and fingertip, as streams of a frame; those in `zeroed` have zeroed counts.
+def nested(curves: Mapping[tuple[str, str], Json]) -> dict[str, Json]:
+    """Return curves, which have the keys stream and fingertip, as one object per stream.
 
-    >>> curve = {"t": [], "v": []}
-    >>> streams_json({("touch", "0"): curve, ("speed", "every"): curve}, zeroed=())
-    {'touch': {'0': {'t': [], 'v': [], 'zeroed': False}}, 'speed': {'t': [], 'v': []}}
+    >>> nested({("touch", "0"): {"t": []}, ("touch", "1"): {"t": []}, ("speed", "every"): {"t": []}})
+    {'touch': {'0': {'t': []}, '1': {'t': []}}, 'speed': {'every': {'t': []}}}
     """
-    document: dict[str, Any] = {}
-    for key, curve in curves.items():
-        stream, finger = key
-        if stream == "speed":
-            document[stream] = curve
-        else:
-            of_touch = {"zeroed": key in zeroed} if stream == "touch" else {}
-            document.setdefault(stream, {})[finger] = {**curve, **of_touch}
-    return document
+    document: dict[str, dict[str, Json]] = {}
+    for (stream, finger), curve in curves.items():
+        document.setdefault(stream, {})[finger] = curve
+    return {**document}
 
 
 def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> dict[str, Json]:
@@ -107,7 +98,6 @@ def event_json(
         "p": round(slip.probability, 3),
         "quality": [*quality(slip.probability, faults)],
         "latency": None if latency is None else round(latency / ms, 3),
-        "verdict": None if latency is None else [*judge_latency(latency)],
     }
 
 

@@ -1,47 +1,43 @@
 """Sink that serves a live page of a running flow."""
 
 import asyncio
-import re
-from collections import deque
 from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from connectors.events import encode
 from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
 from connectors.web.curves import page_fingertip
-from connectors.web.page_frames import Frames, Rows, rows_json
-from connectors.web.verdicts import Verdicts
+from connectors.web.page_frames import Frames, Rows, Seen, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
 from operators.checks import check_between
 from operators.ports import Clock, Finding, Json, Run, Sink
 from operators.software import software_version
-from storage.background_task import BackgroundTask
+
+if TYPE_CHECKING:
+    from aiohttp.web import WebSocketResponse
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
 GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
 REPORT_EVERY: Final = 1.0  # s
-WATCHED: Final = 3.0  # s since the last request of a browser, in which messages are made
-BUFFER_MAX: Final = 4 << 20  # bytes of messages kept for browsers
+FEW: Final = 500  # rows that are encoded in the event loop; more are encoded in a thread
 _POLL: Final = 0.02  # s, between checks while the page closes
-_POLLS: Final = 50  # until all recorders have written their queues
-_END_POLLS: Final = 25  # until all browsers have fetched the end of the run
-_NAME_MAX: Final = 64  # characters of a browser's name
-_NUMBER: Final = re.compile(r"[0-9]{1,18}")  # of a message
+_POLLS: Final = 25  # until all browsers have received the end of the run
 
 
 class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
     """Live page in the browser: pressure maps, slip probability, TCP speed, slip events with latency, health.
 
     Connect each stream to show: touch (preferably zeroed), motion, scores, slips, faults, and the truth
-    of a simulation. The health covers all sources and sinks of the run, see `connectors.web.verdicts`.
-    Browsers poll for messages: hello, frames (at most 40 per second, see `connectors.web.page_frames`),
-    reports, and the end. A request waits until there are new ones. A browser that is too slow for the
-    kept messages gets all kept rows again. The page may drop rows and never slows the run.
+    of a simulation. The health covers all sources and sinks of the run.
+
+    A browser requests each frame over a WebSocket when it has shown the previous one, at most 40 per second.
+    The frame has all that is new since then (`connectors.web.page_frames`), so a slow browser gets fewer and
+    larger ones, at most the last 30 s. The page may drop rows and never slows the run.
 
     Only this machine can reach the page unless `host` is set, which requires a token. The connection is not
-    encrypted: outside a trusted network, use a TLS proxy.
+    encrypted: outside a trusted network, use a TLS proxy that keeps the header Host.
 
     Args:
         port: Port to listen on; 0 for any free port; None for 8765, or any free port if that is in use.
@@ -71,8 +67,6 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
             check_between("Page", "threshold", threshold, 0, 1)
         self._host, self._port, self._token = host, port, token
         self.threshold, self._opened = threshold, opened
-        self._sending: asyncio.TimerHandle | None = None
-        self._sent = 0.0  # loop time (s) of the newest frame
 
     @property
     def destination(self) -> str:
@@ -117,155 +111,106 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
         from connectors.web.web_server import json_answer, page_server  # noqa: PLC0415 - aiohttp is slow to import
 
         self._run, self._frames, self._reports = run, Frames(run), HealthReports(run)
-        self._verdicts = Verdicts(run)
-        self._health = self._judged()
+        self._report, self._reported = self._health(), 0  # newest report, and its number
         self._loop = asyncio.get_running_loop()
-        self._messages, self._ended = MessageBuffer(), False
-        self._seen: dict[str, float] = {}  # loop time (s) of the last request of each browser
+        self._due = self._loop.time() + REPORT_EVERY  # time of the next report
+        self._changed, self._changes, self._browsers, self._ended = asyncio.Event(), 0, 0, False
         self._server = page_server(self._host, self._port, self._token)
 
         async def about(query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG001 - a constant
             return json_answer({"mode": "live"})
 
-        await self._server.open({"/about.json": about, "/messages": self._answer})
-        self._reporting = BackgroundTask(self.destination, "the health report", self._keep_reporting())
+        await self._server.open({"/about.json": about}, sockets={"/live": self._follow})
         if self._opened:
             self._opened(self._server.url)
 
     def take(self, batch: Touch | Motion | Scores | Slips | Faults | Truth) -> bool:
         """Add the rows of a batch to the next frame."""
         self._frames.add(batch)
-        if self._sending is None and self._watched():
-            now = self._loop.time()
-            self._sending = self._loop.call_at(max(now + GATHER, self._sent + FRAME_EVERY), self._send)
+        self._note_change()
         return True
 
     async def close(self) -> None:
-        """Send the last frame and the end of the run, and stop serving.
-
-        Raises:
-            EndpointError: if a background task of the page has failed.
-        """
-        await self._reporting.end()
-        if self._sending:
-            self._sending.cancel()
-            self._send()
-        await self._wait_for_recorders()
-        self._health = self._judged()
-        report = self._report()
-        final = {name: report[name] for name in ("sinks", "recorders", "waiting", "verdicts")}
-        self._messages.put("end", {"error": self._run.error or None, **final})
+        """Send the end of the run, and stop serving."""
         self._ended = True
-        for _ in range(_END_POLLS):
-            if self._watched():
+        self._note_change()
+        for _ in range(_POLLS):
+            if self._browsers:
                 await asyncio.sleep(_POLL)
         await self._server.close()
-        self._reporting.check()
 
-    def _watched(self) -> bool:
-        """Return True if a browser shows the page and has not fetched the end of the run."""
-        now = self._loop.time()
-        self._seen = {each: time for each, time in self._seen.items() if now - time < WATCHED}
-        return bool(self._seen)
+    def _note_change(self) -> None:
+        self._changes += 1
+        if self._browsers:
+            self._changed.set()
+            self._changed = asyncio.Event()
 
-    def _send(self) -> None:
-        self._sending, self._sent = None, self._loop.time()
-        self._messages.put("frame", self._frames.next())
+    async def _follow(self, socket: "WebSocketResponse") -> None:
+        """Answer each request of a browser with what is new for it, until it leaves or the run ends."""
+        seen, changes, reported, next_frame = Seen(), -1, -1, 0.0
+        self._browsers += 1
+        try:
+            async for _ in socket:
+                first = changes < 0
+                await self._wait(changes, next_frame)
+                next_frame, changes, ended = self._loop.time() + FRAME_EVERY, self._changes, self._ended
+                rows, frame = self._frames.since(seen)
+                if first:
+                    frame["run"] = self._about()
+                if reported != self._current_report():
+                    reported, frame["report"] = self._reported, self._report
+                if ended:
+                    frame["end"] = {"error": self._run.error or None}
+                await socket.send_str((await self._encoded(frame, rows)).decode())
+                if ended:
+                    break
+        finally:
+            self._browsers -= 1
 
-    async def _answer(self, query: Mapping[str, str]) -> tuple[bytes, str]:
-        """Return the messages from number `next` of this run on; the first ones if those are dropped."""
-        browser, number = query.get("browser", "")[:_NAME_MAX], query.get("next", "")
+    async def _wait(self, changes: int, next_frame: float) -> None:
+        """Wait for a change, at most until the next report, and for the time of the next frame."""
+        if changes == self._changes:
+            with suppress(TimeoutError):
+                async with asyncio.timeout_at(self._due):
+                    await self._changed.wait()
         if not self._ended:
-            self._seen[browser] = self._loop.time()
-        messages: list[bytes] | None = None
-        if query.get("session") == self._run.session and _NUMBER.fullmatch(number):
-            messages = await self._messages.since(int(number))
-        end = self._messages.end
-        if messages is None:
-            end -= self._ended  # the end follows
-            messages = await self._hello()
-        elif self._ended:
-            self._seen.pop(browser, None)
-        return b'{"next":%d,"messages":[%b]}' % (end, b",".join(messages)), "application/json"
+            await asyncio.sleep(max(GATHER, next_frame - self._loop.time()))
 
-    async def _hello(self) -> list[bytes]:
-        """Return the first messages to a browser: the run with all kept rows, and a report."""
+    async def _encoded(self, frame: dict[str, Json], rows: Rows) -> bytes:
+        def document() -> bytes:
+            return encode({**frame, "rows": rows_json(rows, self._run.start)})
+
+        if sum(map(len, rows.values())) <= FEW:
+            return document()
+        return await asyncio.to_thread(document)
+
+    def _about(self) -> dict[str, Json]:
         run = self._run
-        about: dict[str, Json] = {
+        return {
             "version": software_version(),
             "session": run.session,
             "flow": run.flow,
-            "live": run.live,
             "recording": run.recording,
             "start": run.start / ms,
             "threshold": self.threshold,
             "fingertip": page_fingertip(run, self.destination),
-            "events": self._frames.events(),
-            **self._frames.state(),
         }
-        rows, report = self._frames.rows(), self._report()
-        return await asyncio.to_thread(_hello_messages, about, rows, run.start, report)
 
-    def _judged(self) -> dict[str, Json]:
-        """Return the health of the run with its verdicts."""
-        health, sources, sinks = self._reports.next(), self._run.sources, self._run.sinks
-        declared: dict[str, Json] = {name: source.declared_rate for name, source in sources.items()}
-        lost: dict[str, Json] = {name: source.lost for name, source in sources.items()}
-        waiting: dict[str, Json] = {name: sink.waiting for name, sink in sinks.items()}
-        verdicts = self._verdicts.next(self._reports.rates)
-        return {**health, "declared_hz": declared, "lost": lost, "waiting": waiting, "verdicts": verdicts}
+    def _current_report(self) -> int:
+        """Make the next report if it is due; return the number of the newest one."""
+        if self._loop.time() >= self._due:
+            self._due = self._loop.time() + REPORT_EVERY
+            self._report, self._reported = self._health(), self._reported + 1
+        return self._reported
 
-    def _report(self) -> dict[str, Json]:
-        errors: dict[str, Json] = {name: source.error or None for name, source in self._run.sources.items()}
-        recorders: list[Json] = [name for name, sink in self._run.sinks.items() if sink.records]
-        return {**self._health, "errors": errors, "recorders": recorders}
-
-    async def _wait_for_recorders(self) -> None:
-        """Wait up to 1 s until the recorders, which close concurrently, have written their queues."""
-        recorders = [sink for sink in self._run.sinks.values() if sink.records]
-        for _ in range(_POLLS if recorders and self._watched() else 0):
-            before = [sink.rows for sink in recorders]
-            await asyncio.sleep(_POLL)
-            if before == [sink.rows for sink in recorders] and not any(sink.queued for sink in recorders):
-                return
-
-    async def _keep_reporting(self) -> None:
-        while True:
-            await asyncio.sleep(REPORT_EVERY)
-            self._health = self._judged()
-            if self._watched():
-                self._messages.put("report", self._report())
-
-
-class MessageBuffer:
-    """Newest messages, numbered from 0, for clients that request those from a number on."""
-
-    def __init__(self, limit: int = BUFFER_MAX) -> None:
-        """Create a buffer of at most `limit` bytes; the oldest messages are dropped."""
-        self.end = 0  # number of the next message
-        self._limit, self._size = limit, 0
-        self._messages: deque[bytes] = deque()
-        self._added = asyncio.Event()
-
-    def put(self, name: str, document: Json) -> None:
-        """Add a message."""
-        self._messages.append(encode([name, document]))
-        self._size += len(self._messages[-1])
-        self.end += 1
-        while self._size > self._limit:
-            self._size -= len(self._messages.popleft())
-        self._added.set()
-        self._added = asyncio.Event()
-
-    async def since(self, number: int) -> list[bytes] | None:
-        """Return the messages from `number` on, once there are any or after 1 s; None if some are dropped."""
-        with suppress(TimeoutError):
-            async with asyncio.timeout(REPORT_EVERY):
-                while number == self.end:
-                    await self._added.wait()
-        first = self.end - len(self._messages)
-        return [*self._messages][number - first :] if first <= number <= self.end else None
-
-
-def _hello_messages(about: dict[str, Json], rows: Rows, origin: int, report: dict[str, Json]) -> list[bytes]:
-    return [encode(["hello", {**about, **rows_json(rows, origin)}]), encode(["report", report])]
+    def _health(self) -> dict[str, Json]:
+        """Return the health of the run, with its error texts, lost rows and recorders."""
+        sources, sinks = self._run.sources, self._run.sinks
+        return {
+            **self._reports.next(),
+            "errors": {name: source.error or None for name, source in sources.items()},
+            "declared_hz": {name: source.declared_rate for name, source in sources.items()},
+            "lost": {name: source.lost for name, source in sources.items()},
+            "waiting": {name: sink.waiting for name, sink in sinks.items()},
+            "recorders": [name for name, sink in sinks.items() if sink.records],
+        }

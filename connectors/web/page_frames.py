@@ -1,47 +1,29 @@
-"""Frames of the live page: rows since the last frame, or all kept rows for a newly connected page.
+"""Frames of the live page: what is new since a browser's last frame.
 
 A frame is a JSON object. Times are ms since the start of the run; fingertips have the names used in events:
 
 - ``now``: time of the run's clock when the frame was made
-- ``touch``: by fingertip, ``t`` (n,), ``v`` (n, cells) counts, null for invalid cells, and ``zeroed``
-- ``scores``: by fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
-- ``truth``: by fingertip, ``t`` and ``v`` (n,), 1 while the simulated contact slides, else 0
+- ``rows``: by stream and fingertip, ``t`` (n,) and ``v``: (n, cells) counts of ``touch``, null for invalid
+  cells; (n,) probability of ``scores``; (n,) TCP speed of ``speed``, mm/s; (n,) of ``truth``, 1 while the
+  simulated contact slides, else 0
+- ``zeroed``: True if the counts are zeroed
 - ``events``: numbered onsets and ends of slip with their quality; ``latency``: ms from the deciding sample to
-  its arrival here, null in a replay at full speed; ``verdict`` on it: word and level
+  its arrival here, null in a replay
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
 - ``quality``: quality of the newest score and its reason, by fingertip
 """
 
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, Final, Generic, TypeAlias
 
 import numpy as np
 
 from connectors.events import finger_name, slips
 from connectors.web.cell_faults import NO_FAULTS, CellFaults, changes, fault_list
-from connectors.web.curves import (
-    curve_json,
-    event_json,
-    plotted_values,
-    score_quality,
-    stream_name,
-    streams_json,
-)
-from operators.batch import (
-    AnyBatch,
-    Faults,
-    Flags,
-    Motion,
-    Scores,
-    Slips,
-    Times,
-    Touch,
-    Truth,
-    Zeroed,
-    ms,
-    s,
-)
+from connectors.web.curves import curve_json, event_json, nested, plotted_values, score_quality, stream_name
+from operators.batch import AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Truth, Zeroed, ms, s
 from operators.ports import Json, Run
 from operators.tail import Tail
 
@@ -50,8 +32,16 @@ FINGERS_MAX: Final = 32  # further fingertips are not shown
 KEPT: Final = 30 * s  # ns of each stream
 STEP: Final = 5 * ms  # ns; one row is kept per step
 
-# by stream and fingertip: views that another thread can encode
+# by stream (`raw`: touch that is not zeroed) and fingertip: views that another thread can encode
 Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores | Truth]
+
+
+@dataclass
+class Seen:
+    """What a browser has received."""
+
+    rows: dict[tuple[str, str], int] = field(default_factory=dict[tuple[str, str], int])  # counts by stream
+    events: int = 0  # number of the newest event
 
 
 class Track(Generic[AnyBatch]):
@@ -61,10 +51,9 @@ class Track(Generic[AnyBatch]):
     """
 
     def __init__(self, kind: type[AnyBatch]) -> None:
-        self.kind = kind
         self._tail = Tail(kind)
         self._step = int(np.iinfo(np.int64).min)  # index of the newest row's step
-        self._new = 0  # rows not yet returned by `take`
+        self.count = 0  # rows that were ever kept
 
     def add(self, batch: AnyBatch) -> None:
         """Append the rows of a batch; all batches must be of one fingertip."""
@@ -77,19 +66,11 @@ class Track(Generic[AnyBatch]):
         self._step = newest // STEP
         self._tail.append(kept)
         self._tail.drop(int(np.searchsorted(self._tail.time, newest - KEPT)))
-        self._new = min(self._new + len(kept), len(self._tail))
+        self.count += len(kept)
 
-    @property
-    def rows(self) -> AnyBatch:
-        """All kept rows, as views that remain unchanged."""
-        return self._tail.rows
-
-    def take(self) -> AnyBatch | None:
-        """Return the rows added since the last call, as views; None if there are none."""
-        if not self._new:
-            return None
-        count, self._new = self._new, 0
-        return self._tail.rows[-count:]
+    def since(self, count: int) -> AnyBatch:
+        """Return the kept rows but the first `count` ever, as views that remain unchanged."""
+        return self._tail.rows[max(0, len(self._tail) - (self.count - count)) :]
 
     def _first_of_steps(self, time: Times) -> Flags:
         """Mark the rows (n,) that are the first of their step and not out of order."""
@@ -104,85 +85,76 @@ class Frames:
     def __init__(self, run: Run) -> None:
         self._run = run
         self._tracks: dict[tuple[str, str], Track[Any]] = {}  # by stream and fingertip
-        self._scores: dict[str, Scores] = {}  # newest batch by fingertip
+        self._scores: dict[str, Scores] = {}  # newest score by fingertip
+        self._zeroed = False
         self._slipping: set[str] = set()
         self._faults: dict[str, CellFaults] = {}
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
-        self._numbered = self._sent = 0  # number of events added and sent
+        self._numbered = 0  # number of the newest event
 
     def add(self, batch: Touch | Motion | Scores | Slips | Faults | Truth) -> None:
-        """Add a batch; zeroed touch of a fingertip replaces its raw touch."""
+        """Add a batch; once there is zeroed touch, raw touch is ignored."""
+        finger = finger_name(batch.finger)
         if isinstance(batch, Slips):
-            self._add_slips(batch)
+            self._add_slips(batch, finger)
         elif isinstance(batch, Faults):
-            self._add_faults(batch)
-        else:
-            key = stream_name(batch), finger_name(batch.finger)
-            track, zeroed = self._tracks.get(key), isinstance(batch, Zeroed)
-            if track is None and sum(each[0] == key[0] for each in self._tracks) >= FINGERS_MAX:
-                return
-            if track is None or (zeroed and track.kind is Touch):
-                base = next((each for each in (Touch, Scores, Truth) if isinstance(batch, each)), Motion)
-                kind = Zeroed if zeroed else base  # drops further columns
-                track = self._tracks[key] = Track(kind)
-            if isinstance(batch, Scores) and len(batch):
-                self._scores[key[1]] = batch
-            if zeroed or track.kind is not Zeroed:
-                track.add(batch)
+            if finger in self._faults or len(self._faults) < FINGERS_MAX:
+                for _, found in changes(batch, self._faults.get(finger, NO_FAULTS)):
+                    self._faults[finger] = found
+        elif isinstance(batch, Zeroed) and not self._zeroed:
+            self._zeroed = True
+            self._tracks = {key: track for key, track in self._tracks.items() if key[0] != "raw"}
+            self.add(batch)
+        elif isinstance(batch, Zeroed) or not (self._zeroed and isinstance(batch, Touch)):
+            self._add_rows(batch, finger)
 
-    def next(self) -> dict[str, Json]:
-        """Return the frame of everything added since the last one."""
-        new = {key: rows for key, track in self._tracks.items() if (rows := track.take()) is not None}
-        frame = {**rows_json(new, self._run.start), **self.state()}
-        if count := min(self._numbered - self._sent, EVENTS_KEPT):
-            frame["events"] = self.events(count)
-        self._sent = self._numbered
-        return frame
-
-    def rows(self) -> Rows:
-        """Return all kept rows."""
-        return {key: track.rows for key, track in self._tracks.items()}
-
-    def state(self) -> dict[str, Json]:
-        """Return the current time, slipping fingertips, faults and quality."""
-        newest = {finger: batch[-1:] for finger, batch in self._scores.items()}
-        return {
+    def since(self, seen: Seen) -> tuple[Rows, dict[str, Json]]:
+        """Return what is new for a browser: rows, and all else as JSON; note that it has received them."""
+        rows = {key: track.since(seen.rows.get(key, 0)) for key, track in self._tracks.items()}
+        events: list[Json] = [*self._events]
+        newest = max(0, len(events) - (self._numbered - seen.events))
+        seen.rows = {key: track.count for key, track in self._tracks.items()}
+        seen.events = self._numbered
+        return {key: each for key, each in rows.items() if len(each)}, {
             "now": (self._run.clock.now() - self._run.start) / ms,
+            "zeroed": self._zeroed,
+            "events": events[newest:],
             "slipping": [*sorted(self._slipping)],
             "faults": {finger: {**found} for finger, found in self._faults.items() if found},
             "quality": {
-                finger: score_quality(row, fault_list(self._faults.get(finger, NO_FAULTS)))
-                for finger, row in newest.items()
+                finger: score_quality(score, fault_list(self._faults.get(finger, NO_FAULTS)))
+                for finger, score in self._scores.items()
             },
         }
 
-    def events(self, newest: int = EVENTS_KEPT) -> list[Json]:
-        """Return the `newest` events, oldest first."""
-        events: list[Json] = [*self._events]
-        return events[-newest:]
+    def _add_rows(self, batch: Touch | Motion | Scores | Truth, finger: str) -> None:
+        raw = isinstance(batch, Touch) and not isinstance(batch, Zeroed)
+        key = "raw" if raw else stream_name(batch), finger
+        if key not in self._tracks:
+            if sum(stream == key[0] for stream, _ in self._tracks) >= FINGERS_MAX:
+                return
+            kinds = Zeroed, Touch, Scores, Truth, Motion
+            kind = next(each for each in kinds if isinstance(batch, each))  # drops further columns
+            self._tracks[key] = Track[Any](kind)
+        if isinstance(batch, Scores) and len(batch):
+            self._scores[finger] = batch[-1:]
+        self._tracks[key].add(batch)
 
-    def _add_slips(self, batch: Slips) -> None:
-        finger = finger_name(batch.finger)
+    def _add_slips(self, batch: Slips, finger: str) -> None:
         for slip in slips(batch):
             (self._slipping.add if slip.onset else self._slipping.discard)(finger)
             self._numbered += 1
             latency = self._run.latency(slip.time)
-            found = fault_list(self._faults.get(finger, NO_FAULTS))
+            faults = fault_list(self._faults.get(finger, NO_FAULTS))
             self._events.append(
-                event_json(self._numbered, finger, slip, self._run.start, latency=latency, faults=found)
+                event_json(self._numbered, finger, slip, self._run.start, latency=latency, faults=faults)
             )
-
-    def _add_faults(self, batch: Faults) -> None:
-        finger = finger_name(batch.finger)
-        if finger not in self._faults and len(self._faults) >= FINGERS_MAX:
-            return
-        for _, found in changes(batch, self._faults.get(finger, NO_FAULTS)):
-            self._faults[finger] = found
 
 
 def rows_json(rows: Rows, origin: int) -> dict[str, Json]:
-    """Return rows as the curves of a frame, with times since `origin` (ns)."""
-    return streams_json(
-        {key: curve_json(each.time, plotted_values(each), origin) for key, each in rows.items()},
-        {key for key, each in rows.items() if isinstance(each, Zeroed)},
-    )
+    """Return rows as JSON, with times since `origin` (ns)."""
+    curves = {
+        (stream_name(each), finger): curve_json(each.time, plotted_values(each), origin)
+        for (_, finger), each in rows.items()
+    }
+    return nested(curves)

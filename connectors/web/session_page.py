@@ -1,231 +1,149 @@
-"""Curves and events of a recorded session, kept in memory for its page."""
+"""Requests of the page of a recorded session: its curves, events at another threshold, labels by hand."""
 
-from collections.abc import Callable
-from dataclasses import replace
-from math import isnan
-from typing import Final, TypeAlias
+import asyncio
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from time import time_ns
+from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
+from connectors.events import finger_name
+from connectors.web.session_curves import SessionCurves
+from connectors.web.web_server import Answer, Handler, Writer, json_answer
+from operators.batch import EVERY, ms
+from operators.errors import InputError, ParameterError
+from operators.ports import Json
+from storage import HandLabels, LabelSpan, Session
 
-from connectors.events import Slip, finger_name, slips
-from connectors.web.cell_faults import FaultHistory, fault_list
-from connectors.web.curves import (
-    curve_json,
-    event_json,
-    page_fingertip,
-    plotted_values,
-    score_quality,
-    stream_name,
-    streams_json,
-    thin_curve,
+_TIME_MAX: Final = 1e12  # ms
+_COLUMNS_MAX: Final = 8192
+_WINDOW_USAGE: Final = (
+    "must be ?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session; 1 to 8192 columns"
 )
-from connectors.web.page_frames import FINGERS_MAX
-from operators import Debounce
-from operators.batch import (
-    Faults,
-    Flags,
-    Motion,
-    Scores,
-    Slips,
-    Times,
-    Touch,
-    Zeroed,
-    concat,
-    ms,
-    s,
+_EVENTS_USAGE: Final = "must be ?threshold=NUMBER, above 0 and at most 1"
+_LABELS_USAGE: Final = (
+    'must be {"based_on": VERSION, "spans": [{"begin": MS, "end": MS, "finger": NAME, "value": '
+    '"slip", "author": TEXT, "note": TEXT, "created": NS as text or ""}, ...]}'
 )
-from operators.errors import InputError
-from operators.ports import Json, Run, Sink
-
-VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
-ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
-EVENTS_MAX: Final = 20_000
-Values: TypeAlias = NDArray[np.float32 | np.float64]  # (n, ...) of a curve
-_Event: TypeAlias = tuple[str, Slip]  # with its fingertip
 
 
-class SessionCurves(Sink[Touch | Motion | Scores | Slips | Faults]):
-    """Sink that keeps the events and curves of a replay in memory.
+class SessionPage:
+    """Answers to the requests of the page of a recorded session.
+
+    Documents are built in a thread, as that takes some ms.
 
     Args:
-        rule: Rule of `detected`; the page marks its threshold.
-        about: Additional text for the page.
-        flow: Name of the flow that recorded the session.
-        dataset: Name of the dataset that contains the session.
-
-    Attributes:
-        curves: Times and values of each stream (touch, scores, speed) and fingertip, once closed.
-        scores: Scores of each fingertip, once closed.
+        curves: Curves and events.
+        session: Session whose labels by hand the page shows and writes; None: none.
     """
 
-    def __init__(
-        self,
-        *,
-        rule: Debounce | None = None,
-        about: str = "",
-        flow: str | None = None,
-        dataset: str | None = None,
-    ) -> None:
-        self.rule, self.about = rule or Debounce(), about
-        self._origin: dict[str, Json] = {"flow": flow, "dataset": dataset}
-        self.start = self.end = 0  # ns, start of the run and newest row
-        # by stream and fingertip: batches, and the curves joined in `close`
-        self._arriving: dict[tuple[str, str], list[tuple[Times, Values]]] = {}
-        self.curves: dict[tuple[str, str], tuple[Times, Values]] = {}
-        self._scored: dict[str, list[Scores]] = {}  # batches by fingertip
-        self.scores: dict[str, Scores] = {}
-        self._faults = FaultHistory()
-        self._events: list[_Event] = []
-        self._zeroed, self._falls, self._rows = False, True, 0
+    def __init__(self, curves: SessionCurves, session: Session | None = None) -> None:
+        self.curves, self.session = curves, session
 
-    @property
-    def destination(self) -> str:
-        """Constant name of the memory of this process."""
-        return "memory"
+    def handlers(self) -> dict[str, Handler]:
+        """Return the answers to GET requests by path."""
+        return {"/about.json": self._about, "/window": self._window, "/events": self._events}
 
-    async def open(self, run: Run) -> None:
-        """Set the session and the start of `run`."""
-        self._session, self.start = run.session, run.start
-        self._origin["fingertip"] = page_fingertip(run, self.destination)
-        self._falls = all(
-            each.falls is not False for each in run.fingertips.get(self.destination, {}).values()
+    def writers(self) -> dict[str, Writer]:
+        """Return the answers to POST requests by path: one stores the next version of the labels by hand."""
+        return {} if self.session is None else {"/labels": self._write_labels}
+
+    async def _about(self, query: Mapping[str, str]) -> Answer:  # noqa: ARG002 - no parameters
+        def document() -> dict[str, Json]:
+            labels = None if self.session is None else self._labels_json(self.session.hand_labels())
+            return {"mode": "recorded", "labels": labels, **self.curves.contents()}
+
+        return await _in_thread(document)
+
+    async def _window(self, query: Mapping[str, str]) -> Answer:
+        begin, end, at, columns = (
+            _number(query, name, "/window", _WINDOW_USAGE) for name in ("begin", "end", "at", "columns")
+        )
+        if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
+            raise InputError("/window", _WINDOW_USAGE)
+        return await _in_thread(
+            lambda: {
+                "rows": self.curves.window(begin, end, int(columns)),
+                "at": self.curves.values_at(at),
+            }
         )
 
-    def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
-        """Keep the rows of a batch.
+    async def _events(self, query: Mapping[str, str]) -> Answer:
+        threshold = _number(query, "threshold", "/events", _EVENTS_USAGE)
+        if not 0 < threshold <= 1:
+            raise InputError("/events", _EVENTS_USAGE)
+        return await _in_thread(lambda: self.curves.detected(threshold))
+
+    async def _write_labels(self, body: bytes) -> Answer:
+        session = self.session
+        assert session, "else there is no such request"
+
+        def write() -> dict[str, Json]:
+            based_on, spans = self._spans(body)
+            return self._labels_json(session.write_hand_labels(spans, based_on=based_on))
+
+        return await _in_thread(write)
+
+    def _spans(self, body: bytes) -> tuple[int, list[LabelSpan]]:
+        """Return the contents of a request to write labels by hand.
 
         Raises:
-            InputError: if the session has too many rows, events or fingertips.
+            InputError: if it is malformed.
+            ParameterError: if a span is invalid.
         """
-        finger = finger_name(batch.finger)
-        if isinstance(batch, Slips):
-            self._events.extend((finger, slip) for slip in slips(batch))
-        elif isinstance(batch, Faults):
-            self._faults.add(batch)
-        elif isinstance(batch, Scores):
-            self._scored.setdefault(finger, []).append(batch)
-        else:
-            self._zeroed |= isinstance(batch, Zeroed)
-            values = plotted_values(batch).astype(np.float32)
-            self._arriving.setdefault((stream_name(batch), finger), []).append((batch.time, values))
-        self._rows += len(batch)
-        self.end = max(self.end, int(batch.time.max(initial=self.start)))
-        fingers = len({*self._scored, *(finger for _, finger in self._arriving)})
-        if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX or fingers > FINGERS_MAX:
-            most = f"{ROWS_MAX:,} rows, {EVENTS_MAX:,} events and {FINGERS_MAX} fingertips"
-            raise InputError(self._session, f"is too long for a page, which shows at most {most}")
-        return True
+        now = str(time_ns())
+        try:
+            content: Any = json.loads(body)
+            based_on: object = content["based_on"]
+            if not isinstance(based_on, int):
+                raise TypeError("based_on")  # noqa: TRY301 - reported with all others
+            spans = [
+                LabelSpan(
+                    self.curves.start + round(each["begin"] * ms),
+                    self.curves.start + round(each["end"] * ms),
+                    EVERY if each["finger"] == finger_name(EVERY) else int(each["finger"]),
+                    value=str(each["value"]),
+                    author=str(each["author"]),
+                    note=str(each["note"]),
+                    created=int(each["created"] or now),
+                )
+                for each in content["spans"]
+            ]
+        except ParameterError:
+            raise
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
+            raise InputError("/labels", _LABELS_USAGE) from None
+        return based_on, spans
 
-    async def close(self) -> None:
-        """Sort the events and join the curves; out-of-order rows are dropped."""
-        for key, parts in self._arriving.items():
-            time = np.concatenate([each for each, _ in parts])  # (n,) ns
-            values = np.concatenate([each for _, each in parts])  # (n, ...)
-            kept = _in_order(time)
-            self.curves[key] = time[kept], values[kept]
-        for finger, batches in self._scored.items():
-            joined = concat(Scores, batches)
-            self.scores[finger] = scores = joined[_in_order(joined.time)]
-            self.curves["scores", finger] = scores.time, scores.probability
-        self._arriving.clear()
-        self._scored.clear()
-
-    def contents(self) -> dict[str, Json]:
-        """Return the first document of the page; times are in ms since `start`."""
-        fingers = sorted({finger for stream, finger in self.curves if stream == "touch"})
-        return {
-            "session": self._session,
-            **self._origin,
-            "about": self.about,
-            "start": self.start / ms,
-            "length": (self.end - self.start) / ms,
-            "threshold": self.rule.threshold,
-            "scored": bool(self.scores),
-            "fingers": [*fingers],
-            "zeroed": self._zeroed,
-            "deepest": self._deepest(),
-            "events": self._events_json(self._events),
-        }
-
-    def detected(self, threshold: float) -> list[Json]:
-        """Return the events that the debounce finds in the scores at another threshold.
-
-        Raises:
-            ParameterError: if the threshold is not above 0 and at most 1.
-            InputError: if there are too many events.
-        """
-        rule, events = replace(self.rule, threshold=threshold), list[_Event]()
-        for finger, scores in self.scores.items():
-            events.extend((finger, slip) for slip in slips(rule.reset_copy().push(scores)))
-        if len(events) > EVENTS_MAX:
-            raise InputError(self._session, f"has more than {EVENTS_MAX:,} events at this threshold")
-        return self._events_json(events)
-
-    def window(self, begin: float, end: float, columns: int) -> dict[str, Json]:
-        """Return the curves from `begin` to `end` (ms since `start`) as the streams of a frame.
-
-        Curves are reduced to the minimum and maximum of each of `columns` pixel columns.
-        """
-        first, last = (self.start + round(each * ms) for each in (begin, end))
-
-        def cut(time: Times, values: Values) -> dict[str, Json]:
-            rows = slice(*np.searchsorted(time, [first, last + 1]))
-            return curve_json(*thin_curve(time[rows], values[rows], first, last, columns), self.start)
-
-        return self._streams(cut)
-
-    def values_at(self, instant: float) -> dict[str, Json]:
-        """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`).
-
-        It also has faults and quality, as a frame of the live page.
-        """
-        at = self.start + round(instant * ms)
-
-        def row(time: Times) -> slice:
-            first, end = np.searchsorted(time, [at - VALID_FOR, at + 1])
-            return slice(max(first, end - 1), end)
-
-        def newest(time: Times, values: Values) -> dict[str, Json]:
-            return curve_json(time[row(time)], values[row(time)], self.start)
-
-        scores = {finger: each[row(each.time)] for finger, each in self.scores.items()}
-        scores = {finger: each for finger, each in scores.items() if len(each)}
-        found = {finger: fault_list(self._faults.at(finger, at)) for finger in scores}
-        return {
-            **self._streams(newest),
-            "faults": self._faults.json_at(at),
-            "quality": {finger: score_quality(each, found[finger]) for finger, each in scores.items()},
-        }
-
-    def _streams(self, cut: Callable[[Times, Values], dict[str, Json]]) -> dict[str, Json]:
-        """Return the streams of a frame, each curve cut by `cut`."""
-        found = {key: cut(*curve) for key, curve in self.curves.items()}
-        empty: dict[str, Json] = {"touch": {}, "scores": {}, "speed": None}
-        return {**empty, **streams_json(found, found if self._zeroed else ())}
-
-    def _events_json(self, events: list[_Event]) -> list[Json]:
-        """Return events in order of time; fingertips are written one after the other."""
-        ordered = sorted(events, key=lambda event: event[1].time)
-        return [
-            event_json(
-                number, finger, slip, self.start, faults=fault_list(self._faults.at(finger, slip.time))
-            )
-            for number, (finger, slip) in enumerate(ordered, 1)
+    def _labels_json(self, labels: HandLabels) -> dict[str, Json]:
+        """Return labels by hand: times in ms since the start, `created` as text as it exceeds a double."""
+        spans: list[Json] = [
+            {
+                **asdict(span),
+                "begin": (span.begin - self.curves.start) / ms,
+                "end": (span.end - self.curves.start) / ms,
+                "finger": finger_name(span.finger),
+                "created": str(span.created),
+            }
+            for span in labels.spans
         ]
-
-    def _deepest(self) -> float | None:
-        """Return the minimum of all cells, for the scale of the pressure maps; None without touch.
-
-        If counts rise with pressure, it is minus their maximum.
-        """
-        touches = [values for (stream, _), (_, values) in self.curves.items() if stream == "touch"]
-        sign = 1 if self._falls else -1
-        least = (float(np.fmin.reduce(sign * values, axis=None)) for values in touches if len(values))
-        return min((each for each in least if not isnan(each)), default=None)
+        return {"version": labels.version, "spans": spans}
 
 
-def _in_order(time: Times) -> Flags:
-    """Return which rows are later than all before them."""
-    before = np.maximum.accumulate(time)[:-1]  # (n - 1,)
-    return np.concatenate(([True], time[1:] > before))[: len(time)]
+async def _in_thread(document: Callable[[], Json]) -> Answer:
+    return await asyncio.to_thread(lambda: json_answer(document()))
+
+
+def _number(query: Mapping[str, str], name: str, where: str, usage: str) -> float:
+    """Return a number of a query.
+
+    Raises:
+        InputError: if it is missing or too large.
+    """
+    try:
+        value = float(query[name])
+    except (KeyError, ValueError):
+        raise InputError(where, usage) from None
+    if not abs(value) <= _TIME_MAX:  # also for NaN
+        raise InputError(where, usage)
+    return value

@@ -20,18 +20,20 @@ from operators.ports import Json
 Answer: TypeAlias = tuple[bytes, str]  # body and content type
 Handler: TypeAlias = Callable[[Mapping[str, str]], Awaitable[Answer]]  # answers the query of a request
 Writer: TypeAlias = Callable[[bytes], Awaitable[Answer]]  # answers the body of a POST request
+Talker: TypeAlias = Callable[[web.WebSocketResponse], Awaitable[None]]  # serves a WebSocket until it returns
 
 STATIC: Final = Path(__file__).parent / "static"
-CONNECTIONS_MAX: Final = 64
-IDLE_TIMEOUT: Final = 20.0  # s without a complete request, after which a connection is closed
-_DESCRIPTORS: Final = 4  # a server uses at most 1/4 of the process's file descriptors
+STRANGERS_MAX: Final = 32  # connections without access
+IDLE_TIMEOUT: Final = 20.0  # s without a request or message, after which a connection is closed
+_DESCRIPTORS: Final = 8  # strangers use at most 1/8 of the process's file descriptors
 _BACKLOG: Final = 16  # connections accepted at once
 _BODY_MAX: Final = 16 << 20  # bytes of a POST request
+_MESSAGE_MAX: Final = 1024  # bytes of a WebSocket message
 _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
 _HEADERS: Final = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'self'; "
-    "frame-ancestors 'self'",
+    "frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
@@ -55,14 +57,13 @@ def json_answer(document: Json) -> Answer:
 
 
 class WebServer:
-    """HTTP server for requests that `Access` admits: GET, and POST from its own pages.
+    """HTTP server for requests that `Access` admits: GET, and from its own pages POST and WebSockets.
 
-    A POST request must have an Origin header that names the same host and port as its Host header, and JSON
-    as its content. Browsers send the origin of the page, so that no other site can write.
+    A POST request and a WebSocket must have an Origin header that names the same host and port as their Host
+    header. Browsers send the origin of the page, so that no other site can write or listen.
 
-    Connections are limited to 64, and to a quarter of the process's file descriptors, so that a recording can
-    always open its files. A further connection replaces the one that was silent for the longest time; one
-    without access replaces only others without access.
+    Connections without access are limited to 32, and to an eighth of the process's file descriptors, so that
+    a recording can always open its files. A further one replaces the oldest of them.
     """
 
     def __init__(
@@ -88,9 +89,7 @@ class WebServer:
         self._host, self._port, self._access = host, port, access
         self._name, self._any_port, self._files = name, any_port, files
         self._locked = b""
-        # connections without and with access, as keys; the one that was silent longest is first
-        self._unadmitted = dict[web.RequestHandler, None]()
-        self.admitted = dict[web.RequestHandler, None]()
+        self._strangers = dict[web.RequestHandler, None]()  # connections without access, the oldest first
 
     @property
     def url(self) -> str:
@@ -103,19 +102,23 @@ class WebServer:
         return f"{self.url}/?token={self._access.token}" if self._access.token else self.url
 
     async def open(
-        self, handlers: Mapping[str, Handler], writers: Mapping[str, Writer] = MappingProxyType({})
+        self,
+        handlers: Mapping[str, Handler],
+        writers: Mapping[str, Writer] = MappingProxyType({}),
+        sockets: Mapping[str, Talker] = MappingProxyType({}),
     ) -> None:
         """Listen, and serve the static files and the requests.
 
         Args:
             handlers: Answers to GET requests, by path.
             writers: Answers to POST requests, by path.
+            sockets: Functions that serve WebSockets, by path.
 
         Raises:
             EndpointError: if the server cannot listen on its address.
         """
-        limit = min(CONNECTIONS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
-        self._limit = max(2, limit // 2)  # of connections with access, and of those without
+        limit = min(STRANGERS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
+        self._limit = max(2, limit)  # of connections without access
         files = await asyncio.to_thread(_read_files, self._files) if self._files else {}
         self._locked = files.pop(_LOCKED, (b"", ""))[0]
         app = web.Application(middlewares=[self._admit], client_max_size=_BODY_MAX)
@@ -126,6 +129,8 @@ class WebServer:
             app.router.add_get(path, _responder(handler))
         for path, writer in writers.items():
             app.router.add_post(path, _write_responder(writer))
+        for path, talker in sockets.items():
+            app.router.add_get(path, _socket_responder(talker))
         self._runner = web.AppRunner(
             app,
             access_log=None,
@@ -167,19 +172,13 @@ class WebServer:
         server = self._runner.server
         assert server, "the runner is set up before the server listens"
         connection = server()
-        self._keep(connection, self._unadmitted)
-        return connection
-
-    def _keep(self, connection: web.RequestHandler, group: dict[web.RequestHandler, None]) -> None:
-        """Note that a connection is in use; close the one of its group that was silent longest."""
-        self._unadmitted.pop(connection, None)
-        self.admitted.pop(connection, None)
-        group[connection] = None
-        if len(group) > self._limit:
-            oldest = next(iter(group))
-            del group[oldest]
+        self._strangers[connection] = None
+        if len(self._strangers) > self._limit:
+            oldest = next(iter(self._strangers))
+            del self._strangers[oldest]
             if oldest.transport:
                 oldest.transport.abort()
+        return connection
 
     @web.middleware
     async def _admit(
@@ -194,7 +193,7 @@ class WebServer:
             redirect.set_cookie(COOKIE, self._access.cookie, httponly=True, samesite="Lax", path="/")
             return redirect
         if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
-            self._keep(request.protocol, self.admitted)
+            self._strangers.pop(request.protocol, None)
         elif request.path not in (_PUBLIC if self._files else {HEALTH, READY}):
             return self._refuse(request)
         with suppress(ConnectionError):  # the browser disconnected
@@ -258,14 +257,33 @@ def _responder(handler: Handler) -> Callable[[web.Request], Awaitable[web.Respon
 
 def _write_responder(writer: Writer) -> Callable[[web.Request], Awaitable[web.Response]]:
     async def respond(request: web.Request) -> web.Response:
-        _, _, origin = request.headers.get("Origin", "").partition("://")
-        if not origin or origin.lower() != request.host.lower():
+        if not _is_from_own_page(request):
             return web.Response(status=403, text="Only pages of this server can write.\n")
         if request.content_type != "application/json":
             return web.Response(status=415, text="Send JSON.\n")
         return await _response(writer(await request.read()))
 
     return respond
+
+
+def _socket_responder(talker: Talker) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
+    async def respond(request: web.Request) -> web.StreamResponse:
+        if not _is_from_own_page(request):
+            return web.Response(status=403, text="Only pages of this server can listen.\n")
+        socket = web.WebSocketResponse(
+            receive_timeout=IDLE_TIMEOUT, compress=False, max_msg_size=_MESSAGE_MAX
+        )
+        await socket.prepare(request)
+        with suppress(TimeoutError):  # the browser is gone
+            await talker(socket)
+        return socket
+
+    return respond
+
+
+def _is_from_own_page(request: web.Request) -> bool:
+    _, _, origin = request.headers.get("Origin", "").partition("://")
+    return bool(origin) and origin.lower() == request.host.lower()
 
 
 async def _response(answer: Awaitable[Answer]) -> web.Response:

@@ -23,7 +23,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Only this regime: zero-shot, adapted, few-shot, in-domain; repeatable (default: all).",
+            help="Only this regime: zero-shot, few-shot, in-domain; repeatable (default: all).",
         ),
     ] = None,
     group: Annotated[
@@ -50,8 +50,8 @@ def benchmark(
     """Evaluate detectors on real recordings of unseen surfaces.
 
     Holds out each surface or object (`group` of the sessions) in turn, or each recording if a dataset has
-    fewer than two groups. Regimes: zero-shot, detectors as they are; adapted, to 30 s of the held-out data
-    without labels; few-shot, trained on two labelled minutes of the rest; in-domain, on all of the rest.
+    fewer than two groups. Regimes: zero-shot, detectors as they are; few-shot, trained on two labelled
+    minutes of the rest; in-domain, on all of the rest.
     Samples are converted to the rate of each detector. Exits 2 if none can be evaluated on a dataset.
 
     Reports balanced accuracy, AUC, calibration error, events per minute, missed slips and delay with

@@ -32,14 +32,6 @@ def calibrate(
     confidence: Annotated[
         str, typer.Option(metavar="SHARE", help="Probability that the rate is kept, from 80% to 99.9%.")
     ] = "95%",
-    by: Annotated[
-        str,
-        typer.Option(
-            metavar="UNIT",
-            help="Keep the rate in sessions like these (session), or also on other surfaces like these"
-            " (surface), which needs several surfaces.",
-        ),
-    ] = "session",
     out: Annotated[
         Path | None,
         typer.Option(
@@ -56,11 +48,11 @@ def calibrate(
 
     Chooses threshold, run length and release of the debounce such that false alarms are at most as frequent
     as RATE on data like the given recordings, with the given confidence. The model card records the settings,
-    the recordings and their static minutes. Flows use them with `false_alarms`.
+    the data and its static minutes. Flows use them with `false_alarms`.
 
     Without any false alarm, 1/min at 95% needs 3 static minutes, and 6/h needs 30. The error for too little
-    data says how much more is needed. Record as many sessions as you can: each counts as one example of your
-    conditions. The rate need not hold on other fingertips or motions; for other surfaces see --by.
+    data says how much more is needed. Record many sessions: each counts as one example of your conditions.
+    The rate need not hold on other fingertips, motions or surfaces.
 
     Examples:
       slipflow calibrate mine.safetensors --on recordings --false-alarms 1/min --confidence 95%
@@ -77,5 +69,5 @@ def calibrate(
     check_between("calibrate", "--confidence", share, 0.8, 0.999)
     if out is not None:
         check_output_file(out)
-    found = calibrate_model(model, on, round(rate, 9), share, by=by, out=out, log=note)
+    found = calibrate_model(model, on, round(rate, 9), share, out=out, log=note)
     typer.echo(json.dumps({"path": str(found.path), **found.entry}) if as_json else found.report())

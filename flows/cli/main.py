@@ -29,7 +29,6 @@ TABLE: Final = CommandTable(
         "show": Entry(_VIEW, "Show a recorded session in a browser, and label it by hand.", "show"),
         "watch": Entry(_VIEW, "Print slip events from an MQTT broker, each once.", "watch"),
         "train": Entry(_LEARN, "Train a slip detector.", "train"),
-        "adapt": Entry(_LEARN, "Adapt a detector to your fingertip without labels.", "adapt"),
         "calibrate": Entry(_LEARN, "Tune the debounce for a stated rate of false alarms.", "calibrate"),
         "evaluate": Entry(_LEARN, "Compare detectors on a dataset.", "evaluate"),
         "benchmark": Entry(_LEARN, "Evaluate detectors on real recordings of unseen surfaces.", "benchmark"),
@@ -39,7 +38,7 @@ TABLE: Final = CommandTable(
         "onnx": Entry(_LEARN, "Export a tcn as ONNX for other runtimes.", "onnx"),
         "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
         "experiment": Entry(
-            _ROBOTS, "Run the paper's robot experiments in closed loop, simulated.", "experiments"
+            _ROBOTS, "Run a robot experiment of the paper in closed loop, simulated.", "experiment"
         ),
         "verify": Entry(_DATA, "Read all files of a dataset and report losses and damage.", "verify"),
         "recover": Entry(_DATA, "Repair recordings after a crash.", "recover"),

@@ -40,10 +40,6 @@ Settings = Annotated[
         help="Set a parameter of the flow, such as delay=70ms; repeatable. `slipflow check` lists them.",
     ),
 ]
-KeepNew = Annotated[
-    bool,
-    typer.Option("--keep-new", help="Write a model derived from another one even if it is not better."),
-]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives identical output.")]
 Labels = Annotated[
     str,

@@ -17,7 +17,7 @@ def simulate(
         str,
         typer.Option(
             help="Plan: paper (44 minutes), wide (30 minutes, 30 materials), slow (23 minutes, strokes at"
-            " 4 to 20 mm/s) or tiny (2 minutes)."
+            " 4 to 20 mm/s), grasps (25 minutes, 300 objects, labelled by true sliding) or tiny (2 minutes)."
         ),
     ] = "paper",
     seed: Seed = 0,

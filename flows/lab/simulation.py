@@ -7,7 +7,7 @@ never by window, about 70/10/20 for every surface, speed and kind of motion. The
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,20 +18,23 @@ from typing import Any, Final, cast
 import numpy as np
 
 from connectors import SimulatedRig
+from connectors.sim.drawn_grasp import simulate_grasp
 from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan, PaperStrokes, varied
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import episode
+from connectors.sim.truth import SLIDING
 from flows.graph import Flow
+from flows.graph.testing import TestSource
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
-from operators import Label
-from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, concat, s
+from operators import Align, Label, SlidingMotion, Zero, ms
+from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, Truth, concat, s
 from operators.checks import check_at_least, check_choice
-from operators.fingertip import Fingertip
-from operators.ports import Description, Json, SomeBatch
+from operators.fingertip import TAKKTILE, Fingertip
+from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import partial_folder
@@ -44,6 +47,8 @@ PLANS: Final[Mapping[str, PaperPlan]] = {
     "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
 }
 
+GRASPS: Final = "grasps"  # plan
+_GRASPS: Final = 300  # recordings of this plan
 _SEED_OFFSET: Final = {"tiny": 1_000_000}  # no recording of a small plan occurs in a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
 _SPACING: Final = 60 * s  # ns between the starts of two recordings, which are shorter
@@ -57,8 +62,8 @@ class PlannedRecording:
     plan: str
     plan_seed: int
     session: str  # identifier
-    scene: Scene
-    seed: int
+    scene: Scene | None  # None: a grasp
+    seed: int  # of the scene, or number of the grasp
     start: int  # ns since 1970-01-01 UTC
     split: str
 
@@ -108,8 +113,15 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     Raises:
         ParameterError: on an unknown plan or a negative seed.
     """
-    check_choice("simulate", "plan", plan, PLANS)
+    check_choice("simulate", "plan", plan, (*PLANS, GRASPS))
     check_at_least("simulate", "seed", seed, 0)
+    if plan == GRASPS:
+        return [
+            PlannedRecording(
+                plan, seed, f"grasp-{n:03d}", None, n, _start(seed, n, _GRASPS), TURNS[n % len(TURNS)]
+            )
+            for n in range(_GRASPS)
+        ]
     first = seed + _SEED_OFFSET.get(plan, 0)
     scenes = list(PLANS[plan].scenes(first))
     groups = [_group(scene) for scene in scenes]
@@ -118,9 +130,14 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
         counts[group] += 1
         session = f"{group}-{counts[group]:02d}"
         own_seed = int(np.random.SeedSequence([first, number]).generate_state(1)[0])
-        start = _EPOCH + (seed * len(scenes) + number) % 10**6 * _SPACING
+        start = _start(seed, number, len(scenes))
         planned.append(PlannedRecording(plan, seed, session, scene, own_seed, start, split))
     return planned
+
+
+def _start(seed: int, number: int, count: int) -> int:
+    """Return the start of a recording (ns since 1970 UTC), another one for each recording and seed."""
+    return _EPOCH + (seed * count + number) % 10**6 * _SPACING
 
 
 def _group(scene: Scene) -> str:
@@ -182,23 +199,53 @@ def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, dic
 
 
 async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
-    """Simulate a scene and replay it through the recording flow; describe it as a live run would."""
-    rig = SimulatedRig(planned.scene, planned.seed)
-    moves = planned.scene.moves(planned.seed)
-    episodes = [episode(move, start, planned.start, planned.scene) for start, move in moves]
-    streams = [
-        *(replace(each, time=each.time + planned.start) for each in simulate_scene(rig.scene, rig.seed)),
-        concat(Episodes, episodes),
-    ]
-    flow = Flow("simulate")
-    dataset = Dataset(root, part_span=_PART_SPAN, host="simulated")
-    declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
-    finished = _FinishedScene(planned.session, streams, rig.touch.fingertip)
+    """Replay what was simulated through a flow that records it; describe it as a live run would."""
+    flow, dataset = Flow("simulate"), Dataset(root, part_span=_PART_SPAN, host="simulated")
+    sources: dict[str, dict[str, Any]]
+    if planned.scene is None:
+        streams = _shifted(simulate_grasp(planned.plan_seed, planned.seed), planned.start)
+        _declare_grasp(flow, dataset)
+        fingertip, sources = TAKKTILE, {"touch": {"sensor": "TakkTile 2x3, simulated"}}
+    else:
+        rig = SimulatedRig(planned.scene, planned.seed)
+        episodes = [
+            episode(move, start, planned.start, planned.scene)
+            for start, move in planned.scene.moves(planned.seed)
+        ]
+        streams = [*_shifted(simulate_scene(rig.scene, rig.seed), planned.start), concat(Episodes, episodes)]
+        declare_recording(
+            flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset
+        )  # m/s, rad/s; paper
+        fingertip = rig.touch.fingertip
+        sources = {"touch": dict(rig.touch.describe()), "motion": dict(rig.motion.describe())}
+    finished = _FinishedScene(planned.session, streams, fingertip)
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))
-    about: dict[str, Json] = {"plan": planned.plan, "plan_seed": planned.plan_seed, "split": planned.split}
-    touch: dict[str, Json] = {**rig.touch.describe(), "fingertip": rig.touch.fingertip.describe(), **about}
-    runner.run.describe |= {"touch": touch, "motion": rig.motion.describe()}
+    sources["touch"] |= {
+        "fingertip": fingertip.describe(),
+        "plan": planned.plan,
+        "plan_seed": planned.plan_seed,
+        "split": planned.split,
+    }
+    runner.run.describe |= sources
     await runner.execute()
+
+
+def _shifted(batches: Iterable[Batch], start: int) -> list[Batch]:
+    """Return batches whose times begin at `start` (ns) instead of 0."""
+    return [replace(each, time=each.time + start) for each in batches]
+
+
+def _declare_grasp(flow: Flow, dataset: Dataset) -> None:
+    """Declare the recording of a grasp, labelled by the true sliding: no arm moves the fingertip over it."""
+    touch = flow.source(TestSource(Touch, fingers=(0,)))
+    truth = flow.source(TestSource(Truth, fingers=(0,)))
+    sliding = truth | SlidingMotion()
+    samples = (
+        (touch | Zero()) & sliding | Align(within=20 * ms, wait=SlidingMotion.stick) | Label(speed=SLIDING)
+    )
+    touch.to(dataset)
+    truth.to(dataset)
+    samples.to(dataset)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Labelled recordings: counts and labels of one fingertip, which detectors are trained and evaluated on."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
@@ -200,20 +200,6 @@ def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
     return f"labels by hand: {samples:,} of {total:,} samples of {where}"
 
 
-def load_unlabelled(path: Path) -> list[LabelledRecording]:
-    """Read the touch of every fingertip of a dataset or of one of its sessions; all labels are unknown.
-
-    Raw counts are zeroed by the median of their first 100 samples. A session without touch has samples.
-
-    Raises:
-        InputError: if there is no such folder, it is damaged, or it has neither touch nor samples.
-    """
-    recordings = [each for folder in session_folders(path) for each in _touch_of(Session.open(folder))]
-    if not recordings:
-        raise InputError(str(path), "has no touch of a fingertip: record some with `slipflow run record`")
-    return recordings
-
-
 def session_folders(path: Path) -> list[Path]:
     """Return the folders of a dataset's sessions, in the order of their names; or a session's own folder."""
     alone = may_exist(path / SESSION) or not path.is_dir()
@@ -269,22 +255,6 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
     for recording in rest:
         first.fingertip.check_fits(f"{recording.name}: a data set with {first.name}", recording.fingertip)
     return first.fingertip
-
-
-def _touch_of(session: Session) -> Iterator[LabelledRecording]:
-    kind = Touch if session.fingers(Touch) else Labelled
-    for finger in session.fingers(kind):
-        zeroed = _zeroed(session, kind, finger)
-        yield LabelledRecording(
-            _filled(zeroed),
-            np.full(len(zeroed), UNKNOWN, np.int8),
-            "",
-            valid=zeroed.valid,
-            name=session.name,
-            group=str(session.about.get("group") or ""),
-            span=(zeroed.time.item(0), zeroed.time.item(-1)) if len(zeroed) else None,
-            fingertip=session.fingertip(kind) or TAKKTILE,
-        )
 
 
 def _zeroed(session: Session, kind: type[Touch], finger: int) -> Zeroed:

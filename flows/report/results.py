@@ -120,6 +120,18 @@ def share(part: str, whole: str, scale: float = 1.0) -> Statistic:
     return of_sums(lambda total: scale * ratio(total(part), total(whole)))
 
 
+def rate(part: str, whole: str) -> Statistic:
+    """Return the share (%) of independent trials, with Jeffreys' interval: it is wide even at 0 and 100 %."""
+
+    def drawn(group: Recordings, weights: Values) -> Values:
+        hits, count = group.sums(part).sum(), group.sums(whole).sum()
+        if not count:
+            return np.full(len(weights), np.nan)
+        return 100 * np.random.default_rng(0).beta(hits + 0.5, count - hits + 0.5, len(weights))
+
+    return Statistic(share(part, whole, 100).of, drawn)
+
+
 def median(metric: str) -> Statistic:
     """Return the median of all values of a metric."""
 

@@ -31,10 +31,10 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
 from tests.chaos.latency import real_time_priority
-from tests.connectors.web.browsing import FLAGS
+from tests.connectors.web.browsing import chromium
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, Page
+    from playwright.sync_api import Page
 
 WARM = 8.0  # s that do not count: physics is compiled, the baseline is learned
 SILENT = 8  # clients that never read
@@ -55,17 +55,6 @@ def demo(*options: str) -> Generator[tuple[subprocess.Popen[str], str]]:
             yield process, found[1]
         finally:
             process.terminate()
-
-
-@contextmanager
-def chromium() -> Generator["Browser"]:
-    """A headless browser."""
-    from playwright.sync_api import sync_playwright  # noqa: PLC0415 - the served process needs none
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
-        yield browser
-        browser.close()
 
 
 async def serve(*, page: bool) -> None:
@@ -91,10 +80,13 @@ def lags(tab: "Page", address: str, seconds: float) -> list[float]:
 
 
 def silent(port: int) -> socket.socket:
-    """A client that asks for messages and never reads."""
+    """A client that asks for frames and never reads."""
     client = socket.create_connection(("127.0.0.1", port))
     client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-    client.sendall(b"GET /messages?browser=silent HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    opening = f"GET /live HTTP/1.1\r\nHost: localhost:{port}\r\nOrigin: http://localhost:{port}\r\n"
+    upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+    client.sendall(f"{opening}{upgrade}Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n".encode())
+    client.sendall(10_000 * b"\x81\x80\0\0\0\0")  # masked text messages without content
     return client
 
 

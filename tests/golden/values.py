@@ -6,17 +6,17 @@ method that it measures, and then in a commit of its own.
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 from unittest.mock import patch
 
 from connectors.sim.paper_plan import PaperPlan
-from flows.lab.experiments.lift_trial import lift
+from flows.lab.experiments.lift_trial import LiftOutcome
 from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import Experiment, Trials, run_study
-from flows.lab.experiments.tap_trial import tap
+from flows.lab.experiments.study import Trials, run_study
+from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.simulation import simulate
 from flows.learn.benchmark import folds
 from flows.learn.benchmark.benchmark_study import benchmark
@@ -31,6 +31,10 @@ from flows.learn.stress.stress_fields import FIELDS
 from flows.learn.training.recipe import Recipe
 
 Numbers: TypeAlias = dict[str, Any]  # nested; leaves are numbers, strings and null
+FIELDS_OF = {
+    name: ["success", *(each.name for each in fields(kind))]
+    for name, kind in (("tap", TapOutcome), ("lift", LiftOutcome))
+}
 METHODS = ("tcn", "psd", "logistic")
 
 
@@ -42,8 +46,8 @@ def every_value(folder: Path) -> Numbers:
         "chart": charted(dataset),
         "hold_out": held_out(dataset, folder),
         "stress": stressed(),
-        "tap": tried(tap),
-        "lift": tried(lift),
+        "tap": tried("tap"),
+        "lift": tried("lift"),
     }
 
 
@@ -162,15 +166,19 @@ def stressed() -> Numbers:
     }
 
 
-def tried(experiment: Experiment) -> Numbers:
+def tried(experiment: str) -> Numbers:
     """Return the outcome of each trial of an experiment."""
     methods = [Method("tcn_grasp"), Method("psd", "steps")]
-    found = run_study(experiment, methods, Trials(2, objects=("box",)), jobs=1)
-    names = ("condition", "method", "object", "seed")
-    return {
-        " ".join(str(row[name]) for name in names): {k: v for k, v in row.items() if k not in names}
-        for row in found.outcomes.iter_rows(named=True)
-    }
+    results = run_study(experiment, methods, Trials(2, objects=("box",)))
+    outcomes: Numbers = {}
+    for row in results.iter_rows(named=True):
+        trial = f"{row['condition']} {row['method']} {row['recording'].replace('-', ' ')}"
+        outcome = outcomes.setdefault(trial, dict.fromkeys(FIELDS_OF[experiment]))
+        if row["metric"].startswith("ending "):
+            outcome["ending"] = row["metric"].removeprefix("ending ")
+        elif row["metric"] != "trials":
+            outcome[row["metric"]] = row["value"]
+    return outcomes
 
 
 if __name__ == "__main__":

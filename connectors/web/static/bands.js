@@ -1,6 +1,7 @@
 // Bands under the curves: slip events, label by arm speed, true sliding and label by hand, on the time axis of the charts.
 
-import { colour, LEFT, RIGHT } from "./charts.js";
+import { LEFT, RIGHT } from "./charts.js";
+import { colour } from "./dom.js";
 
 const ROW = 18; // px
 const NAMES = { slips: "events", arm: "arm", truth: "truth", hand: "hand" };

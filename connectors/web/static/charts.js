@@ -1,18 +1,16 @@
 // Three charts with one time axis: counts of each barometer, slip probability, TCP speed.
-// A view of a time axis has `begin`, `end` and `origin` (ms), the time of label 0.
+// A view of the time axis has `begin`, `end` and `origin` (ms), the time of label 0, the `slips` as [begin, end], and
+// optionally the selected time `at` and the `selected` span.
 
-import { drawTruth } from "./truth.js";
+import { $, colour } from "./dom.js";
 
 /* global uPlot */
 
 export const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
-
-export const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
-const STEPS = [1, 2, 5].flatMap((each) => [10, 100, 1000].map((ten) => each * ten)).sort((a, b) => a - b)
-  .concat([10000, 30000, 60000, 120000, 300000, 600000, 1800000]); // ms between labelled times
-
+const STEPS = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000]; // ms
 const HUES = ["--left", "--middle", "--right"];
+const STICK = 150; // ms; a shorter pause is part of a true slip
+const TALL = 9; // px, of the band of true sliding
 
 // Return the hue and dash of each cell of a layout: hues from left to right; rows above the lowest are dotted.
 export function styles(layout) {
@@ -25,42 +23,30 @@ export function styles(layout) {
 }
 
 class Chart {
+  // `range(low, high)` returns the ends of the vertical axis; `extra(plot)` draws more; `text(value)` labels a value.
   constructor(id, series, range, { extra = () => {}, text = null } = {}) {
-    this.labelled = id === "counts"; // true: label the slip bands
-    this.host = document.getElementById(id);
-    this.hasAxis = this.host.classList.contains("last"); // true: show the time axis of all charts
-    this.series = series;
-    this.range = range;
-    this.extra = extra;
-    this.text = text; // function of a value on the axis; null: that of uPlot
+    Object.assign(this, { host: $(id), series, range, extra, text, lowest: false });
     this.data = [[], ...series.map(() => [])];
     this.view = { begin: -10000, end: 0, origin: 0, slips: [] };
     this.#build();
     new ResizeObserver(() => this.#resize()).observe(this.host);
   }
 
-  // Show or hide the time axis in this chart.
-  set last(last) {
-    this.hasAxis = last;
-    this.host.classList.toggle("last", last); // changes the size, which triggers a redraw
-  }
-
   draw(data, view) {
-    this.data = data;
     this.view = view;
-    this.plot.setData(data);
+    this.data = data ?? [[], ...this.series.map(() => [])];
+    this.plot.setData(this.data);
   }
 
   rebuild() {
     this.plot.destroy();
     this.#build();
-    this.plot.setData(this.data);
   }
 
   #build() {
-    const ink = colour("--soft"), grid = colour("--grid");
     const font = `12px ${getComputedStyle(document.body).fontFamily}`;
-    const axis = { stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { show: false } };
+    const axis = { stroke: colour("--soft"), font, grid: { stroke: colour("--grid"), width: 1 }, ticks: { show: false } };
+    const label = (_, times) => times.map((t) => (this.lowest ? this.#label(t) : ""));
     this.plot = new uPlot(
       {
         width: this.host.clientWidth || 600,
@@ -73,14 +59,14 @@ class Chart {
           y: { range: (_, low, high) => this.range(low, high) },
         },
         axes: [
-          { ...axis, size: () => (this.hasAxis ? 24 : 5), gap: 4, splits: () => this.#times(), values: (_, at) => at.map((t) => (this.hasAxis ? this.#label(t) : "")) },
+          { ...axis, size: () => (this.lowest ? 24 : 5), gap: 4, splits: () => this.#times(), values: label },
           { ...axis, size: LEFT, gap: 6, space: 24, ...(this.text && { values: (_, at) => at.map(this.text) }) },
         ],
         series: [
           {},
-          ...this.series.map(({ hue, dash }) => ({ stroke: colour(hue), width: 1.6, dash, points: { show: false }, spanGaps: false })),
+          ...this.series.map(({ hue, dash }) => ({ stroke: colour(hue), width: 1.6, dash, points: { show: false } })),
         ],
-        hooks: { drawAxes: [(plot) => this.#bands(plot)], draw: [(plot) => this.extra(plot)] },
+        hooks: { drawAxes: [(plot) => this.#mark(plot)], draw: [(plot) => this.extra(plot)] },
       },
       this.data,
       this.host,
@@ -88,13 +74,11 @@ class Chart {
   }
 
   #resize() {
-    if (!this.host.clientWidth) return; // hidden
-    this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight });
+    if (this.host.clientWidth) this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight });
   }
 
   get #step() {
-    const span = this.view.end - this.view.begin;
-    const most = this.host.clientWidth < 480 ? 5 : 10; // labels
+    const span = this.view.end - this.view.begin, most = this.host.clientWidth < 480 ? 5 : 10; // labels
     return STEPS.find((each) => span / each <= most && (each >= 1000 || span < 5000)) ?? STEPS.at(-1);
   }
 
@@ -112,47 +96,25 @@ class Chart {
     return Number(text) === 0 ? "0 s" : seconds < 0 ? `−${text}` : text;
   }
 
-  // Return the horizontal position of a time, in px from the left edge of the host.
-  place(t) {
-    return this.plot.over.offsetLeft + this.plot.valToPos(t, "x");
-  }
-
-  // Draw the slip bands under the curves.
-  #bands(plot) {
+  // Draw the slips, the selected span and the selected time under the curves.
+  #mark(plot) {
     const { ctx, bbox } = plot, { begin, end, at, slips, selected } = this.view;
-    ctx.save();
-    if (selected) {
-      const [left, right] = selected.map((t) => plot.valToPos(Math.min(Math.max(t, begin), end), "x", true));
-      ctx.fillStyle = colour("--selected");
-      ctx.fillRect(left, bbox.top, right - left, bbox.height);
+    const place = (t) => plot.valToPos(Math.min(Math.max(t, begin), end), "x", true);
+    const fill = (from, wide, name) => {
+      ctx.fillStyle = colour(name);
+      ctx.fillRect(from, bbox.top, wide, bbox.height);
+    };
+    if (selected) fill(place(selected[0]), place(selected[1]) - place(selected[0]), "--selected");
+    for (const [from, to] of slips.filter(([from, to]) => to >= begin && from <= end)) {
+      fill(place(from), Math.max(place(to) - place(from), 1), "--slip-band");
+      if (from >= begin) fill(place(from), devicePixelRatio, "--slip");
     }
-    for (const [from, to] of slips) {
-      if (to < begin || from > end) continue;
-      const left = plot.valToPos(Math.max(from, begin), "x", true);
-      const right = plot.valToPos(Math.min(to, end), "x", true);
-      ctx.fillStyle = colour("--slip-band");
-      ctx.fillRect(left, bbox.top, Math.max(right - left, 1), bbox.height);
-      if (from >= begin) {
-        ctx.fillStyle = colour("--slip");
-        ctx.fillRect(left, bbox.top, devicePixelRatio, bbox.height);
-        if (this.labelled && right - left > 30 * devicePixelRatio) {
-          ctx.textAlign = "left";
-          ctx.textBaseline = "alphabetic";
-          ctx.font = `${11 * devicePixelRatio}px ${getComputedStyle(document.body).fontFamily}`;
-          ctx.fillText("slip", left + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
-        }
-      }
-    }
-    if (at < end) { // the selected time
-      ctx.fillStyle = colour("--soft");
-      ctx.fillRect(plot.valToPos(at, "x", true), bbox.top, devicePixelRatio, bbox.height);
-    }
-    ctx.restore();
+    if (at >= begin && at <= end) fill(place(at), devicePixelRatio, "--soft");
   }
 }
 
 // Return the range function of an axis; the range grows in steps and shrinks only below half.
-export function steppedRange(least) {
+function steppedRange(least) {
   let top = least, bottom = 0;
   return (low, high) => {
     const wanted = Math.max(least, nice((high ?? 0) * 1.08));
@@ -172,20 +134,16 @@ export function nice(value) {
 export class Charts {
   constructor() {
     this.threshold = null;
-    this.raw = false;
-    const pressure = steppedRange(60);
-    this.range = [0, 1023]; // raw counts
+    this.raw = false; // true: `range` is that of the counts
+    this.range = [0, 1023];
     this.amount = String; // text of counts
-    this.counts = new Chart("counts", [], (low, high) => (this.raw ? this.range : pressure(low, high)), { text: (value) => this.amount(value) });
-    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], {
-      extra: (plot) => {
-        drawTruth(plot, this.truth, this.scores.view);
-        this.#drawThreshold(plot);
-      },
-    });
-    this.truth = null;
-    this.motion = new Chart("motion", [{ hue: "--probability" }], steppedRange(10));
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
+    const pressure = steppedRange(60), black = [{ hue: "--probability" }];
+    const ends = (low, high) => (this.raw ? this.range : pressure(low, high));
+    this.counts = new Chart("counts", [], ends, { text: (value) => this.amount(value) });
+    this.scores = new Chart("scores", black, () => [0, 1], { extra: (plot) => this.#drawTruthAndThreshold(plot) });
+    this.motion = new Chart("motion", black, steppedRange(10));
+    this.all = [this.counts, this.scores, this.motion];
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.all.forEach((each) => each.rebuild()));
   }
 
   // Set the layout of the cells, which determines their colours.
@@ -202,12 +160,9 @@ export class Charts {
     const shown = [true, hasScores, hasMotion], lowest = shown.lastIndexOf(true);
     this.all.forEach((chart, k) => {
       chart.host.closest("figure").hidden = !shown[k];
-      if (chart.hasAxis !== (k === lowest)) chart.last = k === lowest;
+      chart.lowest = k === lowest;
+      chart.host.classList.toggle("last", chart.lowest); // changes the size, which triggers a redraw
     });
-  }
-
-  get all() {
-    return [this.counts, this.scores, this.motion];
   }
 
   // Width of the curves, pixels.
@@ -215,29 +170,45 @@ export class Charts {
     return Math.max(100, Math.round((this.counts.host.clientWidth - LEFT - RIGHT) * devicePixelRatio));
   }
 
-  draw({ touch, scores, truth, speed }, view) {
-    this.truth = truth;
-    this.counts.draw(touch ? touch.between(view.begin, view.end) : [[], ...this.counts.series.map(() => [])], view);
-    this.scores.draw(scores ? scores.between(view.begin, view.end) : [[], []], view);
-    this.motion.draw(speed.between(view.begin, view.end), view);
+  // Draw the streams of a fingertip.
+  draw(streams, finger, view) {
+    const of = (stream) => streams.of(stream, finger)?.between(view.begin, view.end);
+    this.truth = streams.of("truth", finger);
+    this.counts.draw(of("touch"), view);
+    this.scores.draw(of("scores"), view);
+    this.motion.draw(of("speed"), view);
   }
 
-  rebuild() {
-    for (const chart of this.all) chart.rebuild();
-  }
-
-  // Draw the threshold as a dashed line.
-  #drawThreshold(plot) {
+  // Draw true sliding as a band at the bottom, and the threshold as a dashed line.
+  #drawTruthAndThreshold({ ctx, bbox, valToPos }) {
+    const { begin, end } = this.scores.view, ratio = devicePixelRatio, top = bbox.top + bbox.height - TALL * ratio;
+    ctx.fillStyle = colour("--truth");
+    for (const [from, to] of this.truth ? sliding(this.truth, begin, end) : []) {
+      const left = valToPos(Math.max(from, begin), "x", true), right = valToPos(Math.min(to, end), "x", true);
+      if (right >= left) ctx.fillRect(left, top, Math.max(right - left, ratio), TALL * ratio);
+    }
     if (this.threshold === null) return;
-    const { ctx, bbox } = plot, y = plot.valToPos(this.threshold, "y", true);
+    const y = valToPos(this.threshold, "y", true);
     ctx.save();
     ctx.strokeStyle = colour("--slip");
-    ctx.lineWidth = 1.4 * devicePixelRatio;
-    ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+    ctx.lineWidth = 1.4 * ratio;
+    ctx.setLineDash([6 * ratio, 4 * ratio]);
     ctx.beginPath();
     ctx.moveTo(bbox.left, y);
     ctx.lineTo(bbox.left + bbox.width, y);
     ctx.stroke();
     ctx.restore();
   }
+}
+
+// Return the spans [from, to] of true sliding between two times.
+function sliding(rows, begin, end) {
+  const [times, values] = rows.between(begin - STICK, end), found = [];
+  times.forEach((t, row) => {
+    if (!values[row]) return;
+    const last = found.at(-1);
+    if (last && t - last[1] <= STICK) last[1] = t;
+    else found.push([t, t]);
+  });
+  return found;
 }

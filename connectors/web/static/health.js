@@ -1,114 +1,52 @@
-// Health of a run: sources, cells and sinks, each judged by a word and a colour.
+// Health of a run: sources, cells and sinks.
 
-import { cell, judged, line, mark, number } from "./lists.js";
-import { title, write } from "./pad.js";
+import { $, element, line, number, title, write } from "./dom.js";
 
-const $ = (id) => document.getElementById(id);
-const BROKEN = new Set(["dead", "stuck", "no reading"]); // faults of a cell that are bad; others are warnings
-
-export class Health {
-  constructor() {
-    this.report = null;
-    this.cells = {}; // by fingertip: its faults, by cell
-  }
-
-  // Show a report of the server.
-  show(report) {
-    this.report = report;
-    const { sources, errors, verdicts, declared_hz: declared, lost } = report;
-    write($("limits"), verdicts.limits);
-    $("sources").replaceChildren(
-      ...Object.entries(sources).map(([name, source]) => {
-        const found = verdicts.sources[name], wanted = declared[name];
-        const rate = source.rate_hz === null ? "–" : `${source.rate_hz.toFixed(1)}${wanted === null ? "" : ` of ${number.format(wanted)}`} Hz`;
-        return line(
-          cell(name),
-          judged("", state(source, errors[name])),
-          judged(rate, found.rate),
-          judged(source.lag_ms === null || wanted === null ? "–" : `${number.format(Math.round(source.lag_ms))} ms`, found.latency),
-          judged(number.format(lost[name]), found.lost),
-        );
-      }),
+// Show a report of the server.
+export function showHealth({ sources, sinks, errors, lost, waiting, declared_hz: declared, recorders }) {
+  $("sources").replaceChildren(...Object.entries(sources).map(([name, source]) => {
+    const wanted = declared[name] === null ? "" : ` of ${number.format(declared[name])}`;
+    return line(
+      element("td", "", name),
+      state(source.state === "up", source.state === "up" ? up(source) : source.state === "stale" ? "no data" : errors[name] ? `down: ${errors[name]}` : "down"),
+      element("td", "number", source.rate_hz === null ? "–" : `${source.rate_hz.toFixed(1)}${wanted} Hz`),
+      element("td", "number", source.lag_ms === null ? "–" : `${number.format(Math.round(source.lag_ms))} ms`),
+      element("td", "number", number.format(lost[name])),
     );
-    this.#showSinks(report);
-    this.#record(report);
-    this.#sum();
-  }
-
-  // Show the cells of the fingertips: `faults` by fingertip and cell; `silent` are the cells without reading.
-  showCells(fingers, faults, silent) {
-    const rows = fingers.map((finger) => {
-      const found = { ...Object.fromEntries((silent.get(finger) ?? []).map((k) => [k, "no reading"])), ...faults[finger] };
-      return [finger, found];
-    });
-    this.cells = Object.fromEntries(rows);
-    $("cells").replaceChildren(
-      ...rows.map(([finger, found]) => {
-        const names = Object.entries(found).map(([k, kind]) => `barometer ${k} ${kind}`);
-        return line(cell(title(finger)), judged("", names.length ? [names.join(", "), cellLevel(found)] : ["good", "good"]));
-      }),
+  }));
+  $("sinks").replaceChildren(...Object.entries(sinks).map(([name, sink]) => {
+    const events = waiting[name] === null ? "" : ` + ${number.format(waiting[name])} events`;
+    return line(
+      element("td", "", name),
+      state(!sink.error, sink.error ?? "works"),
+      element("td", "number", number.format(sink.rows)),
+      element("td", "number", `${number.format(sink.queued)}${events}`),
+      element("td", "number", number.format(sink.dropped)),
     );
-    this.#sum();
-  }
-
-  // Show the final counts at the end of the run.
-  end(report) {
-    this.#showSinks(report);
-    this.#record(report, true);
-  }
-
-  #showSinks({ sinks, waiting, verdicts }) {
-    $("sinks").replaceChildren(
-      ...Object.entries(sinks).map(([name, sink]) => {
-        const found = verdicts.sinks[name], events = waiting[name] ?? null;
-        const queued = number.format(sink.queued), queue = events === null ? queued : `${queued} + ${number.format(events)} events`;
-        return line(
-          cell(name),
-          judged("", sink.error ? [sink.error, "bad"] : ["works", "good"]),
-          cell(number.format(sink.rows), "number"),
-          judged(queue, found.queue),
-          judged(number.format(sink.dropped), found.dropped),
-        );
-      }),
-    );
-  }
-
-  // Show the sum of all verdicts next to the heading.
-  #sum() {
-    if (!this.report) return;
-    const { sources, sinks, errors, verdicts } = this.report;
-    const levels = [...Object.values(verdicts.sources), ...Object.values(verdicts.sinks)]
-      .flatMap((each) => Object.values(each).map(([, level]) => level));
-    levels.push(...Object.entries(sources).map(([name, each]) => state(each, errors[name])[1]));
-    levels.push(...Object.values(sinks).map((each) => (each.error ? "bad" : "good")));
-    levels.push(...Object.values(this.cells).map(cellLevel));
-    const bad = levels.filter((level) => level === "bad").length, warned = levels.filter((level) => level === "warning").length;
-    const parts = [bad ? `${bad} bad` : "", warned ? `${warned} to watch` : ""].filter(Boolean);
-    mark($("verdict"), parts.join(", ") || "good", bad ? "bad" : warned ? "warning" : "good");
-  }
-
-  #record({ recorders: names, sinks }, ended = false) {
-    const recorders = names.map((name) => sinks[name]).filter(Boolean), chip = $("recording");
-    const rows = recorders.reduce((sum, sink) => sum + sink.rows, 0);
-    const dropped = recorders.reduce((sum, sink) => sum + sink.dropped, 0);
-    const failed = recorders.find((sink) => sink.error);
-    chip.hidden = false;
-    chip.className = failed || dropped ? "bad" : recorders.length && !ended ? "on" : "";
-    const verb = ended ? "Recorded" : "Recording";
-    const text = failed ? `${ended ? "Recording failed" : "Recording is failing"}: ${failed.error}` : dropped
-      ? `${verb}, ${number.format(dropped)} rows lost`
-      : recorders.length ? `${verb}, ${number.format(rows)} rows` : ended ? "Not recorded" : "Not recording";
-    write(chip, text);
-  }
+  }));
+  const recording = recorders.map((name) => sinks[name]), chip = $("recording");
+  const [rows, dropped] = ["rows", "dropped"].map((each) => recording.reduce((sum, sink) => sum + sink[each], 0));
+  const error = recording.find((sink) => sink.error)?.error;
+  chip.hidden = false;
+  chip.className = error || dropped ? "bad" : recording.length ? "on" : "";
+  write(chip, error ? `Recording is failing: ${error}` : dropped ? `Recording, ${number.format(dropped)} rows lost`
+    : recording.length ? `Recording, ${number.format(rows)} rows` : "Not recording");
 }
 
-function cellLevel(faults) {
-  const kinds = Object.values(faults);
-  return kinds.some((kind) => BROKEN.has(kind)) ? "bad" : kinds.length ? "warning" : "good";
+// Show the cells of the fingertips: `faults` by fingertip and cell.
+export function showCells(fingers, faults) {
+  $("cells").replaceChildren(...fingers.map((finger) => {
+    const names = Object.entries(faults[finger] ?? {}).map(([k, kind]) => `barometer ${k} ${kind}`);
+    return line(element("td", "", title(finger)), state(!names.length, names.join(", ") || "good"));
+  }));
 }
 
-// Return the verdict on the state of a source.
-function state({ state: found, gaps }, error) {
-  if (found === "up") return gaps ? [`up, ${gaps} ${gaps === 1 ? "gap" : "gaps"}`, "warning"] : ["up", "good"];
-  return [found === "stale" ? "no data" : error ? `down: ${error}` : "down", "bad"];
+function up({ gaps }) {
+  return gaps ? `up, ${gaps} ${gaps === 1 ? "gap" : "gaps"}` : "up";
+}
+
+function state(good, text) {
+  const td = element("td", "text");
+  td.append(element("span", `verdict ${good ? "good" : "bad"}`, `${good ? "●" : "■"}\u00a0${text}`));
+  return td;
 }

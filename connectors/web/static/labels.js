@@ -1,16 +1,14 @@
 // Labels by hand: spans marked with mouse or keys, undo, and saving as the next version.
 
 import { CODES } from "./bands.js";
-import { BASE } from "./link.js";
-import { write } from "./pad.js";
+import { $, write } from "./dom.js";
 
-const $ = (id) => document.getElementById(id);
 const KEYS = { s: "slip", t: "static", u: "unknown", e: null }; // null: erase
 const TAKES_KEYS = "input:not([type=range]), select, textarea";
 const AUTHOR = "slipflow-author"; // in the browser's storage
 
 export class Labels {
-  // `page` has `finger`, `instant()`, `elapsed(t)`, `changed()`, which redraws, and `saved(labels)`.
+  // `page` has `finger`, `instant()`, `elapsed(t)` and `changed()`, which redraws.
   constructor(labels, page) {
     Object.assign(this, { page, version: labels.version, spans: labels.spans, saved: labels.spans, past: [], selected: null });
     $("labels").hidden = false;
@@ -88,18 +86,17 @@ export class Labels {
     const signed = spans.map((span) => (span.created ? span : { ...span, author: span.author || author, note: span.note || note }));
     this.saving = true;
     try {
-      const answer = await fetch(`${BASE}labels`, {
+      const answer = await fetch("labels", {
         method: "POST",
         headers: { "Content-Type": "application/json" },
         body: JSON.stringify({ based_on: this.version, spans: signed }),
       });
       if (!answer.ok) throw new Error(await answer.text());
       const labels = await answer.json();
-      const rest = this.spans === spans ? labels.spans : this.spans; // it was marked meanwhile
-      this.replace(labels);
-      this.spans = rest;
+      Object.assign(this, { version: labels.version, saved: labels.spans, past: [] });
+      if (this.spans === spans) this.spans = labels.spans; // else it was marked meanwhile
       this.#show();
-      this.page.saved(labels);
+      this.page.changed();
     } catch (error) {
       this.#say(`Not saved: ${error.message}`);
     } finally {
@@ -110,15 +107,6 @@ export class Labels {
   // Return name and note as typed.
   #by() {
     return { author: $("label-author").value.trim(), note: $("label-note").value.trim() };
-  }
-
-  // Show a saved version.
-  replace(labels) {
-    this.version = labels.version;
-    this.saved = this.spans = labels.spans;
-    this.past = [];
-    this.#show();
-    this.page.changed();
   }
 
   #key(event) {

@@ -1,129 +1,123 @@
-// Live page: polls for messages, each request waits for new ones; the page reconnects by itself.
+// Live page: requests each frame over a WebSocket when it has taken the previous one; reconnects by itself.
 
-import { Health } from "./health.js";
-import { title, write } from "./pad.js";
+import { $, sleep, title, write } from "./dom.js";
+import { showCells, showHealth } from "./health.js";
+import { Streams } from "./rows.js";
 
-const SILENCE = 4000; // ms without an answer until the connection counts as lost; the server answers within 1 s
+const SILENCE = 4000; // ms without a frame until the connection counts as lost; the server answers within 1 s
 const RETRY = 1000; // ms between attempts
-const BROWSER = crypto.getRandomValues(new Uint32Array(2)).join("-"); // the server waits for it at the end of a run
-const $ = (id) => document.getElementById(id);
 
 export function live(view) {
-  const health = new Health(), announce = announcer();
-  let hello = null, ended = null, paused = null, next = "";
-
+  let run = null, ended = null, paused = null, span = 10000; // ms
   const clock = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3, hour12: false });
-  const when = (t) => clock.format(new Date(hello.start + t));
+  const when = (t) => clock.format(new Date(run.start + t)), pause = $("pause");
   write($("zone"), zone(new Date()));
-  const pause = $("pause");
 
-  view.scene = () => paused ?? { streams: view.streams, figures: view.streams, end: view.newest };
-  pause.addEventListener("click", () => {
-    paused = paused ? null : snapshot(view);
+  view.scene = () => {
+    const streams = paused?.streams ?? view.streams, end = paused?.end ?? view.newest;
+    return { streams, figures: streams, span: end === null ? null : [end - span, end], origin: end, until: end ?? Infinity };
+  };
+  $("window").addEventListener("change", ({ target }) => {
+    span = 1000 * Number(target.value);
+    view.dirty();
+  });
+  pause.addEventListener("click", () => hold(paused ? null : { streams: view.streams.copy(), end: view.newest }));
+
+  function hold(what) {
+    paused = what;
     pause.setAttribute("aria-pressed", String(paused !== null));
     write(pause, paused ? "Resume" : "Pause");
     showLink();
     view.dirty();
-  });
+  }
 
   function showLink() {
-    const lost = document.body.dataset.link === "lost", at = paused?.end;
-    const text = ended ? "Ended" : lost ? "Not connected" : paused ? "Paused" : hello?.recording === null ? "Live" : "Replay";
+    const lost = document.body.dataset.link === "lost", at = paused?.end ?? null;
+    const text = ended ? "Ended" : lost ? "Not connected" : paused ? "Paused" : run?.recording === null ? "Live" : "Replay";
     write($("link"), text);
     $("link").className = ended || paused ? "" : lost ? "bad" : "on";
-    const notice = lost && !ended ? "No flow is connected. The page reconnects every second."
-      : ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. The page waits for the next run.`
-      : paused && at !== null ? `Paused at ${when(at)} ${zone(new Date(hello.start + at))}. New slips are still listed.` : "";
+    const notice = ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. The page waits for the next run.`
+      : lost ? "No flow is connected. The page reconnects every second."
+      : at !== null ? `Paused at ${when(at)} ${zone(new Date(run.start + at))}. New slips are still listed.` : "";
     $("notice").hidden = !notice;
     write($("notice"), notice);
   }
 
   function link(state) {
-    if (document.body.dataset.link === state) return;
     document.body.dataset.link = state;
     if (state === "lost" && !ended) {
       $("state").dataset.slip = false;
       write($("heading"), "No flow is connected");
-      $("heading").dataset.shown = "";
       view.setTitle("Not connected");
     }
     showLink();
   }
 
-  function begin(document_) {
-    if (hello && document_.version !== hello.version) return location.reload();
-    const same = hello?.session === document_.session;
-    hello = document_;
-    ended = null;
-    view.fingertip = hello.fingertip;
-    if (!same) {
+  function begin(next) {
+    if (run && next.version !== run.version) return location.reload();
+    if (run?.session !== next.session) {
       view.clear();
-      paused = null;
-      pause.setAttribute("aria-pressed", "false");
-      write(pause, "Pause");
+      hold(null);
     }
-    view.threshold = hello.threshold;
-    view.name = hello.flow;
-    $("heading").dataset.shown = ""; // the title names the flow
-    const replay = hello.recording === null ? "" : ` · replay of ${hello.recording}`;
-    write($("session"), `Flow ${hello.flow} · session ${hello.session}${replay}`);
-    link("live");
-    showLink();
-    frame(hello, false);
+    run = next;
+    ended = null;
+    view.fingertip = run.fingertip;
+    view.threshold = run.threshold;
+    view.name = run.flow;
+    const replay = run.recording === null ? "" : ` · replay of ${run.recording}`;
+    write($("session"), `Flow ${run.flow} · session ${run.session}${replay}`);
   }
 
-  function frame(document_, announced = true) {
-    view.take(document_);
-    view.slipping = new Set(document_.slipping);
-    view.faults = document_.faults;
-    view.quality = document_.quality;
-    const added = view.events.add(document_.events);
-    if (announced) for (const each of added) announce(`${each.onset ? "slip onset" : "slip end"}: ${title(each.finger).toLowerCase()}`);
+  function take(frame) {
+    if (frame.run) begin(frame.run);
+    if (frame.zeroed !== view.zeroed) view.streams = new Streams(); // from raw to zeroed
+    for (const name of ["zeroed", "faults", "quality"]) view[name] = frame[name];
+    view.slipping = new Set(frame.slipping);
+    view.take(frame.rows);
+    const added = view.events.add(frame.events).at(-1);
+    if (added && !frame.run) write($("announce"), `slip ${added.onset ? "onset" : "end"}: ${title(added.finger).toLowerCase()}`);
     view.events.show(when);
+    if (frame.report) {
+      showHealth(frame.report);
+      showCells(view.streams.fingers, view.faults);
+    }
+    if (frame.end) {
+      ended = frame.end;
+      view.slipping.clear();
+      $("recording").hidden = true;
+    }
+    link("live");
     view.dirty();
+    const newest = view.newest, received = performance.timeOrigin + performance.now();
+    if (newest !== null) document.dispatchEvent(new CustomEvent("frame", { detail: { newest: run.start + newest, received } }));
   }
 
-  const takes = {
-    hello: begin,
-    frame(each) {
-      frame(each);
-      const newest = view.newest, received = performance.timeOrigin + performance.now();
-      if (newest !== null) document.dispatchEvent(new CustomEvent("frame", { detail: { newest: hello.start + newest, sent: hello.start + each.now, received } }));
-    },
-    report(each) {
-      health.show(each);
-      health.showCells([...view.streams.touch.keys()].sort(), view.faults, view.silent());
-      view.events.show(when);
-    },
-    end(each) {
-      ended = each;
-      view.slipping.clear();
-      health.end(each);
-      view.dirty();
-      showLink();
-    },
-  };
-
-  async function poll() {
-    const query = new URLSearchParams({ browser: BROWSER, session: hello?.session ?? "", next });
-    const answer = await fetch(`messages?${query}`, { signal: AbortSignal.timeout(SILENCE) });
-    if (answer.status === 401) return location.reload(); // it requires another token after a restart
-    if (!answer.ok) throw new Error(await answer.text());
-    const found = await answer.json();
-    next = found.next;
-    for (const [name, document_] of found.messages) takes[name](document_);
-    if (ended) await sleep(RETRY);
-    else link("live");
+  // Follow a run until the connection ends.
+  function follow() {
+    const socket = new WebSocket(new URL("live", location.href.replace(/^http/, "ws")));
+    return new Promise((resolve) => {
+      let silence = setTimeout(() => socket.close(), SILENCE);
+      socket.onopen = () => socket.send("");
+      socket.onmessage = ({ data }) => {
+        clearTimeout(silence);
+        silence = setTimeout(() => socket.close(), SILENCE);
+        take(JSON.parse(data));
+        socket.send("");
+      };
+      socket.onclose = () => {
+        clearTimeout(silence);
+        resolve();
+      };
+    });
   }
 
   (async () => {
     for (;;) {
-      try {
-        await poll();
-      } catch {
-        link("lost");
-        await sleep(RETRY);
-      }
+      await follow();
+      link("lost");
+      await sleep(RETRY);
+      const answer = await fetch("about.json").catch(() => null);
+      if (answer?.status === 401) location.reload(); // it requires another token after a restart
     }
   })();
 }
@@ -133,29 +127,4 @@ function zone(date) {
   const minutes = -date.getTimezoneOffset(), pad = (each) => String(each).padStart(2, "0");
   if (!minutes) return "UTC";
   return `local, UTC${minutes < 0 ? "−" : "+"}${pad(Math.floor(Math.abs(minutes) / 60))}:${pad(Math.abs(minutes) % 60)}`;
-}
-
-const sleep = (time) => new Promise((resolve) => setTimeout(resolve, time));
-
-// Return a copy of the current streams.
-function snapshot({ streams, newest }) {
-  const copy = streams.copy();
-  return { streams: copy, figures: copy, end: newest };
-}
-
-// Return a function that announces text to screen readers, at most every 3 s.
-function announcer(pause = 3000) {
-  const queued = [];
-  let due = 0, timer = null;
-  const say = () => {
-    timer = null;
-    due = performance.now() + pause;
-    const text = queued.length > 2 ? `${queued.at(-1)}, ${queued.length} events` : queued.join(", ");
-    queued.length = 0;
-    write(document.getElementById("announce"), text);
-  };
-  return (text) => {
-    queued.push(text);
-    timer ??= setTimeout(say, Math.max(0, due - performance.now()));
-  };
 }

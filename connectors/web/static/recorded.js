@@ -1,280 +1,215 @@
-// Recorded session: a slider selects a time; the page draws the window around it, a zoom, or the whole session.
+// Recorded session: the curves of a span and the values of a selected time.
 
 import { Bands } from "./bands.js";
 import { LEFT, RIGHT } from "./charts.js";
-import { exportButtons } from "./exports.js";
+import { $, number, write } from "./dom.js";
 import { Labels } from "./labels.js";
-import { Overview } from "./overview.js";
-import { BASE, Link } from "./link.js";
-import { title, write } from "./pad.js";
-import { Readout } from "./readout.js";
 import { Streams } from "./rows.js";
-import { Hairline, pointer, Span } from "./span.js";
-import { thresholdSlider } from "./threshold.js";
 
-const $ = (id) => document.getElementById(id);
-const STRIDES = { PageUp: 10000, PageDown: -10000 }; // ms, by key
 const STEP = 100; // ms, of the arrow keys; ten times that with Shift, a tenth with Alt
-const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // these use Space
+const STRIDES = { PageUp: 10000, PageDown: -10000, ArrowLeft: -STEP, ArrowDown: -STEP, ArrowRight: STEP, ArrowUp: STEP }; // ms
+const CLICK = 4; // px, a shorter drag is a click
+const LEAST = 50; // ms, shortest zoom
+const MANY = 16; // cells; of more the readout has minimum and maximum
+const NAMES = { "1": "slip", "0": "static", "-1": "unknown" }; // by code of a label
 
 export function recorded(view, about) {
-  const slider = $("instant"), play = $("play"), span = new Span(about.length);
-  let loading = false, again = false, playing = null, dragged = null, events = about.events, loaded = {}, remark = about.about, hovered = null, chosen = null; // threshold; null: the first one
+  const slider = $("instant"), whole = [0, Math.max(about.length, LEAST)], begun = new Date(about.start);
+  let span = whole, events = about.events, remark = about.about, dragged = null;
+  let figures = new Streams(); // rows at the selected time; the curves are reduced to pixel columns
+  const clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
+  const instant = () => Number(slider.value);
+  const bands = new Bands($("bands"));
+  const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed, changed: redraw });
 
   document.body.dataset.link = "recorded";
   for (const id of ["scrub", "readout", "bands-figure"]) $(id).hidden = false;
-  $("window").append(new Option("1 min", "60"), new Option("5 min", "300"), new Option("all", "Infinity"));
-  const of = [["Flow", about.flow], ["dataset", about.dataset], ["session", about.session]].filter(([, name]) => name);
-  write($("session"), of.map((each) => each.join(" ")).join(" · "));
-  view.name = about.session;
+  write($("session"), `Session ${about.session}`);
   write($("link"), "Recorded");
+  write($("axis"), "seconds since the start of the session");
   write($("no-events"), "None.");
-  view.fingertip = about.fingertip;
-  view.hasScores = about.scored;
-  view.clear();
-  view.deepest = about.zeroed && about.deepest < -100 ? roundUp(-about.deepest) : 100;
+  Object.assign(view, { name: about.session, fingertip: about.fingertip, hasScores: about.scored, onchange: refresh });
+  view.deepest = Math.max(view.deepest, 100 * Math.ceil(-about.deepest / 100));
   slider.max = about.length;
-  slider.value = Math.min(about.length, Math.max(view.window, first(events)));
-
-  const begun = new Date(about.start);
-  const clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
-  const instant = () => Number(slider.value);
-  const shown = () => span.at(instant(), view.window);
-  const followed = () => !span.zoomed && view.window !== Infinity; // by the window
-  const bands = new Bands($("bands")), hairline = new Hairline(view.charts.all), overview = new Overview(view, about.length);
-  const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed: (t) => elapsed(t, 2), changed: () => redraw(), saved: (each) => link.sendLabels({ of: identity, ...each }) });
-  const readout = new Readout($("readout"), view, bands, async (t) => (await load(t, t, t, 1)).at, (t) => `${elapsed(t, 2)} · ${clock(t)} UTC`);
-  const identity = JSON.stringify([about.dataset, about.session, about.start]);
-  const link = new Link(() => ({ t: instant(), zooms: span.zooms, window: $("window").value, hovered }), {
-    moved(state, offset) {
-      $("window").value = state.window;
-      view.window = 1000 * Number(state.window);
-      span.zooms = state.zooms.map((zoom) => zoom.map((t) => t + offset));
-      slider.value = Math.min(Math.max(state.t + offset, 0), about.length);
-      hover(state.hovered === null ? null : state.hovered + offset);
-      refresh();
-    },
-    labelled: ({ of: other, ...each }) => { if (labels && other === identity && !labels.unsaved) labels.replace(each); },
-  });
-  let figures = new Streams(view.sign); // rows at the selected time; the curves are reduced to pixel columns
-  view.scene = () => ({
-    streams: view.streams, figures, at: Infinity, end: instant(), span: shown(), selected: dragged ?? labels?.selected,
-    last: about.length, origin: followed() ? instant() : 0,
-  });
-  view.onchange = () => refresh();
-  $("window").addEventListener("change", () => { span.zooms = []; refresh(); });
-
-  const setThreshold = thresholdSlider(about, (threshold, found) => {
-    const own = found === about.events;
-    events = found;
-    chosen = own ? null : threshold;
-    view.threshold = threshold;
-    view.events.replace(found);
-    view.events.show((t) => elapsed(t), (t) => go(t + 1000));
-    const slips = found.filter((event) => event.onset).length;
-    write($("events-count"), slips ? `${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}` : "");
-    remark = own ? about.about : `Slip events: found now at threshold ${threshold}. Reset shows the original ones again.`;
-    overview.draw();
-    refresh();
-  });
-
-  function notice(text) {
-    $("notice").hidden = !text;
-    write($("notice"), text);
-  }
+  slider.value = Math.min(about.length, (events.find((event) => event.onset)?.t ?? 0) + 1000);
+  view.scene = () => ({ streams: view.streams, figures, span, until: instant(), origin: 0, at: instant(), selected: dragged ?? labels?.selected });
+  setThreshold(about.threshold, events);
 
   // Draw everything that was loaded.
   function redraw() {
-    const [begin, end] = shown(), rows = {}, { finger } = view;
-    const of = (name) => loaded[name]?.[finger] ?? loaded[name]?.every;
-    rows.slips = view.events.spans(finger, about.length).map((each) => [...each, 1]);
-    for (const name of ["arm", "truth"]) if (loaded[name]) rows[name] = of(name) ?? [];
-    if (labels) rows.hand = labels.band(finger);
-    bands.show(rows, { begin, end, at: instant(), selected: dragged ?? labels?.selected });
-    overview.mark(begin, end);
-    $("unzoom").hidden = !span.zoomed;
+    const rows = { slips: view.events.spans(view.finger, about.length).map((each) => [...each, 1]) };
+    for (const name of ["arm", "truth"]) if (about.bands[name]) rows[name] = about.bands[name][view.finger] ?? about.bands[name].every ?? [];
+    if (labels) rows.hand = labels.band(view.finger);
+    bands.show(rows, { begin: span[0], end: span[1], at: instant(), selected: dragged ?? labels?.selected });
+    $("unzoom").hidden = span === whole;
     view.dirty();
   }
 
-  async function refresh() {
+  async function load() {
     const t = instant();
     write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
     view.slipping = slipping(events, t);
-    showTime(t);
-    link.send();
-    write($("axis"), followed() ? "seconds from the selected time" : "seconds since the start of the session");
     redraw();
-    again = loading;
-    if (loading) return;
-    loading = true;
     try {
-      const answer = await load(...shown(), t, view.charts.columns);
-      figures = new Streams(view.sign);
-      figures.take(answer.at);
-      for (const name of ["faults", "quality"]) view[name] = answer.at[name];
-      loaded = answer.bands;
-      view.take(answer, "replace");
-      showTime(instant()); // the fingertip is known now
+      const { rows, at } = await get("window", { begin: span[0], end: span[1], at: t, columns: view.charts.columns });
+      figures = new Streams();
+      figures.take(at.rows, view.sign);
+      Object.assign(view, { faults: at.faults, quality: at.quality });
+      view.take(rows, "replace");
+      slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);
       notice(remark);
       redraw();
-      if (hovered === null) readout.show(t, figures);
+      write($("readout"), [`${elapsed(t)} · ${clock(t)} UTC`, ...values(t)].join(" · "));
     } catch {
-      stop();
       notice("The server does not respond. Restart it: slipflow show SESSION");
-    } finally {
-      loading = false;
-      if (again) refresh();
     }
   }
+  const reload = newest(load);
+  function refresh() { return reload(null); }
 
-  function showTime(t) {
-    slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);
+  // Return the values at the selected time as text.
+  function values(t) {
+    const touch = figures.of("touch", view.finger)?.last?.filter((each) => each !== null) ?? [];
+    const amounts = touch.length > MANY ? [`${view.amount(Math.min(...touch))} to ${view.amount(Math.max(...touch))}`] : touch.map((each) => view.amount(each));
+    const found = [touch.length ? `${view.unit} ${amounts.join(" ")}` : "no reading"];
+    const value = (stream) => figures.of(stream, view.finger)?.last?.[0] ?? null;
+    if (value("scores") !== null) found.push(`probability ${value("scores").toFixed(3)}`);
+    if (value("speed") !== null) found.push(`TCP ${value("speed").toFixed(1)} mm/s`);
+    for (const [name, text] of [["arm", "arm label"], ["truth", "truth"], ["hand", "by hand"]]) {
+      if (bands.at(name, t) !== null) found.push(`${text} ${NAMES[bands.at(name, t)]}`);
+    }
+    return found;
   }
 
+  // Select a time; a zoom moves with it.
   function go(t) {
     slider.value = Math.min(Math.max(t, 0), about.length);
-    span.follow(instant());
+    const [begin, end] = span, outside = Math.min(instant() - begin, 0) || Math.max(instant() - end, 0);
+    if (outside) span = [begin + outside, end + outside];
     refresh();
   }
 
-  function stop() {
-    cancelAnimationFrame(playing);
-    playing = null;
-    write(play, "Play");
+  function zoom(begin, end) {
+    const missing = Math.max(0, LEAST - (end - begin)) / 2;
+    span = [begin - missing, end + missing];
+    if (instant() < begin || instant() > end) slider.value = (begin + end) / 2;
+    refresh();
   }
 
   function zoomOut() {
-    span.zooms.pop();
+    span = whole;
     refresh();
   }
 
-  // Show all values of a time; null: of the selected time.
-  function hover(t) {
-    hovered = t;
-    hairline.show(t);
-    if (t !== null) readout.at(t);
-    else readout.show(instant(), figures);
-  }
-
-  const time = (x) => {
-    const box = $("bands").getBoundingClientRect(), [begin, end] = shown();
-    const share = (x - box.left - LEFT) / (box.width - LEFT - RIGHT);
-    return Math.round(begin + (end - begin) * Math.min(Math.max(share, 0), 1));
-  };
-  pointer([...view.charts.all.map((chart) => chart.host), $("bands")], new Set(labels ? [$("bands")] : []), time, {
-    hover(t) {
-      hover(t);
-      link.send();
-    },
-    dragged(each) { dragged = each; redraw(); },
-    click(t, marks) {
-      if (playing !== null) stop();
-      if (marks && labels) labels.pick(t);
-      go(t);
-    },
-    zoom(begin, end) {
-      if (playing !== null) stop();
-      span.zoom(begin, end);
-      if (instant() < begin || instant() > end) slider.value = (begin + end) / 2;
-      refresh();
-    },
-    mark(begin, end) { if (labels) labels.select([begin, end]); },
-    out: zoomOut,
-  });
-
-  play.addEventListener("click", () => toggle());
-  $("unzoom").addEventListener("click", zoomOut);
-  document.addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && span.zoomed) return zoomOut();
-    if (event.key !== " " || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
-    if (event.target.closest(TAKES_SPACE)) return;
-    event.preventDefault(); // do not scroll
-    if (!event.repeat) toggle();
-  });
-
-  function toggle() {
-    if (playing !== null) return stop();
-    write(play, "Stop");
-    if (instant() >= about.length) go(0);
-    let then = performance.now(), at = instant(); // the slider rounds to its step
-    const step = (now) => {
-      at += now - then;
-      then = now;
-      go(at);
-      if (at >= about.length) stop();
-      else playing = requestAnimationFrame(step);
+  // Handle the pointer: a click selects a time; a drag zooms, but marks over the bands or with Shift.
+  for (const host of [...view.charts.all.map((chart) => chart.host), $("bands")]) {
+    let from = null, x = 0, marks = false;
+    const time = ({ clientX }) => {
+      const box = $("bands").getBoundingClientRect(), share = (clientX - box.left - LEFT) / (box.width - LEFT - RIGHT);
+      return Math.round(span[0] + (span[1] - span[0]) * Math.min(Math.max(share, 0), 1));
     };
-    playing = requestAnimationFrame(step);
+    const sorted = (event) => [Math.min(from, time(event)), Math.max(from, time(event))];
+    const dragging = (event) => Math.abs(event.clientX - x) >= CLICK;
+    const end = () => { from = dragged = null; redraw(); };
+    host.addEventListener("pointerdown", (event) => {
+      if (event.button !== 0 || !event.isPrimary) return;
+      host.setPointerCapture(event.pointerId);
+      [from, x, marks] = [time(event), event.clientX, labels && (host === $("bands") || event.shiftKey)];
+      event.preventDefault(); // do not select text
+      document.activeElement.blur(); // keys are for the page again
+    });
+    host.addEventListener("pointermove", (event) => {
+      if (from === null || !dragging(event)) return;
+      dragged = sorted(event);
+      redraw();
+    });
+    host.addEventListener("pointerup", (event) => {
+      if (from === null) return;
+      const found = sorted(event);
+      end();
+      if (dragging(event)) (marks ? (...each) => labels.select(each) : zoom)(...found);
+      else {
+        if (marks) labels.pick(time(event));
+        go(time(event));
+      }
+    });
+    host.addEventListener("pointercancel", end);
+    host.addEventListener("dblclick", zoomOut);
   }
-
-  slider.addEventListener("input", () => { if (playing !== null) stop(); go(instant()); });
+  $("unzoom").addEventListener("click", zoomOut);
+  document.addEventListener("keydown", ({ key }) => { if (key === "Escape") zoomOut(); });
+  slider.addEventListener("input", () => go(instant()));
   slider.addEventListener("keydown", (event) => {
-    const arrow = { ArrowLeft: -STEP, ArrowDown: -STEP, ArrowRight: STEP, ArrowUp: STEP }[event.key];
-    const stride = arrow ? arrow * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1) : STRIDES[event.key];
+    const stride = STRIDES[event.key];
     if (!stride) return;
     event.preventDefault();
-    if (playing !== null) stop();
-    go(instant() + stride);
+    go(instant() + stride * (event.shiftKey ? 10 : event.altKey ? 0.1 : 1));
   });
 
-  // The part of a link after #: what this page shows.
-  function hash() {
-    const state = { t: instant(), window: $("window").value, finger: view.finger };
-    if (chosen !== null) state.threshold = chosen;
-    if (span.zoomed) state.zoom = span.zooms.at(-1).join(" ");
-    return new URLSearchParams(state);
+  // Show the events at a threshold.
+  function setThreshold(threshold, found) {
+    const slips = found.filter((event) => event.onset).length, text = `${number.format(slips)} ${slips === 1 ? "slip" : "slips"}`;
+    const own = found === about.events;
+    events = found;
+    view.threshold = threshold;
+    view.events.clear();
+    view.events.add(found, Infinity);
+    view.events.show((t) => elapsed(t, 1), (t) => go(t + 1000));
+    $("threshold").value = threshold;
+    write($("threshold-text"), String(threshold));
+    write($("events-count"), text);
+    $("threshold-reset").hidden = own;
+    remark = own ? about.about : `Slip events: found now at threshold ${threshold}. Reset shows the original ones again.`;
   }
 
-  // Show what a link names.
-  function open() {
-    const state = new URLSearchParams(location.hash.slice(1)), zoom = (state.get("zoom") ?? "").split(" ").map(Number);
-    if (!state.has("t")) return;
-    if ([...$("window").options].some((each) => each.value === state.get("window"))) $("window").value = state.get("window");
-    view.window = 1000 * Number($("window").value);
-    view.finger = state.get("finger");
-    span.zooms = zoom.length === 2 && zoom[0] < zoom[1] ? [zoom] : [];
-    slider.value = Number(state.get("t"));
-    const threshold = Number(state.get("threshold"));
-    if ((chosen ?? 0) !== threshold) setThreshold(threshold > 0 && threshold <= 1 ? threshold : null);
-  }
-
-  exportButtons({
-    name: about.session, span: shown, charts: view.charts, layout: () => view.layout(), hash,
-    describe: () => [about.session, title(view.finger).toLowerCase(), shown().map((t) => elapsed(t, 2)).join(" to "),
-      ...(followed() ? [`0 s is ${elapsed(instant(), 2)}`] : [])].join(" · "),
+  $("tuning").hidden = !about.scored;
+  const tune = newest(async (threshold) => {
+    const found = threshold === null ? about.events : await get("events", { threshold });
+    setThreshold(threshold ?? about.threshold, found);
+    refresh();
   });
-  addEventListener("hashchange", () => { open(); refresh(); });
-  open();
-  refresh().then(() => overview.load(load));
+  $("threshold").addEventListener("input", ({ target }) => tune(Number(target.value)));
+  $("threshold-reset").addEventListener("click", () => tune(null));
+  new ResizeObserver(refresh).observe(view.charts.counts.host);
 }
 
-// Load the curves between two times, reduced to pixel columns, and the rows at a time.
-async function load(begin, end, at, columns) {
-  const answer = await fetch(`${BASE}window?${new URLSearchParams({ begin, end, at, columns })}`);
+function notice(text) {
+  $("notice").hidden = !text;
+  write($("notice"), text);
+}
+
+async function get(path, query) {
+  const answer = await fetch(`${path}?${new URLSearchParams(query)}`);
   if (!answer.ok) throw new Error(await answer.text());
   return answer.json();
+}
+
+// Return a function that calls `action` once at a time: while it works, only the newest call waits.
+function newest(action) {
+  let waiting = null, busy = false;
+  return async (...given) => {
+    waiting = given;
+    if (busy) return;
+    busy = true;
+    while (waiting) {
+      const next = waiting;
+      waiting = null;
+      await action(...next).catch((error) => notice(error.message));
+    }
+    busy = false;
+  };
 }
 
 // Return the fingertips that slip at a time.
 function slipping(events, t) {
   const now = new Set();
-  for (const event of events) {
-    if (event.t > t) break;
-    if (event.onset) now.add(event.finger);
-    else now.delete(event.finger);
-  }
+  for (const event of events.filter((each) => each.t <= t)) (event.onset ? now.add(event.finger) : now.delete(event.finger));
   return now;
 }
 
-// Return the time 1 s after the first onset.
-const first = (events) => (events.find((event) => event.onset)?.t ?? 0) + 1000;
-
-// Round up to a multiple of 100 counts.
-const roundUp = (value) => Math.ceil(value / 100) * 100;
-
-// Format a time since the start of the session as m:ss.t.
-function elapsed(t, digits = 1) {
+// Format a time since the start of the session as m:ss.tt.
+function elapsed(t, digits = 2) {
   const parts = Math.round((t / 1000) * 10 ** digits), seconds = Math.floor(parts / 10 ** digits);
-  const [minutes, rest] = [Math.floor(seconds / 60), String(seconds % 60).padStart(2, "0")];
-  return `${minutes}:${rest}.${String(parts % 10 ** digits).padStart(digits, "0")}`;
+  const rest = String(seconds % 60).padStart(2, "0");
+  return `${Math.floor(seconds / 60)}:${rest}.${String(parts % 10 ** digits).padStart(digits, "0")}`;
 }

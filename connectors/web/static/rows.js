@@ -10,11 +10,16 @@ export class Rows {
   }
 
   get newest() {
-    return this.t.length ? this.t[this.t.length - 1] : null;
+    return this.t.at(-1) ?? null;
+  }
+
+  // The newest row, one value per column; null if there is none.
+  get last() {
+    return this.t.length ? this.columns.map((column) => column.at(-1)) : null;
   }
 
   // Append the rows of a frame; skip rows that are not newer.
-  push({ t, v }, sign = 1) {
+  push({ t, v }, sign) {
     let last = this.newest ?? -Infinity;
     for (let row = 0; row < t.length; row++) {
       if (t[row] <= last) continue;
@@ -26,7 +31,7 @@ export class Rows {
   }
 
   // Replace all rows by those of a recording, which include its gaps.
-  replace(rows, sign = 1) {
+  replace(rows, sign) {
     this.t = [];
     for (const column of this.columns) column.length = 0;
     for (let row = 0; row < rows.t.length; row++) this.#append(rows.t[row], rows.v[row], sign);
@@ -34,15 +39,8 @@ export class Rows {
 
   // Return [t, ...columns] between two times, plus one row on each side, so that lines reach the edges.
   between(begin, end) {
-    const from = Math.max(0, lowest(this.t, begin) - 1);
-    const to = lowest(this.t, end) + 1;
+    const from = Math.max(0, lowest(this.t, begin) - 1), to = lowest(this.t, end) + 1;
     return [this.t, ...this.columns].map((values) => values.slice(from, to));
-  }
-
-  // Return the newest row up to a time, one value per column, or null.
-  at(time) {
-    const row = lowest(this.t, time + 0.001) - 1;
-    return row < 0 ? null : this.columns.map((column) => column[row]);
   }
 
   copy() {
@@ -63,51 +61,41 @@ export class Rows {
   #trim(before) {
     if (!this.t.length || this.t[0] > before - KEPT / 2) return; // not on each call, because it moves all rows
     const old = lowest(this.t, before);
-    this.t.splice(0, old);
-    for (const column of this.columns) column.splice(0, old);
+    for (const values of [this.t, ...this.columns]) values.splice(0, old);
   }
 }
 
-// Touch and scores by fingertip, and the speed of the arm.
+// Rows by stream (touch, scores, truth, speed) and fingertip.
 export class Streams {
-  constructor(sign = -1) {
-    this.sign = sign; // of zeroed counts; -1: they fall with pressure
-    this.touch = new Map();
-    this.zeroed = new Map(); // by fingertip
-    this.scores = new Map();
-    this.truth = new Map(); // 1 while the simulated contact slides
-    this.speed = new Rows(1);
+  constructor() {
+    this.all = new Map();
   }
 
-  // Add the streams of a frame; `put` is "push" or "replace".
-  take({ touch, scores, truth, speed }, put = "push") {
-    for (const [finger, rows] of Object.entries(touch ?? {})) {
-      const before = this.touch.get(finger), cells = rows.v[0]?.length ?? before?.columns.length;
-      if (!cells) continue; // no rows yet
-      const changed = this.zeroed.get(finger) !== rows.zeroed || before.columns.length !== cells; // such as from raw to zeroed
-      this.zeroed.set(finger, rows.zeroed);
-      if (changed) this.touch.set(finger, new Rows(cells));
-      this.touch.get(finger)[put](rows, rows.zeroed ? this.sign : 1);
+  // Add rows by stream and fingertip; `put` is "push" or "replace", `sign` is that of the counts.
+  take(rows, sign, put = "push") {
+    for (const [stream, fingers] of Object.entries(rows)) {
+      for (const [finger, each] of Object.entries(fingers)) {
+        const key = `${stream} ${finger}`, first = each.v[0], columns = Array.isArray(first) ? first.length : 1;
+        if (!this.all.has(key) && first !== undefined) this.all.set(key, new Rows(columns));
+        this.all.get(key)?.[put](each, stream === "touch" ? sign : 1);
+      }
     }
-    for (const [finger, rows] of Object.entries(scores ?? {})) {
-      if (!this.scores.has(finger)) this.scores.set(finger, new Rows(1));
-      this.scores.get(finger)[put](rows);
-    }
-    for (const [finger, rows] of Object.entries(truth ?? {})) {
-      if (!this.truth.has(finger)) this.truth.set(finger, new Rows(1));
-      this.truth.get(finger)[put](rows);
-    }
-    if (speed) this.speed[put](speed);
   }
 
-  // Return the scores of a fingertip.
-  scoring(finger) {
-    return this.scores.get(finger) ?? this.scores.get("every");
+  // Return the rows of a fingertip, or those of all fingertips together.
+  of(stream, finger) {
+    return this.all.get(`${stream} ${finger}`) ?? this.all.get(`${stream} every`);
+  }
+
+  get fingers() {
+    const found = [...this.all.keys()].filter((key) => key.startsWith("touch ")).map((key) => key.slice("touch ".length));
+    return found.sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
   }
 
   copy() {
-    const copy = new Streams(this.sign), copied = (rows) => new Map([...rows].map(([finger, each]) => [finger, each.copy()]));
-    return Object.assign(copy, { touch: copied(this.touch), zeroed: new Map(this.zeroed), scores: copied(this.scores), truth: copied(this.truth), speed: this.speed.copy() });
+    const copy = new Streams();
+    copy.all = new Map([...this.all].map(([key, rows]) => [key, rows.copy()]));
+    return copy;
   }
 }
 

@@ -49,6 +49,7 @@ class Method:
 
     detector: str  # a rival, a detector's name or a model file
     rule: str = OURS
+    threshold: float | None = None  # of the slip probability; None: of the detector's card
 
     def __post_init__(self) -> None:
         check_choice("Method", "rule", self.rule, RULES)
@@ -57,17 +58,33 @@ class Method:
         return f"{self.detector}, {self.rule}"
 
     def load(self) -> tuple[Detector, GripController]:
-        """Return the detector and the controller, with the threshold of the detector's card.
+        """Return the detector and the controller.
 
         Raises:
             InputError: if there is no such detector.
         """
         card = CARDS.get(self.detector)
         found = load_debounce(self.detector if card is None else shipped_path(card)) or Debounce()
-        return load_rival(self.detector), _controller(self.rule, found.threshold)
+        threshold = found.threshold if self.threshold is None else self.threshold
+        return load_rival(self.detector), _controller(self.rule, threshold)
 
 
 METHODS: Final = (Method(DEFAULT), *(Method(name, STEPS) for name in RIVALS))  # rivals: the paper's rule
+
+
+def parse_method(text: str) -> Method:
+    """Return a method from ``DETECTOR`` or ``DETECTOR:RULE``; rivals have the paper's rule unless given.
+
+    Raises:
+        ParameterError: on an unknown rule.
+
+    >>> [str(parse_method(text)) for text in ("psd", "psd:none", "mine.safetensors")]
+    ['psd, steps', 'psd, none', 'mine.safetensors, ours']
+    """
+    name, _, rule = text.rpartition(":")
+    if name:
+        return Method(name, rule)
+    return Method(text, STEPS if text in RIVALS else OURS)
 
 
 def load_rival(name: str) -> Detector:

@@ -1,19 +1,20 @@
 """Study of an experiment: each detector and rule runs the same trials under each condition, in parallel."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from connectors.sim.objects import OBJECTS, named
-from flows.lab.experiments.lift_trial import LiftOutcome
+from flows.lab.experiments.gripper_model import GripperModel
+from flows.lab.experiments.lift_trial import LiftOutcome, lift
 from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.tap_trial import TapOutcome
+from flows.lab.experiments.tap_trial import TapOutcome, tap
 from flows.lab.experiments.trial import Conditions, Trace, Trial
-from flows.report.table import counted
-from flows.run.executor import process_map
+from flows.run.executor import map_tasks
 from operators import GripController
 from operators.checks import check_at_least, check_choice
 from operators.detectors import Detector
@@ -27,7 +28,7 @@ NOMINAL: Final = "nominal"  # condition
 Outcome: TypeAlias = TapOutcome | LiftOutcome
 Setup: TypeAlias = tuple[Detector, GripController]
 Experiment: TypeAlias = Callable[[Trial, Sequence[Setup]], Sequence[tuple[Trace, Outcome]]]
-Progress: TypeAlias = Callable[[int, int, str], object]  # outcomes so far, all outcomes, newest condition
+EXPERIMENTS: Final[Mapping[str, Experiment]] = {"tap": tap, "lift": lift}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,88 +48,107 @@ class Trials:
         for name in self.objects:
             check_choice("Trials", "object", name, OBJECTS)
 
-    def __str__(self) -> str:
-        return f"{counted(self.count, 'trial')} of each object"
+
+def _factors(name: str, *factors: float) -> dict[str, Conditions]:
+    """Return a condition for each factor of a setting, which is nominal at 1."""
+    values: dict[float, Mapping[str, Any]] = {factor: {name: factor} for factor in factors}
+    return {f"x{factor:g}": Conditions(**values[factor]) for factor in factors}
 
 
-@dataclass(frozen=True)
-class Study:
-    """A finished study.
+AXES: Final[Mapping[str, Mapping[str, Conditions]]] = {  # nominal comes after those below it
+    "friction": _factors("friction", 0.5, 0.75, 1, 1.5, 2),
+    "mass": _factors("mass", 0.5, 1, 1.5, 2),
+    "latency": {
+        f"+{delay} ms": Conditions(gripper=replace(GripperModel(), delay=delay / 1000))
+        for delay in (0, 50, 100, 200, 300)
+    },
+    "rate": {f"{rate:g} Hz": Conditions(rate=rate) for rate in (25.0, 50.0, 100.0, 200.0)},
+    "stiffness": _factors("stiffness", 0.5, 1, 2, 4),
+    "pad": _factors("tilt", 0.5, 1, 2, 4),
+}
 
-    Attributes:
-        experiment: Function that runs a trial of all methods; `tap` or `lift`.
-        methods: Detectors and rules; reports are above all about the first one.
-        trials: Trials of each method under each condition.
-        outcomes: Row per trial: condition, method, object, seed, success and the fields of the outcome;
-            unknown numbers are null.
-    """
 
-    experiment: Experiment
-    methods: Sequence[Method]
-    trials: Trials
-    outcomes: "pl.DataFrame"
+def axes_of(experiment: str) -> Mapping[str, Mapping[str, Conditions]]:
+    """Return the axes of an experiment; the force of a tap is constant, so it has no latency."""
+    return {name: each for name, each in AXES.items() if experiment == "lift" or name != "latency"}
 
-    @property
-    def name(self) -> str:
-        """Name of the experiment, ``tap`` or ``lift``."""
-        return self.experiment.__name__
 
-    def of(self, method: Method) -> "pl.DataFrame":
-        """Return the outcomes of a method."""
-        return self.outcomes.filter(method=str(method))
+def conditions_of(experiment: str, *, stress: bool) -> dict[str, Conditions]:
+    """Return the nominal condition by name, with `stress` also those that differ from it in one setting."""
+    varied = {
+        f"{axis} {value}": each
+        for axis, values in axes_of(experiment).items()
+        for value, each in values.items()
+        if stress and each != Conditions()
+    }
+    return {NOMINAL: Conditions(), **varied}
 
 
 def run_study(
-    experiment: Experiment,
+    experiment: str,
     methods: Sequence[Method],
     trials: Trials,
-    conditions: Mapping[str, Conditions] | None = None,
     *,
-    jobs: int | None = None,
-    progress: Progress = lambda _done, _total, _label: None,
-) -> Study:
-    """Run an experiment under several conditions, always with the same trials.
+    stress: bool = False,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], object] = lambda _done, _total: None,
+) -> "pl.DataFrame":
+    """Run an experiment under its conditions, always with the same trials.
 
     Args:
-        experiment: Runs one trial of all methods; `tap` or `lift`.
+        experiment: One of `EXPERIMENTS`.
         methods: Detectors and rules.
         trials: Trials to run under each condition with each method.
-        conditions: Conditions by name; None: nominal conditions.
-        jobs: Number of processes; None: one per core.
-        progress: Called with the number of outcomes, their total and the condition of the newest.
+        stress: Run all conditions of `conditions_of`, not only the nominal one.
+        executor: Runs the trials; None: this process.
+        progress: Called with the number of trials of all methods, and their total.
+
+    Returns:
+        Long table of results (`flows.report.results`): a recording is a trial, its fold the object. Metrics
+        are ``trials`` (1), ``success``, ``ending NAME`` (1) and the fields of the outcome that are known.
 
     Raises:
         InputError: if there is no such detector.
-        ParameterError: on less than one method, condition or job.
+        ParameterError: on less than one method, or an unknown experiment.
         SlipflowError: if a process ended early.
     """
-    import polars as pl  # noqa: PLC0415 - slow to import, and of no use to the processes
+    from flows.report.results import joined, result_rows  # noqa: PLC0415 - imports polars
 
-    tried = {NOMINAL: Conditions()} if conditions is None else conditions
-    sizes = {"methods": len(methods), "conditions": len(tried), "jobs": 1 if jobs is None else jobs}
-    for name, value in sizes.items():
-        check_at_least("experiment", name, value, 1)
+    check_choice("experiment", "name", experiment, EXPERIMENTS)
+    check_at_least("experiment", "methods", len(methods), 1)
+    conditions = conditions_of(experiment, stress=stress)
     setups = [method.load() for method in methods]
     seeds = range(trials.seed, trials.seed + trials.count)
-    units = list(product(tried, trials.objects, seeds))
-    rows, total = list[dict[str, Any]](), len(units) * len(methods)
-    progress(0, total, "")
-    with closing(process_map(partial(_run, experiment, setups, tried), units, jobs)) as found:
-        for (condition, name, seed), outcomes in zip(units, found, strict=True):
-            for method, outcome in zip(methods, outcomes, strict=True):
-                key = {"condition": condition, "method": str(method), "object": name, "seed": seed}
-                rows.append({**key, "success": outcome.success, **asdict(outcome)})
-            progress(len(rows), total, condition)
-    frame = pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
-    return Study(experiment, methods, trials, frame)
+    tasks = list(product(conditions, trials.objects, seeds))
+    work = partial(_run, experiment, setups, conditions)
+    return joined(
+        result_rows(
+            _metrics(outcome),
+            method=str(method),
+            recording=f"{name}-{seed}",
+            condition=condition,
+            fold=name,
+        )
+        for (condition, name, seed), outcomes in zip(
+            tasks, map_tasks(work, tasks, executor, progress=progress), strict=True
+        )
+        for method, outcome in zip(methods, outcomes, strict=True)
+    )
 
 
 def _run(
-    experiment: Experiment,
+    experiment: str,
     setups: Sequence[Setup],
     conditions: Mapping[str, Conditions],
-    unit: tuple[str, str, int],
+    task: tuple[str, str, int],
 ) -> list[Outcome]:
-    condition, name, seed = unit
+    condition, name, seed = task
     trial = Trial.draw(named(name), seed, conditions[condition])
-    return [outcome for _, outcome in experiment(trial, setups)]
+    return [outcome for _, outcome in EXPERIMENTS[experiment](trial, setups)]
+
+
+def _metrics(outcome: Outcome) -> dict[str, float]:
+    """Return what a trial counts for; unknown numbers are left out."""
+    numbers = {name: float(value) for name, value in asdict(outcome).items() if name != "ending"}
+    known = {name: value for name, value in numbers.items() if not math.isnan(value)}
+    return {"trials": 1, "success": float(outcome.success), f"ending {outcome.ending}": 1, **known}

@@ -1,19 +1,21 @@
 """Decision thresholds, tuned on tap trials with objects and fingertips drawn for validation."""
 
-from collections.abc import Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from flows.lab.experiments.grasp_recordings import draw_fingertip, draw_object
+from connectors.sim.drawn_grasp import draw_fingertip, draw_object
+from flows.lab.experiments.rivals import Method, load_rival
 from flows.lab.experiments.tap_trial import judge_tap, tap_trace
 from flows.lab.experiments.trial import FIRM, Conditions, Trace, Trial
-from flows.run.executor import process_map
+from flows.run.executor import map_tasks
 from operators import StepGrip
 from operators.detectors import Detector
 
+SEED: Final = 800_000  # far from the seeds of training and test
 THRESHOLDS: Final = 1 / (1 + np.exp(-np.arange(-4, 8.01, 0.25)))  # tried
 
 
@@ -38,20 +40,31 @@ def validation_trial(seed: int) -> Trial:
             return trial
 
 
-def tune(
-    detectors: Mapping[str, Detector], count: int, seed: int, jobs: int | None = None
-) -> dict[str, Tuned]:
-    """Tune the threshold of each detector on the same tap trials.
+def tuned(
+    methods: Sequence[Method],
+    count: int,
+    *,
+    seed: int = SEED,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], object] = lambda _done, _total: None,
+) -> dict[Method, Tuned]:
+    """Tune the threshold of each method on the same tap trials.
 
     Args:
-        detectors: Detectors by name.
+        methods: Detectors and rules.
         count: Number of trials, each with another object and fingertip.
         seed: Random seed of the first trial.
-        jobs: Number of processes; None: one per core.
+        executor: Runs the trials; None: this process.
+        progress: Called with the number of trials, and their total.
+
+    Returns:
+        What each method reaches; the keys have the tuned thresholds.
     """
-    with closing(process_map(_trace, range(seed, seed + count), jobs)) as found:
-        traces = list(found)
-    return {name: best_threshold(detector, traces) for name, detector in detectors.items()}
+    traces = list(map_tasks(_trace, range(seed, seed + count), executor, progress=progress))
+    found = [best_threshold(load_rival(method.detector), traces) for method in methods]
+    return {
+        replace(method, threshold=each.threshold): each for method, each in zip(methods, found, strict=True)
+    }
 
 
 def best_threshold(detector: Detector, traces: Sequence[Trace]) -> Tuned:

@@ -1,30 +1,22 @@
 """Models whose card has debounce settings for a rate of false alarms."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
-from flows.learn.alarms.alarm_calibration import Calibrated, Trials, calibrated
-from flows.learn.labelled_recordings import LabelledRecording, load, session_folders
-from flows.learn.leaks.leak import SEEN, card_leaks
-from flows.learn.leaks.row_hashes import shared_rows
-from flows.learn.provenance import dataset_digest
+from flows.learn.alarms.alarm_calibration import Calibrated, calibrated, try_settings
+from flows.learn.labelled_recordings import LabelledRecording, load
+from flows.learn.provenance import learned_from
 from flows.learn.scoring import probabilities
+from flows.learn.training.trained_model import provenance
 from flows.report.table import counted
-from operators.checks import check_choice
 from operators.errors import InputError, ParameterError
 from operators.software import software_version
-from storage import Session, files, load_detector
-from storage.layout import MANIFEST
+from storage import files, load_detector
 from storage.models import ALARMS, LIMIT, load_card, save_card, shipped
-
-UNITS: Final = ("session", "surface")
-_LEARNED: Final = {"trained on", "chosen on"}  # leaks that exclude a recording
-_PIECES: Final = 10  # into which a single session is cut
-_RULE: Final = "threshold", "consecutive", "release"  # of a debounce
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +30,13 @@ class CalibratedModel:
     def report(self) -> str:
         """Return the result as text."""
         found, events, rate = self.found, self.found.measured, f"{self.found.rate:g}/min"
-        rule, sessions = found.debounce, sum(len(each["sessions"]) for each in self.entry["data"])
+        rule = found.debounce
         slips = f"{events.missed:.1f} % of slips missed, median delay {events.onset_ms:.0f} ms"
-        measured = f"{counted(events.false_alarms, 'false alarm')} in {events.minutes:.1f} static minutes"
         return (
             f"threshold {rule.threshold:g}; {counted(rule.consecutive, 'decision')} to start,"
             f" {rule.release} to end: at most {found.bound:.2g} false alarms per static minute with"
             f" {100 * found.confidence:g} % confidence ({rate} wanted)\n"
-            f"measured: {measured} of {counted(sessions, 'session')};"
+            f"measured: {counted(events.false_alarms, 'false alarm')} in {events.minutes:.1f} static minutes;"
             f" {slips if events.slips else 'no slips'}\n"
             f"wrote {self.path} and its card; use it with"
             f" `slipflow run live --set detector={self.path} --set false_alarms={rate}`"
@@ -58,7 +49,6 @@ def calibrate_model(
     rate: float,
     confidence: float,
     *,
-    by: str = UNITS[0],
     out: Path | None = None,
     log: Callable[[str], object] = lambda _: None,
 ) -> CalibratedModel:
@@ -70,9 +60,7 @@ def calibrate_model(
         model: Name of a shipped model, or its file.
         paths: Labelled datasets or sessions.
         rate: False alarms per static minute.
-        confidence: Probability that the rate is kept.
-        by: One of `UNITS`, the exchangeable units: ``session``: the rate is kept in sessions like these, a
-            single one is cut into pieces; ``surface``: also on other surfaces that are like these.
+        confidence: Probability that the rate is kept in recordings like these.
         out: File for a copy of the model, with its card; None: change the card of the model's file, or
             copy a shipped model into the current folder.
         log: Receives progress messages.
@@ -81,11 +69,10 @@ def calibrate_model(
         InputError: if the model has no file, the recordings cannot be read, are all left out or repeat each
             other, or a shipped model would replace another one in the current folder.
         FingertipError: if the fingertip of the recordings differs from that of the model.
-        ParameterError: if `by` is unknown or the suffix of `out` differs from that of the model.
+        ParameterError: if the suffix of `out` differs from that of the model.
         TooLittleDataError: if there are too few static minutes.
         OSError: if the model cannot be written.
     """
-    check_choice("calibrate", "--by", by, UNITS)
     source = shipped(model) or Path(model)
     detector = load_detector(model)
     if source.suffix not in {".safetensors", ".npz"}:
@@ -95,31 +82,17 @@ def calibrate_model(
         raise ParameterError("calibrate", "out", str(path), f"a path that ends in {source.suffix}")
     card, weights = load_card(source), files.read(source, LIMIT)
     known = [*card.get(ALARMS, ()), *_entries_there(path, source, weights, chosen=out is not None)]
-    recordings, sessions, data = list[LabelledRecording](), list[Path](), list[dict[str, Any]]()
-    for each in paths:
-        log(f"reading {each}")
-        used = unseen_recordings(model, card, each, log)
-        folders = {Session.open(folder).name: folder for folder in session_folders(each)}
-        recordings += used
-        sessions += [folders[recording.name] for recording in used]
-        data.append(_identity(each, [folders[name] for name in dict.fromkeys(one.name for one in used)]))
+    used = [(each, _unseen(model, card, each, log)) for each in paths]
+    recordings = [recording for _, found in used for recording in found]
     if not recordings:
         raise InputError(
             "calibrate", "no recordings are left: give recordings that the model has not learned from"
         )
     _check_distinct(recordings)
     log(f"scoring {counted(len(recordings), 'recording')}")
-    units = [one.group or one.surface for one in recordings] if by == UNITS[1] else sessions
-    pieces = 1
-    if len(set(units)) == 1:
-        if by == UNITS[1]:
-            raise InputError(
-                "calibrate --by surface", f"needs several surfaces; all recordings are of {units[0]!r}"
-            )
-        pieces = _PIECES
-    trials = Trials.of(recordings, [probabilities(detector, one) for one in recordings], pieces)
-    found = calibrated(trials.pooled([*product(units, range(pieces))]), rate, confidence)
-    entry = {**_entry(found, data), "by": by}
+    trials = try_settings(recordings, [probabilities(detector, one) for one in recordings])
+    found = calibrated(trials, rate, confidence)
+    entry = _entry(found, [provenance(*each) for each in used])
     entries = {float(each["false_alarms_per_min"]): each for each in (*known, entry)}
     card |= {
         "file": path.name,
@@ -132,19 +105,15 @@ def calibrate_model(
     return CalibratedModel(path, entry, found)
 
 
-def unseen_recordings(
+def _unseen(
     model: str, card: Mapping[str, Any], path: Path, log: Callable[[str], object]
 ) -> list[LabelledRecording]:
-    """Read recordings; leave out those that the model was trained or chosen on."""
+    """Read recordings; of a dataset that the model has learned from, only those of its test split."""
+    log(f"reading {path}")
     recordings = load(path)
-    digest = "" if SEEN in card else dataset_digest(path)
-
-    def leaks(judged: Sequence[LabelledRecording]) -> bool:
-        return any(leak.kind in _LEARNED for leak in card_leaks(model, card, judged, digest))
-
-    if not leaks(recordings):
+    if not learned_from(card, path):
         return recordings
-    kept = [recording for recording in recordings if not leaks([recording])]
+    kept = [recording for recording in recordings if recording.split == "test"]
     left_out = counted(len(recordings) - len(kept), "recording")
     log(f"left out {left_out} of {path}: {model} has learned from them")
     return kept
@@ -166,26 +135,16 @@ def _entries_there(path: Path, source: Path, weights: bytes, *, chosen: bool) ->
 
 
 def _check_distinct(recordings: Sequence[LabelledRecording]) -> None:
-    """Check that no recording repeats another one.
+    """Check that no recording is given twice, which would show a rate with more confidence than there is.
 
     Raises:
-        InputError: if two recordings have rows in common.
+        InputError: if two recordings have the same samples.
     """
-    for pair in shared_rows(recordings, range(len(recordings))):
-        both = f"{pair.first.name} and {pair.second.name} have {counted(pair.rows, 'row')} in common"
-        reason = (
-            "repeated data would show a rate with more confidence than there is; give each recording once"
-        )
-        raise InputError("calibrate", f"{both}: {reason}")
-
-
-def _identity(path: Path, sessions: Sequence[Path]) -> dict[str, Any]:
-    """Return the names of sessions and the sha256 of their manifests, which state that of every part."""
-    digests = {
-        session.name: hashlib.sha256(files.read(session / MANIFEST, LIMIT)).hexdigest()
-        for session in sessions
-    }
-    return {"name": path.resolve().name, "sessions": digests}
+    digests = [hashlib.sha256(each.counts.tobytes()).digest() for each in recordings]
+    twice = {digest for digest, count in Counter(digests).items() if count > 1}
+    names = [each.name for each, digest in zip(recordings, digests, strict=True) if digest in twice]
+    if names:
+        raise InputError("calibrate", f"{' and '.join(names[:2])} are the same: give each recording once")
 
 
 def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -201,7 +160,7 @@ def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, An
         "false_alarms_per_min": found.rate,
         "confidence": found.confidence,
         "bound_per_min": round(found.bound, 4),
-        "debounce": {name: getattr(found.debounce, name) for name in _RULE},
+        "debounce": {name: getattr(found.debounce, name) for name in ("threshold", "consecutive", "release")},
         "measured": measured,
         "data": list(data),
         "software": f"slipflow {software_version()}",

@@ -120,7 +120,7 @@ def _folds(of: DatasetResult) -> Section:
 
 
 def _gap(of: DatasetResult) -> list[Table]:
-    """Return the share of the gap to the in-domain default detector that adapted detectors close."""
+    """Return the share of the gap to the in-domain default detector that few-shot detectors close."""
     found = {(each.entrant.regime, each.entrant.name): each.by_fold for each in of.results}
     if (high := found.get(("in-domain", DEFAULT))) is None:
         return []
@@ -128,7 +128,7 @@ def _gap(of: DatasetResult) -> list[Table]:
     rows: list[list[Value]] = [
         [regime, name, *(_closed(own[fold], low[fold], high[fold]) for fold in names)]
         for (regime, name), own in found.items()
-        if regime in {"adapted", "few-shot"} and (low := found.get(("zero-shot", name)))
+        if regime == "few-shot" and (low := found.get(("zero-shot", name)))
     ]
     if not any(isinstance(value, float) and isfinite(value) for row in rows for value in row):
         return []

@@ -15,13 +15,12 @@ from flows.learn.benchmark.entrants import (
     MAJORITY,
     MINUTES,
     REGIMES,
-    SECONDS,
     Course,
     Entrant,
     Regime,
     entrants,
 )
-from flows.learn.benchmark.folds import BenchmarkData, Fold, load_folds, without_labels
+from flows.learn.benchmark.folds import BenchmarkData, Fold, load_folds
 from flows.learn.evaluation.event_metrics import DECISION
 from flows.learn.evaluation.intervals import Figures, Judged, figures
 from flows.learn.evaluation.methods import SHIPPED, trained_methods
@@ -178,9 +177,8 @@ def _units(loaded: _Loaded, chosen: Sequence[Entrant], course: Course) -> list[_
         data = loaded.by_entrant[entrant.title]
         fold = data.folds[place]
         for draw in range(entrant.draws):
-            own = without_labels(data, fold, SECONDS, draw) if entrant.regime == "adapted" else fold
-            test = [data.recordings[place] for place in own.test]
-            units.append(_Unit(entrant, own, draw, test, course))
+            test = [data.recordings[place] for place in fold.test]
+            units.append(_Unit(entrant, fold, draw, test, course))
     return units
 
 

@@ -8,11 +8,8 @@ from typing import Final, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from flows.learn.adaptation.adapted import SHORTEST, adapt
-from flows.learn.adaptation.derived_model import adapted_debounce
-from flows.learn.adaptation.fine_tuning import fine_tune
 from flows.learn.benchmark.fold_training import trained_tcn
-from flows.learn.benchmark.folds import ADAPTED_DRAWS, Fold, labelled_minutes
+from flows.learn.benchmark.folds import Fold, labelled_minutes
 from flows.learn.evaluation.baselines import STROKES, GradientBoosting, Logistic
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.evaluation_study import PAPER_RULE
@@ -20,6 +17,7 @@ from flows.learn.evaluation.methods import SHIPPED, Method
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, windows
 from flows.learn.training.recipe import Recipe
+from flows.learn.training.trainer import FURTHER_STEPS
 from operators import Debounce, Score
 from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd, Tcn
@@ -27,16 +25,14 @@ from operators.detectors.weights import ForOneFingertip
 from operators.errors import FingertipError, InputError
 from operators.fingertip import Fingertip
 
-Regime: TypeAlias = Literal["zero-shot", "adapted", "few-shot", "in-domain"]
+Regime: TypeAlias = Literal["zero-shot", "few-shot", "in-domain"]
 REGIMES: Final[tuple[Regime, ...]] = get_args(Regime)
 MEANING: Final[Mapping[Regime, str]] = {
     "zero-shot": "shipped or given detectors as they are: no fitting",
-    "adapted": "adapted to 30 s, without labels, of one of the judged recordings, which then does not count",
     "few-shot": "fitted to two labelled minutes of the other {parts}",
     "in-domain": "fitted to all recordings of the other {parts}",
 }
 MINUTES: Final = 2.0  # labelled, few-shot
-SECONDS: Final = 30.0  # without labels, adapted
 FEW_DRAWS: Final = 3  # of the labelled minutes
 MAJORITY: Final = "majority"
 DEFAULT: Final = "tcn"  # shipped detector that is trained on the folds
@@ -127,16 +123,12 @@ def entrants(methods: Sequence[Method], regimes: Collection[str]) -> list[Entran
         Entrant("few-shot", each.name, partial(_tuned, each), "trained further", each, FEW_DRAWS, cost=50.0)
         for each in parents
     ]
-    adapted = [
-        Entrant("adapted", each.name, partial(_adapted, each), "adapted", each, ADAPTED_DRAWS, cost=10.0)
-        for each in parents
-    ]
     learned = [
         Entrant("in-domain", MAJORITY, _majority, "constant"),
         *(Entrant("in-domain", name, partial(_all, name), "fitted", cost=5.0) for name in _FITTED),
         Entrant("in-domain", DEFAULT, _tcn, "trained", cost=120.0),
     ]
-    return [each for each in (*ready, *adapted, *few, *learned) if each.regime in regimes]
+    return [each for each in (*ready, *few, *learned) if each.regime in regimes]
 
 
 def _is_parent(method: Method) -> bool:
@@ -169,27 +161,14 @@ def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
         return Fitted(detector, _paper_rule(fold))
 
 
-def _adapted(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
-    """Adapt to the fold's recording without labels; keep the old network unless the new one is better."""
-    assert isinstance(method.detector, Tcn), "only these are adapted"
-    old = method.debounce or _paper_rule(fold)
-    try:
-        found = adapt(method.detector, fold.train)
-    except InputError:
-        seconds = sum(len(each) / each.fingertip.rate for each in fold.train)
-        reason = "too short" if seconds < SHORTEST else "no rest or no strokes"
-        return Fitted(method.detector, old, f"kept: {reason}")
-    if not found.better:
-        return Fitted(method.detector, old, NOT_BETTER)
-    return Fitted(found.tcn, adapted_debounce(found, fold.train))
-
-
 def _tuned(method: Method, fold: Fold, course: Course, draw: int) -> Fitted:
     """Train further on labelled minutes; keep the old network unless the new one is better."""
+    from flows.learn.training.fine_tuning import fine_tune  # noqa: PLC0415 - imports torch
+
     assert isinstance(method.detector, Tcn), "only these are trained further"
     recordings = labelled_minutes(fold, MINUTES, _draw_seed(course, draw))
-    found = fine_tune(method.detector, recordings, seed=course.seed)
-    if not found.better:
+    found = fine_tune(method.detector, recordings, (), Recipe(steps=FURTHER_STEPS, seed=course.seed))
+    if not found.after["balanced"] > found.before["balanced"]:
         return Fitted(method.detector, method.debounce or _paper_rule(fold), NOT_BETTER)
     return Fitted(found.tcn, tuned_on(recordings, found.tcn))
 

@@ -11,7 +11,7 @@ from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.leaks.leak import SEEN, seen_recordings
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import unchanged, write_model
+from flows.learn.training.trained_model import write_model
 from operators import Debounce
 from operators.detectors import Detector, Tcn
 from operators.errors import InputError
@@ -54,7 +54,7 @@ def trained_tcn(
         "recipe": asdict(own),
     }
     path = folder / f"tcn-{hash_json(settings)[:_NAME]}.safetensors"
-    if unchanged(path, settings) is None:
+    if not path.exists():  # its name has the digest of the settings
         _train(path, settings, (fit, validation), own, progress)
     return load_detector(path), load_debounce(path) or Debounce()
 
@@ -88,7 +88,7 @@ def _train(
         "curve": [asdict(check) for check in trained.curve],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_model(path, trained.arrays, card, trained.curve)
+    write_model(path, trained.arrays, card)
 
 
 def _content(recordings: Sequence[LabelledRecording]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Recordings of a dataset and their folds: each surface, object or recording is judged once, unseen."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import isclose
 from pathlib import Path
 from typing import Final
@@ -15,12 +15,10 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.leaks.leak import Leak, shared_leaks
-from operators.batch import UNKNOWN
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, Fingertip
 
 RATE: Final = 100.0  # Hz, lowest rate of fits: the windows of slower samples would last for seconds
-ADAPTED_DRAWS: Final = 3  # recordings of a fold that detectors adapt to, one after the other
 _MOST: Final = 8  # folds by recording
 _TURN: Final = 5  # every fifth recording of a fold's training validates
 
@@ -137,26 +135,6 @@ def labelled_minutes(fold: Fold, minutes: float, seed: int) -> list[LabelledReco
         found.append(fold.train[place].piece(slice(left)))
         left -= len(found[-1])
     return found
-
-
-def without_labels(data: BenchmarkData, fold: Fold, seconds: float, draw: int) -> Fold:
-    """Return a fold whose training is the start of one judged recording without labels.
-
-    That recording is not judged. A fold of one recording gives one of the other folds instead.
-
-    Args:
-        data: Dataset of the fold.
-        fold: The fold.
-        seconds: Length of the start.
-        draw: Number that chooses the recording.
-    """
-    if len(fold.test) > 1:
-        chosen = fold.test[draw * len(fold.test) // ADAPTED_DRAWS % len(fold.test)]
-        source, judged = data.recordings[chosen], tuple(place for place in fold.test if place != chosen)
-    else:
-        source, judged = fold.train[draw % len(fold.train)], fold.test
-    start = source.piece(slice(round(seconds * source.sampling.rate)))
-    return Fold(fold.name, (replace(start, label=np.full_like(start.label, UNKNOWN)),), judged)
 
 
 def _of_groups(

@@ -11,7 +11,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe
-from flows.learn.training.training_loop import Arrays, Network, set_seed
+from flows.learn.training.trained_model import Arrays
+from flows.learn.training.training_loop import Network, set_seed
 from operators.batch import BAROMETERS, Reals
 from operators.checks import check_choice
 from operators.detectors.frequency_cnn import BINS, PARTS, PIXELS

@@ -7,7 +7,8 @@ from typing import Final, Self
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 
-PAPER_NETWORKS: Final = ("frequency_cnn", "frequency_cnn_interleaved", "paper_tcn")
+EPOCHS: Final = {"frequency_cnn": 40, "frequency_cnn_interleaved": 6, "paper_tcn": 25}
+PAPER_NETWORKS: Final = tuple(EPOCHS)
 LONGEST: Final = 400  # samples, maximum receptive field
 
 
@@ -120,3 +121,8 @@ class PaperRecipe:
 
     def __post_init__(self) -> None:
         check_at_least("PaperRecipe", "epochs", self.epochs, 1)
+
+
+def paper_recipe(network: str, seed: int = 0) -> PaperRecipe:
+    """Return the recipe of one of the paper's networks, with as many epochs as its validation improves."""
+    return PaperRecipe(epochs=EPOCHS[network], seed=seed)

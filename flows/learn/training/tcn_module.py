@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.training_loop import Arrays, Network
+from flows.learn.training.trained_model import Arrays
+from flows.learn.training.training_loop import Network
 from operators.batch import BAROMETERS
 from operators.detectors.tcn import Tcn
 

@@ -1,7 +1,6 @@
 """Trained models on disk: weights and a card with their origin and performance."""
 
 import hashlib
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,13 +16,23 @@ from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
-from flows.learn.training.learning_curve import Check
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector
 from storage import save_weights
-from storage.models import load_card, save_card
+from storage.models import save_card
 
-Arrays: TypeAlias = Mapping[str, NDArray[Any]]
+Arrays: TypeAlias = Mapping[str, NDArray[Any]]  # weights as a detector takes them
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """Evaluation on the validation split during training."""
+
+    done: int  # steps
+    seconds: float
+    loss: float  # mean since the last check, nats
+    accuracy: float  # on the validation split, %
+    balanced: float  # the same, mean of the two classes, %
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +41,20 @@ class Model:
 
     path: Path
     card: Mapping[str, Any]  # contents of its .json file
-    curve: Sequence[Check]
+
+    def report(self) -> str:
+        """Return the scores as text."""
+        scores: Mapping[str, Mapping[str, float]] = self.card["scores"]
+        lines = [f"wrote {self.path} and its card"]
+        for part, each in scores.items():
+            interval = ""
+            if "balanced_low" in each:
+                interval = f" ({each['balanced_low']:.1f} to {each['balanced_high']:.1f} over recordings)"
+            shown = f"accuracy {each['accuracy']:.2f} %, balanced {each['balanced']:.2f} %{interval}"
+            lines.append(f"{part}: {shown}")
+        if "before" in scores and not scores["after"]["balanced"] > scores["before"]["balanced"]:
+            lines.append("it is NOT better than the model that it was trained from: keep that one")
+        return "\n".join(lines)
 
 
 def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) -> dict[str, float]:
@@ -65,38 +87,20 @@ def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[s
     }
 
 
-def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequence[Check]) -> Model:
+def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any]) -> Model:
     """Write a model and its card.
 
     Args:
         path: Model file, .safetensors; the card has the same name with .json.
         arrays: Weights.
         card: Contents of the card, without the name, sha256 and number of weights of the file.
-        curve: Learning curve.
 
     Raises:
         OSError: if a file cannot be written.
     """
-    save_weights(
-        path, arrays, {"detector": str(card["detector"])}
-    )  # one key only: the order of several is not fixed
+    save_weights(path, arrays, {"detector": str(card["detector"])})  # one key: the order of more varies
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     size = sum(int(array.size) for array in arrays.values())
     card = {**card, "file": path.name, "sha256": digest, "numbers": size}
     save_card(path, card)
-    return Model(path, card, curve)
-
-
-def unchanged(path: Path, settings: Mapping[str, Any]) -> Model | None:
-    """Return the model at `path` if it matches its card and the card states these settings, otherwise None.
-
-    Raises:
-        InputError: if the card is damaged.
-    """
-    card = load_card(path)
-    stated = {name: card.get(name) for name in settings}
-    if stated != json.loads(json.dumps(settings)) or not path.exists():
-        return None
-    if card.get("sha256") != hashlib.sha256(path.read_bytes()).hexdigest():
-        return None
-    return Model(path, card, [Check(**check) for check in card["curve"]])
+    return Model(path, card)

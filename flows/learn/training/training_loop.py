@@ -1,21 +1,19 @@
 """Training loop of all networks: steps of an optimiser, and regular checks on the validation split."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.training.learning_curve import Check, best
+from flows.learn.training.trained_model import Arrays, Check
 from operators.batch import Flags
 
-Arrays: TypeAlias = Mapping[str, NDArray[Any]]  # weights as a detector takes them
 Progress: TypeAlias = Callable[[int, int, Check | None], object]  # steps done, all steps, new check
 
 
@@ -106,3 +104,8 @@ def _evaluate(task: TrainingTask) -> Confusion:
     task.network.eval()
     with torch.no_grad():
         return Confusion.of(*task.predict())
+
+
+def best(curve: Sequence[Check]) -> Check:
+    """Return the check with the best balanced accuracy, the first of equals."""
+    return max(curve, key=lambda check: check.balanced)

@@ -9,9 +9,10 @@ from aiomqtt import Client
 
 from connectors.mqtt import broker_link as module
 from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
-from connectors.mqtt.broker_link import Link, connect
+from connectors.mqtt.broker_link import connect
 from operators.errors import EndpointError
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
+from tests.inside import inside
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
@@ -35,9 +36,9 @@ def test_a_sent_message_has_arrived(broker: TestBroker) -> None:
 
 async def test_a_connection_sets_tcp_nodelay_and_short_timeouts(broker: TestBroker) -> None:
     link = await connect(Broker.parse(broker.url), "test")
-    client = vars(link)["_client"]
-    assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-    assert link.timeout == client.connect_timeout == module.TIMEOUT
+    client, paho = inside(link, "_client"), inside(link, "_paho")
+    assert paho.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert client.timeout == paho.connect_timeout == module.TIMEOUT
     await link.disconnect()
 
 
@@ -83,16 +84,16 @@ def test_a_server_that_disconnects_is_an_error_at_once() -> None:
 def test_a_cancelled_attempt_leaves_no_open_connection(
     broker: TestBroker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, go_on, links = threading.Event(), threading.Event(), list[Link]()
+    begun, go_on, clients = threading.Event(), threading.Event(), list[Client]()
     connect = vars(Client)["_client_connect"]
 
-    def connect_slowly(self: Link) -> None:
-        links.append(self)
+    def connect_slowly(self: Client) -> None:
+        clients.append(self)
         begun.set()
         assert go_on.wait(PATIENCE)
         connect(self)
 
-    monkeypatch.setattr(Link, "_client_connect", connect_slowly)
+    monkeypatch.setattr(Client, "_client_connect", connect_slowly)
 
     async def main() -> None:
         attempt = asyncio.create_task(use(broker.url))
@@ -102,7 +103,7 @@ def test_a_cancelled_attempt_leaves_no_open_connection(
         go_on.set()
         with pytest.raises(asyncio.CancelledError):
             await attempt
-        assert vars(links[0])["_client"].socket() is None
+        assert inside(clients[0], "_client").socket() is None
 
     asyncio.run(main())
 

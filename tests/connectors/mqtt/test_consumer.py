@@ -1,5 +1,4 @@
 import asyncio
-import json
 import shutil
 import textwrap
 from collections.abc import AsyncGenerator, Callable
@@ -13,10 +12,10 @@ import pytest
 
 from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
-from connectors.mqtt import consumer, mqtt_sink, outbox_log
+from connectors.mqtt import mqtt_sink, outbox_log
 from connectors.mqtt.broker_link import Link
 from operators.batch import Slips
-from operators.errors import EndpointError, InputError, ParameterError
+from operators.errors import EndpointError, ParameterError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.inside import inside
@@ -94,7 +93,7 @@ async def test_a_replay_is_followed_only_by_its_name(broker: TestBroker) -> None
         publish(broker, 3, "a-replay")
         later = publish(broker, 3, "b")
         assert await anext(events) == later
-        assert {place for place, _ in inside(events, "_requested")} == {("lab", "b")}
+        assert inside(events, "_requests").keys() == {("lab", "b")}
     assert not reports
 
 
@@ -141,66 +140,6 @@ async def test_a_duplicate_event_is_not_delivered(broker: TestBroker) -> None:
         assert await take(events, 3) == [1, 2, 3]
 
 
-async def test_a_missed_event_is_fetched_and_arrives_late(
-    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reports, read = list[str](), vars(Consumer)["_process"]
-
-    def deaf(self: Consumer, place: str, payload: bytes) -> Event | None:
-        lost = place.endswith("event") and Event.decode(payload).seq in (2, 3)
-        return None if lost else read(self, place, payload)
-
-    monkeypatch.setattr(Consumer, "_process", deaf)
-    async with publishing(broker, run) as sink, Consumer(broker.url, report=reports.append) as events:
-        await following(events)
-        await sink.write(slips(1, 0, 1, 0))
-        assert sorted(await take(events, 4)) == [1, 2, 3, 4]
-    assert not reports
-
-
-async def test_a_head_of_a_rig_without_a_name_stops_no_request(
-    broker: TestBroker, run: Run, tmp_path: Path
-) -> None:
-    broker.publish("slip/v1/lab//head", '{"epoch": "q", "last_seq": 9}', "-r")
-    async with publishing(broker, run) as sink:
-        for count in (2, 4):  # also with the position that the first consumer saved
-            await sink.write(slips(1, 0))
-            await until(lambda: not inside(sink, "_outbox").waiting)
-            position = tmp_path / "position"
-            async with Consumer(broker.url, since="start", position_file=position) as events:
-                assert await take(events, 2) == [count - 1, count]
-                await waiting(events, lambda: not inside(events, "_changed"))
-
-
-async def test_a_head_beyond_the_newest_event_is_a_gap(broker: TestBroker, run: Run, tmp_path: Path) -> None:
-    async with publishing(broker, run) as sink:
-        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
-            await following(events)
-            await sink.write(slips(1))
-            assert await take(events, 1) == [1]
-            await following(events)
-        await sink.write(slips(0, 1))
-        await until(lambda: not inside(sink, "_outbox").waiting)
-        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
-            assert await take(events, 2) == [2, 3]
-
-
-async def test_a_gap_request_is_repeated_until_it_is_answered(
-    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(consumer, "REQUEST_EVERY", 0.05)
-    async with publishing(broker, run) as sink:
-        await sink.write(slips(1, 0))
-    async with Consumer(broker.url, since="start") as events:
-        listener = await asyncio.to_thread(broker.listen, f"{UR10}/replay/request")
-        found = asyncio.create_task(take(events, 2))
-        for _ in range(3):
-            request = json.loads((await asyncio.to_thread(listener.next)).payload)
-            assert (request["from"], request["to"]) == (1, 2)
-        async with publishing(broker, run):
-            assert await found == [1, 2]
-
-
 async def test_since_start_delivers_all_kept_events(broker: TestBroker, run: Run) -> None:
     async with publishing(broker, run) as sink:
         for _ in range(4):
@@ -221,7 +160,7 @@ async def test_events_that_are_no_longer_kept_are_reported_as_lost(
         for _ in range(5):
             await sink.write(slips(1, 0))
             await until(lambda: not outbox.waiting)
-        await until(lambda: inside(outbox, "_log").first == 7)
+        await until(lambda: inside(outbox, "_log").span(outbox.epoch)[0] == 7)
         async with Consumer(broker.url, since="start", report=reports.append) as events:
             assert await take(events, 4) == [7, 8, 9, 10]
             await waiting(events, lambda: bool(reports))
@@ -291,28 +230,6 @@ async def test_dropped_messages_are_reported_and_their_events_fetched(
     assert all(report.endswith("messages dropped: the consumer is too slow") for report in reports)
 
 
-async def test_a_killed_consumer_resumes_and_misses_nothing(
-    broker: TestBroker, run: Run, tmp_path: Path
-) -> None:
-    position, found = tmp_path / "position", list[int]()
-    async with publishing(broker, run) as sink:
-        for turn in range(4):
-            async with Consumer(broker.url, position_file=position) as events:
-                await following(events)
-                for _ in range(5):
-                    await sink.write(slips(1, 0))
-                    found += await take(events, 1)
-                await until(position.exists)
-                position = Path(shutil.copy(position, tmp_path / f"killed{turn}"))  # as a kill leaves it now
-            await sink.write(slips(*[1, 0] * turn))
-        await until(lambda: not inside(sink, "_outbox").waiting)
-        last = inside(sink, "_outbox").heads()[-1][1]
-        async with Consumer(broker.url, position_file=position) as events, asyncio.timeout(PATIENCE):
-            while len(set(found)) < last:
-                found.append((await anext(events)).seq)
-        assert set(found) == set(range(1, last + 1))
-
-
 async def test_an_event_in_progress_is_delivered_again(broker: TestBroker, tmp_path: Path) -> None:
     for expected in ([1, 2], [2, 3], [3, 4]):
         async with Consumer(broker.url, position_file=tmp_path / "position") as events:
@@ -364,13 +281,6 @@ async def test_cancelling_a_wait_loses_no_event(broker: TestBroker) -> None:
             await asyncio.wait([waiting])
             await asyncio.to_thread(publish, broker, seq)
             assert await take(events, 1) == [seq]
-
-
-async def test_a_malformed_position_file_is_an_error(broker: TestBroker, tmp_path: Path) -> None:
-    (tmp_path / "position").write_text("{}")
-    with pytest.raises(InputError, match="is not a position"):
-        async with Consumer(broker.url, position_file=tmp_path / "position"):
-            pass
 
 
 @pytest.mark.parametrize(

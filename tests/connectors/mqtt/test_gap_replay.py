@@ -15,7 +15,7 @@ from connectors.mqtt import outbox as outbox_module
 from connectors.mqtt.broker import Message
 from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.outbox_log import Entry
+from connectors.mqtt.outbox_log import Entry, Key
 from operators.errors import EndpointError, InputError
 from tests.inside import inside
 from tests.waiting import until
@@ -153,14 +153,14 @@ def test_events_no_longer_kept_are_listed_as_missing(tmp_path: Path, monkeypatch
         for _ in range(4):
             await outbox.append([DRAFT] * 10)
             outbox.acknowledge(await outbox.next(10))
-        await until(lambda: inside(outbox, "_log").first == 21)
-        read_back = inside(outbox, "_log").read
-        inside(outbox, "_memory").clear()
+        log = inside(outbox, "_log")
+        await until(lambda: log.span(outbox.epoch)[0] == 21 and not inside(outbox, "_unsynced"))
+        read_back = log.read
 
-        def damaged(ids: Sequence[int]) -> list[Entry]:
-            return [entry for entry in read_back(ids) if entry.seq != 37]
+        def damaged(keys: Sequence[Key]) -> list[Entry]:
+            return [entry for entry in read_back(keys) if entry.seq != 37]
 
-        monkeypatch.setattr(inside(outbox, "_log"), "read", damaged)
+        monkeypatch.setattr(log, "read", damaged)
         ask(given, outbox.epoch, 1, 10**12)
         events, closings = read(await answers(given))
         assert events == [*range(21, 37), 38, 39, 40]

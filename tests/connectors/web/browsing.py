@@ -1,16 +1,17 @@
 """Pages in a thread, for browser tests."""
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Generator
+from contextlib import contextmanager
 from threading import Thread
 from typing import Any, Self
 
 import numpy as np
-from playwright.sync_api import ConsoleMessage, Locator, Request
+from playwright.sync_api import Browser, ConsoleMessage, Locator, Request, sync_playwright
 from playwright.sync_api import Page as Tab
 
 from connectors import Page
-from connectors.web.session_requests import SessionPage, session_requests
+from connectors.web.session_page import SessionPage
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
@@ -30,6 +31,20 @@ FLAGS = (
 )
 WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
 LATE = 60_000  # ms, for a busy machine
+MOVE = """(slider, t) => {
+  slider.step = 10;  // finer than by hand
+  slider.value = t;
+  slider.dispatchEvent(new Event("input"));
+}"""
+
+
+@contextmanager
+def chromium() -> Generator[Browser]:
+    """Start headless Chromium."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        yield browser
+        browser.close()
 
 
 class Watched:
@@ -62,6 +77,12 @@ def shaking(seconds: int) -> list[Touch]:
     return batches
 
 
+def sideways(tab: Tab) -> int:
+    """Return by how many pixels the page can be scrolled sideways."""
+    found: int = tab.evaluate("() => document.documentElement.scrollWidth - innerWidth")
+    return found
+
+
 def drag(tab: Tab, place: Locator, begin: float, end: float, *, y: float = 0.5) -> None:
     """Drag over a chart, from and to shares of its time axis."""
     place.scroll_into_view_if_needed()
@@ -76,7 +97,7 @@ def drag(tab: Tab, place: Locator, begin: float, end: float, *, y: float = 0.5) 
 
 
 class Served:
-    """An event loop in a thread, with a page or a scrubber in it."""
+    """An event loop in a thread, with a page in it."""
 
     def __init__(self) -> None:
         self.loop = asyncio.new_event_loop()
@@ -151,17 +172,17 @@ class ServedPage(Served):
 
 
 class ServedRecording(Served):
-    """The page of a recorded session, or of two side by side."""
+    """The page of a recorded session."""
 
-    def __init__(self, *recorded: Coroutine[Any, Any, SessionPage]) -> None:
+    def __init__(self, recorded: Coroutine[Any, Any, SessionPage]) -> None:
         super().__init__()
         self._recorded = recorded
 
     def __enter__(self) -> Self:
         super().__enter__()
         self._server = page_server("127.0.0.1", 0)
-        pages: list[SessionPage] = [self.do(each) for each in self._recorded]
-        self.do(self._server.open(*session_requests(pages)))
+        page: SessionPage = self.do(self._recorded)
+        self.do(self._server.open(page.handlers(), page.writers()))
         self.url = self._server.url
         return self
 

@@ -1,12 +1,13 @@
-"""Rows of streams, and a reader of the live page's messages."""
+"""Rows of streams, and a reader of the live page's frames."""
 
 import asyncio
+import json
 from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import aclosing, asynccontextmanager
 from typing import Any
 
 import numpy as np
-from aiohttp import ClientConnectionError, ClientSession
+from aiohttp import ClientSession, WSMsgType
 
 from operators.batch import Motion, Scores, Slips, Zeroed
 from tests.waiting import PATIENCE
@@ -35,25 +36,19 @@ def moved(time: int) -> Motion:
     return Motion(at, at, np.array([[0.003, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)))
 
 
-async def messages(session: ClientSession, url: str, browser: str = "test") -> AsyncIterator[tuple[str, Any]]:
-    """Yield the messages of a live page until it ends: name and document."""
-    query = {"browser": browser, "session": "", "next": ""}
-    with suppress(ClientConnectionError):
-        while True:
-            async with session.get(f"{url}/messages", params=query) as response:
-                assert response.status == 200, await response.text()
-                found = await response.json()
-            query["next"] = str(found["next"])
-            for name, document in found["messages"]:
-                if name == "hello":
-                    query["session"] = document["session"]
-                yield name, document
-                if name == "end":
-                    return
+async def frames(session: ClientSession, url: str) -> AsyncGenerator[dict[str, Any]]:
+    """Yield the frames of a live page until it ends."""
+    async with session.ws_connect(f"{url}/live", origin=url) as socket:
+        while not socket.closed:
+            await socket.send_str("")
+            message = await socket.receive()
+            if message.type is not WSMsgType.TEXT:
+                return
+            yield json.loads(message.data)
 
 
 @asynccontextmanager
-async def listening(url: str) -> AsyncGenerator[AsyncIterator[tuple[str, Any]]]:
-    """Read the messages of a page as a browser does."""
-    async with asyncio.timeout(PATIENCE), ClientSession() as session:
-        yield messages(session, url)
+async def listening(url: str) -> AsyncGenerator[AsyncIterator[dict[str, Any]]]:
+    """Read the frames of a page as a browser does."""
+    async with asyncio.timeout(PATIENCE), ClientSession() as session, aclosing(frames(session, url)) as found:
+        yield found

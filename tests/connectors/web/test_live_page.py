@@ -4,35 +4,34 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, TypeAlias
 
+import numpy as np
 import pytest
-from aiohttp import ClientSession
+from aiohttp import ClientSession, WSServerHandshakeError
 
 from connectors import Page
-from operators.batch import ms, s
+from operators.batch import Zeroed, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import listening, slip, touched
-from tests.waiting import until
+from tests.waiting import PATIENCE
 
-Heard: TypeAlias = AsyncIterator[tuple[str, dict[str, Any]]]
+Frames: TypeAlias = AsyncIterator[dict[str, Any]]
 
 NOW = 100 * s
 
 
 @asynccontextmanager
-async def opened(page: Page, run: Run) -> AsyncGenerator[tuple[Page, Heard]]:
-    """A page that is open, and what a browser hears of it."""
+async def opened(page: Page, run: Run) -> AsyncGenerator[tuple[Page, Frames]]:
+    """Open a page, and read it as a browser does."""
     await page.open(run)
-    async with listening(page.url) as heard:
-        yield page, heard
+    async with listening(page.url) as frames:
+        yield page, frames
         await page.close()
 
 
-async def next_of(heard: Heard, name: str) -> dict[str, Any]:
-    async for each, document in heard:
-        if each == name:
-            return document
-    raise AssertionError(name)
+async def first_with(frames: Frames, name: str) -> Any:  # noqa: ANN401 - of JSON
+    """Return the first value of a name that is not empty."""
+    return await anext(frame[name] async for frame in frames if frame.get(name))
 
 
 def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
@@ -41,28 +40,18 @@ def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
         await page.open(run)
         await page.write(touched(NOW - 20 * ms, -5))
         await page.write(slip(NOW - 10 * ms, 1))
-        async with listening(page.url) as heard:
-            hello = await next_of(heard, "hello")
-            assert (hello["session"], hello["flow"], hello["threshold"]) == ("run1", "live", 0.78)
-            assert (hello["live"], hello["recording"], hello["start"]) == (True, None, 90_000)
-            assert hello["touch"]["0"]["v"] == [[-5] * 6]
-            assert hello["slipping"] == ["0"]
-            assert [event["latency"] for event in hello["events"]] == [10.0]
+        async with listening(page.url) as frames:
+            frame = await anext(frames)
+            about = frame["run"]
+            assert (about["session"], about["flow"], about["threshold"]) == ("run1", "live", 0.78)
+            assert (about["recording"], about["start"]) == (None, 90_000)
+            assert frame["rows"]["touch"]["0"]["v"] == [[-5] * 6]
+            assert frame["slipping"] == ["0"]
+            assert [event["latency"] for event in frame["events"]] == [10.0]
             await page.write(touched(NOW, -9))
-            frame = await next_of(heard, "frame")
-            assert frame["touch"]["0"]["t"][-1] == 10_000
-        await page.close()
-
-    asyncio.run(main())
-
-
-def test_an_impossible_number_of_a_message_gets_the_first_messages(run: Run) -> None:
-    async def main() -> None:
-        page, query = Page(port=0), {"session": "run1", "next": "9" * 5000}
-        await page.open(run)
-        async with ClientSession() as browser, browser.get(f"{page.url}/messages", params=query) as response:
-            found = await response.json()
-        assert [name for name, _ in found["messages"]] == ["hello", "report"]
+            frame = await anext(frames)
+            assert frame["rows"]["touch"]["0"]["t"] == [10_000]
+            assert (frame["events"], "run" in frame) == ([], False)
         await page.close()
 
     asyncio.run(main())
@@ -70,14 +59,53 @@ def test_an_impossible_number_of_a_message_gets_the_first_messages(run: Run) -> 
 
 def test_rows_that_arrive_together_share_a_frame(run: Run) -> None:
     async def main() -> None:
-        async with opened(Page(port=0), run) as (page, heard):
-            await next_of(heard, "hello")
+        async with opened(Page(port=0), run) as (page, frames):
+            await anext(frames)
             for finger in range(3):
                 await page.write(touched(NOW, -1, finger=finger))
             await page.write(slip(NOW, 1))
-            frame = await next_of(heard, "frame")
-            assert sorted(frame["touch"]) == ["0", "1", "2"]
+            frame = await anext(frames)
+            assert sorted(frame["rows"]["touch"]) == ["0", "1", "2"]
             assert frame["slipping"] == ["0"]
+
+    asyncio.run(main())
+
+
+def test_a_browser_that_does_not_ask_costs_nothing_and_gets_the_last_30_s_later(run: Run) -> None:
+    rows = 50_000
+    time = NOW + np.arange(rows) * 10 * ms
+    counts = np.full((rows, 6), -7, np.int16)
+
+    async def main() -> None:
+        async with opened(Page(port=0), run) as (page, slow), listening(page.url) as fast:
+            await anext(slow)
+            await anext(fast)
+            received = list[float]()
+            for begin in range(0, rows, 10_000):
+                part = slice(begin, begin + 10_000)
+                await page.write(Zeroed(time[part], counts[part], counts[part], counts[part] < 0, finger=0))
+                received += (await first_with(fast, "rows"))["touch"]["0"]["t"]
+            late = (await first_with(slow, "rows"))["touch"]["0"]["t"]
+            assert len(late) == 3001
+            assert late[-1] == received[-1] == (time[-1] - run.start) / ms
+            assert received == sorted(received)
+
+    asyncio.run(main())
+
+
+def test_a_browser_that_reads_nothing_does_not_hold_up_the_run(run: Run) -> None:
+    counts = np.full((3000, 64), -7, np.int16)
+
+    async def main() -> None:
+        async with opened(Page(port=0), run) as (page, frames), ClientSession() as session:
+            silent = await session.ws_connect(f"{page.url}/live", origin=page.url)
+            for _ in range(1000):  # asks, and never reads
+                await silent.send_str("")
+            async with asyncio.timeout(PATIENCE):
+                for k in range(50):
+                    time = NOW + (3000 * k + np.arange(3000)) * 10 * ms
+                    assert page.take(Zeroed(time, counts, counts, counts < 0, finger=0))
+                    await first_with(frames, "rows")
 
     asyncio.run(main())
 
@@ -87,83 +115,59 @@ def test_health_is_that_of_the_run(run: Run) -> None:
     run.sinks["lab"], run.sinks["page"] = SinkStatus(rows=7, records=True), SinkStatus()
 
     async def main() -> None:
-        async with opened(Page(port=0), run) as (_, heard):
-            report = await next_of(heard, "report")
+        async with opened(Page(port=0), run) as (_, frames):
+            report = await first_with(frames, "report")
             assert report["sources"]["touch"]["state"] == "down"
             assert report["errors"] == {"touch": "unplugged"}
             assert report["recorders"] == ["lab"]
             assert report["sinks"]["lab"]["rows"] == 7
             run.sources["touch"].error = ""
-            assert (await next_of(heard, "report"))["errors"] == {"touch": None}  # a second later
+            assert (await first_with(frames, "report"))["errors"] == {"touch": None}  # a second later
 
     asyncio.run(main())
 
 
 def test_the_end_of_a_run_is_sent_last(run: Run) -> None:
-    async def main() -> list[str]:
-        page = Page(port=0)
-        await page.open(run)
-        names = list[str]()
-        async with listening(page.url) as heard:
-            await next_of(heard, "hello")
+    async def main() -> None:
+        async with opened(Page(port=0), run) as (page, frames):
+            await anext(frames)
             await page.write(slip(NOW, 1))
             run.error = "touch -> Zero: broken"
             closing = asyncio.create_task(page.close())
-            async for name, document in heard:
-                names.append(name)
-                if name == "end":
-                    assert document["error"] == "touch -> Zero: broken"
-                    assert document["recorders"] == []
+            *_, last = [frame async for frame in frames]
+            assert last["end"] == {"error": "touch -> Zero: broken"}
+            assert [event["onset"] for event in last["events"]] == [True]
             await closing
-        return names
-
-    assert asyncio.run(main())[-2:] == ["frame", "end"]
-
-
-def test_the_end_has_the_final_count_of_a_slow_recorder(run: Run) -> None:
-    recorder = run.sinks["dataset"] = SinkStatus(rows=7, queued=1, records=True)
-
-    async def record() -> None:
-        await asyncio.sleep(0.15)
-        recorder.rows, recorder.queued = 9, 0
-
-    async def main() -> dict[str, Any]:
-        page = Page(port=0)
-        await page.open(run)
-        async with listening(page.url) as heard:
-            await next_of(heard, "hello")
-            recording, closing = asyncio.create_task(record()), asyncio.create_task(page.close())
-            end = await next_of(heard, "end")
-            await asyncio.gather(recording, closing)
-        return end
-
-    end = asyncio.run(main())
-    assert end["recorders"] == ["dataset"]
-    assert end["sinks"]["dataset"]["rows"] == 9
-
-
-def test_without_a_browser_nothing_is_sent_and_closing_is_clean(run: Run) -> None:
-    async def main() -> None:
-        page = Page(port=0)
-        await page.open(run)
-        await page.write(touched(NOW, -1))
-        await page.close()
-        with pytest.raises(ConnectionRefusedError):
-            await asyncio.open_connection(*re.findall(r"//(.*):(\d+)", page.url)[0])
+            with pytest.raises(ConnectionRefusedError):
+                await asyncio.open_connection(*re.findall(r"//(.*):(\d+)", page.url)[0])
 
     asyncio.run(main())
 
 
-def test_without_a_browser_closing_waits_for_no_recorder(run: Run) -> None:
-    run.sinks["dataset"] = SinkStatus(rows=7, queued=1, records=True)  # never done
+@pytest.mark.parametrize("origin", [None, "http://evil.example"])
+def test_pages_of_other_sites_cannot_listen(run: Run, origin: str | None) -> None:
+    async def main() -> None:
+        async with opened(Page(port=0), run) as (page, _), ClientSession() as session:
+            with pytest.raises(WSServerHandshakeError, match="403"):
+                await session.ws_connect(f"{page.url}/live", origin=origin)
+
+    asyncio.run(main())
+
+
+def test_listening_needs_the_token(run: Run) -> None:
+    token = "0123456789abcdef"  # noqa: S105 - of this test
 
     async def main() -> None:
-        page = Page(port=0)
+        page = Page(port=0, token=token)
         await page.open(run)
-        closing = asyncio.create_task(page.close())
-        for _ in range(50):  # turns of the event loop, in which no time is waited
-            await asyncio.sleep(0)
-        assert closing.done()
+        async with ClientSession() as session:
+            with pytest.raises(WSServerHandshakeError, match="401"):
+                await session.ws_connect(f"{page.url}/live", origin=page.url)
+            headers = {"Authorization": f"Bearer {token}"}
+            async with session.ws_connect(f"{page.url}/live", origin=page.url, headers=headers) as socket:
+                await socket.send_str("")
+                assert (await socket.receive_json())["run"]["session"] == "run1"
+        await page.close()
 
     asyncio.run(main())
 
@@ -193,26 +197,3 @@ def test_parameters_out_of_range_are_rejected(wrong: dict[str, Any]) -> None:
 def test_other_machines_need_a_token(run: Run) -> None:
     with pytest.raises(ParameterError, match="SLIPFLOW_PAGE_TOKEN"):
         asyncio.run(Page(0, "192.0.2.1").open(run))
-
-
-def test_two_pages_have_two_destinations() -> None:
-    assert Page().destination == "http://127.0.0.1:8765"
-    assert Page(80, "::1").destination == "http://[::1]:80"
-
-
-def test_a_report_that_fails_is_logged_at_once_and_raised_when_the_page_closes(
-    run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def fail(_: Page) -> None:
-        raise KeyError("planted")
-
-    async def main() -> None:
-        page = Page(port=0)
-        await page.open(run)
-        with monkeypatch.context() as patch:
-            patch.setattr(Page, "_judged", fail)
-            await until(lambda: "the health report has failed: KeyError: 'planted'" in caplog.text)
-        with pytest.raises(EndpointError, match="the health report has failed"):
-            await page.close()
-
-    asyncio.run(main())

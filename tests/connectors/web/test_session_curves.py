@@ -5,19 +5,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.web import session_page as module
-from connectors.web.session_page import SessionCurves
-from operators.batch import Motion, Scores, Slips, Zeroed, ms, s
+from connectors.web import session_curves as module
+from connectors.web.session_curves import SessionCurves
+from operators.batch import Faults, Labelled, Motion, Scores, Slips, Truth, Zeroed, ms, s
 from operators.errors import InputError
+from operators.health import FaultKind
 from operators.ports import Run
-from tests.connectors.web.reading import slip, touched
+from tests.connectors.web.reading import scored, slip, touched
 
 START = 90 * s
 
 
-def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> SessionCurves:
+def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips | Faults | Truth) -> SessionCurves:
     async def main() -> SessionCurves:
-        recorded = SessionCurves(about="A recorded session.", flow="record", dataset="lab")
+        recorded = SessionCurves(about="A recorded session.")
         await recorded.open(run)
         for batch in batches:
             await recorded.write(batch)
@@ -31,41 +32,34 @@ def cut(recorded: SessionCurves, begin: float, end: float) -> dict[str, Any]:
     return {**recorded.window(begin, end, 1000)}
 
 
-def test_a_window_has_the_rows_between_its_ends(run: Run) -> None:
-    recorded = kept(run, *[touched(START + k * 10 * ms, -k) for k in range(100)])
+def test_a_window_has_the_rows_between_its_ends_without_late_ones(run: Run) -> None:
+    recorded = kept(run, *[touched(START + k * 10 * ms, -k) for k in (*range(100), 50)])
     window = cut(recorded, 100, 200)
     assert window["touch"]["0"]["t"] == [10.0 * k for k in range(10, 21)]
     assert window["touch"]["0"]["v"][0] == [-10] * 6
-    assert window["touch"]["0"]["zeroed"]
-    assert window["speed"] is None
+    assert [*window] == ["touch"]
+    assert len(cut(recorded, 0, 1000)["touch"]["0"]["t"]) == 100
     assert cut(recorded, 5000, 6000)["touch"]["0"]["t"] == []
     assert cut(recorded, -500, -100)["touch"]["0"]["t"] == []
 
 
-def test_a_long_window_is_thinned_to_the_pixels_and_keeps_its_peak(run: Run) -> None:
-    rows = 100_000
-    time = START + np.arange(rows) * 10 * ms
-    probability = np.zeros(rows)
+def test_a_long_window_is_thinned_and_the_values_at_a_time_are_not(run: Run) -> None:
+    time = START + np.arange(100_000) * 10 * ms
+    probability = np.arange(100_000) % 100 / 200
     probability[54_321] = 0.875
-    scores = cut(kept(run, Scores(time, probability, finger=0)), 0, 1e6)["scores"]["0"]
+    recorded = kept(run, Scores(time, probability, finger=0), touched(START, -7))
+    scores = cut(recorded, 0, 1e6)["scores"]["0"]
     assert len(scores["t"]) == 2000
-    assert max(scores["v"]) == 0.875
     at = scores["v"].index(0.875)
     assert scores["t"][at - 1] <= 543_210 <= scores["t"][at]
-
-
-def test_values_at_a_time_are_not_thinned(run: Run) -> None:
-    time = START + np.arange(100_000) * 10 * ms
-    recorded = kept(run, Scores(time, np.arange(100_000) % 100 / 100, finger=0), touched(START, -7))
     seen: dict[str, Any] = {**recorded.values_at(543_215)}
-    assert seen["scores"]["0"] == {"t": [543_210], "v": [pytest.approx(0.21)]}
-    assert seen["touch"]["0"]["t"] == []  # its last row is too old
-    assert seen["speed"] is None
+    assert seen["rows"]["scores"]["0"] == {"t": [543_210], "v": [0.875]}
+    assert seen["rows"]["touch"]["0"]["t"] == []  # its last row is too old
     before: dict[str, Any] = {**recorded.values_at(-1)}
-    assert before["scores"]["0"]["t"] == []
+    assert before["rows"]["scores"]["0"]["t"] == []
 
 
-def test_the_scale_of_the_pressure_maps_ignores_a_dead_fingertip(run: Run) -> None:
+def test_the_scale_of_the_pressure_maps_ignores_dead_cells(run: Run) -> None:
     dead, alive = touched(START, -7, finger=0), touched(START, -40, finger=1)
     dead = replace(dead, valid=np.zeros_like(dead.valid))
     for batches in ((dead, alive), (alive, dead)):
@@ -73,49 +67,56 @@ def test_the_scale_of_the_pressure_maps_ignores_a_dead_fingertip(run: Run) -> No
     assert kept(run, dead).contents()["deepest"] is None
 
 
-def test_the_contents_have_the_span_the_fingertips_and_all_events(run: Run) -> None:
-    batches: list[Zeroed | Slips] = [
-        touched(START + 10 * ms, -40, finger=1),
-        touched(START, -300, finger=0),
-        slip(START + 20 * ms, 1, finger=1),
+def test_the_contents_have_the_length_and_the_events_in_order_of_time(run: Run) -> None:
+    stuck = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
+    batches: list[Zeroed | Slips | Faults] = [
+        touched(START + 50 * ms, -300),
+        *[slip(START + at * ms, state) for at, state in ((10, 1), (40, 0))],
+        *[slip(START + at * ms, state, finger=2) for at, state in ((5, 1), (40, 0))],
+        Faults(np.array([START + 20 * ms]), *stuck, finger=0),
     ]
     contents: dict[str, Any] = {**kept(run, *batches).contents()}
-    assert contents["fingers"] == ["0", "1"]
-    assert (contents["start"], contents["length"]) == (90_000, 20)
-    assert (contents["flow"], contents["dataset"], contents["session"]) == ("record", "lab", "run1")
-    assert (contents["threshold"], contents["deepest"], contents["zeroed"]) == (0.5, -300, True)
-    [event] = contents["events"]
-    assert (event["t"], event["finger"], event["onset"], event["latency"]) == (20, "1", True, None)
-
-
-def test_events_of_several_fingertips_are_sorted_and_numbered_by_time(run: Run) -> None:
-    times = {0: (10, 40), 1: (20, 30), 2: (5, 40)}
-    batches = [
-        slip(START + at * ms, state, finger=finger)
-        for finger, both in times.items()
-        for at, state in zip(both, (1, 0), strict=True)
-    ]
-    found: dict[str, Any] = {**kept(run, *batches).contents()}
-    events = [(event["id"], event["t"], event["finger"], event["onset"]) for event in found["events"]]
-    assert events == [
+    assert (contents["session"], contents["start"], contents["length"]) == ("run1", 90_000, 50)
+    assert (contents["threshold"], contents["deepest"], contents["scored"]) == (0.5, -300, False)
+    names = ("id", "t", "finger", "onset")
+    assert [tuple(event[name] for name in names) for event in contents["events"]] == [
         (1, 5, "2", True),
         (2, 10, "0", True),
-        (3, 20, "1", True),
-        (4, 30, "1", False),
-        (5, 40, "0", False),
-        (6, 40, "2", False),
+        (3, 40, "0", False),
+        (4, 40, "2", False),
     ]
+    assert [event["quality"][0] for event in contents["events"]] == ["good", "good", "doubtful", "good"]
 
 
-def test_late_rows_are_dropped_from_a_curve(run: Run) -> None:
-    batches = [touched(START + k * ms, -1) for k in (0, 20, 10, 30)]
-    assert cut(kept(run, *batches), 0, 100)["touch"]["0"]["t"] == [0, 20, 30]
+def test_faults_and_quality_are_those_of_the_time(run: Run) -> None:
+    stuck = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
+    fault = Faults(np.array([START + 50 * ms]), *stuck, finger=0)
+    recorded = kept(run, *[scored(START + k * 10 * ms, 0.1) for k in range(10)], fault)
+    for at, faults, quality in ((40, {}, "good"), (60, {"0": {"3": "stuck"}}, "doubtful")):
+        found: dict[str, Any] = {**recorded.values_at(at)}
+        assert (found["faults"], found["quality"]["0"][0]) == (faults, quality)
 
 
-def test_an_always_invalid_cell_does_not_scale_the_maps(run: Run) -> None:
-    touch = touched(START, -5)
-    silent = Zeroed(touch.time, touch.counts, touch.temperature, np.zeros((1, 6), np.bool_), finger=0)
-    assert kept(run, silent).contents()["deepest"] is None
+def test_labels_and_truth_are_runs_that_end_where_the_value_changes_or_a_pause_begins(run: Run) -> None:
+    at = START + np.array([0, 10, 20, 30, 1000]) * ms
+    label, counts, unknown = (
+        np.array([0, 0, 1, 1, 1], np.int8),
+        np.zeros((5, 6), np.int16),
+        np.full((5, 6), np.nan),
+    )
+    flags = np.ones(5, np.bool_)
+    labelled = Labelled(
+        at, counts, counts, counts == 0, unknown, unknown, flags, np.zeros(5), label, finger=3
+    )
+    sliding = np.zeros(100)
+    sliding[20:40] = sliding[45:60] = 0.02  # the stick phase between them is part of the slip
+    time = START + np.arange(100) * 10 * ms
+    truth = Truth(time, sliding, sliding, np.zeros((100, 3)), finger=3)
+    contents: dict[str, Any] = {**kept(run, labelled, truth, labelled).contents()}
+    assert contents["bands"] == {
+        "arm": {"3": [[0, 20, 0], [20, 30, 1], [1000, 1000, 1]]},
+        "truth": {"3": [[0, 200, 0], [200, 600, 1], [600, 990, 0]]},
+    }
 
 
 def test_a_session_too_long_for_memory_is_rejected(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

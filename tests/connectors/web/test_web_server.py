@@ -11,7 +11,7 @@ from aiohttp import ClientResponse, ClientSession, CookieJar
 
 from connectors.web import web_server
 from connectors.web.access import Access
-from connectors.web.web_server import CONNECTIONS_MAX, STATIC, WebServer, page_server
+from connectors.web.web_server import STATIC, STRANGERS_MAX, WebServer, page_server
 from operators.errors import EndpointError, InputError
 from tests.waiting import PATIENCE, until
 
@@ -255,46 +255,41 @@ def test_silent_connections_are_limited_and_never_replace_one_with_access() -> N
         server = WebServer("127.0.0.1", 0, Access(SECRET), "numbers")
         await server.open({"/data": answer})
         address = "127.0.0.1", int(server.url.rpartition(":")[2])
-        own = {"Authorization": f"Bearer {SECRET}"}
-        silent = list[tuple[asyncio.StreamReader, asyncio.StreamWriter]]()
-        async with ClientSession() as session:
-            assert (await get(session, f"{server.url}/data", **own))[0] == 200
-            [connection] = server.admitted
+        reader, writer = await asyncio.open_connection(*address)
+
+        async def get_data() -> None:  # on the same connection
+            writer.write(f"GET /data HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {SECRET}\r\n\r\n".encode())
+            assert b" 200 " in await reader.readline()
+            await reader.readuntil(b"\r\n\r\ntext")
+
+        async with asyncio.timeout(PATIENCE):
+            await get_data()
             before = descriptors()
-            for _ in range(5 * CONNECTIONS_MAX):
-                silent.append(await asyncio.open_connection(*address))
-            async with asyncio.timeout(PATIENCE):
-                for reader, _ in silent[: -CONNECTIONS_MAX // 2]:
-                    with suppress(ConnectionResetError):
-                        assert await reader.read() == b""  # closed by the server
-            assert descriptors() - before <= len(silent) + CONNECTIONS_MAX // 2
+            silent = [await asyncio.open_connection(*address) for _ in range(5 * STRANGERS_MAX)]
+            for stranger, _ in silent[:-STRANGERS_MAX]:
+                with suppress(ConnectionResetError):
+                    assert await stranger.read() == b""  # closed by the server
+            assert descriptors() - before <= len(silent) + STRANGERS_MAX
             assert not silent[-1][0].at_eof()
-            assert (await get(session, f"{server.url}/data", **own))[0] == 200
-            assert list(server.admitted) == [connection]  # not a new one
-        for _, writer in silent:
-            writer.close()
+            await get_data()
+        for _, each in [*silent, (reader, writer)]:
+            each.close()
         await server.close()
 
     asyncio.run(main())
 
 
-def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_eighth_of_the_file_descriptors_is_used_by_strangers_at_most(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def few(_: int) -> tuple[int, int]:
         return 32, 32
 
     monkeypatch.setattr(resource, "getrlimit", few)
-    monkeypatch.setattr(web_server, "IDLE_TIMEOUT", 1000.0)
 
     async def main() -> None:
         server = WebServer("127.0.0.1", 0, Access(), "numbers")
         await server.open({"/data": answer})
-        sessions = [ClientSession() for _ in range(12)]
-        for session in sessions:
-            assert (await get(session, f"{server.url}/data"))[1] == "text"
-        assert len(server.admitted) == 4
-        assert (await get(sessions[0], f"{server.url}/data"))[1] == "text"  # on a new connection
-        for session in sessions:
-            await session.close()
         before = descriptors()
         address = "127.0.0.1", int(server.url.rpartition(":")[2])
         silent = await asyncio.gather(*(asyncio.open_connection(*address) for _ in range(12)))  # at once

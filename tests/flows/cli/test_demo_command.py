@@ -46,18 +46,14 @@ def test_the_demo_serves_its_page_by_default(tmp_path: Path) -> None:
     )
 
     async def follow() -> None:
-        async with listening(address[1]) as heard:
-            name, hello = await anext(heard)
-            assert name == "hello"
-            assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("demo", True, True)
-            assert (
-                "0"
-                in (await anext(each async for name, each in heard if name == "frame" and "scores" in each))[
-                    "touch"
-                ]
-            )
+        async with listening(address[1]) as frames:
+            about = (await anext(frames))["run"]
+            assert (about["flow"], about["recording"], 0 < about["threshold"] < 1) == ("demo", None, True)
+            rows = await anext(frame["rows"] async for frame in frames if "scores" in frame["rows"])
+            assert [*rows["touch"]] == ["0"]
             process.send_signal(signal.SIGTERM)
-            assert "end" in [name async for name, _ in heard]
+            *_, last = [frame async for frame in frames]
+            assert last["end"] == {"error": None}
 
     asyncio.run(follow())
     output, _ = process.communicate(timeout=PATIENCE)

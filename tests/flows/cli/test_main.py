@@ -56,7 +56,7 @@ def test_debug_shows_the_traceback() -> None:
 
 
 def test_without_a_command_its_help_is_shown() -> None:
-    done = slipflow("experiment")
+    done = slipflow()
     assert (done.returncode, done.stderr.splitlines()[0].split()[0]) == (2, "Usage:")
     assert "error: " not in done.stderr
 

@@ -9,7 +9,6 @@ from operators.batch import s
 from operators.errors import EndpointError, ParameterError
 from storage.manifest import Part
 from storage.verification import Checked, SessionFinding, Verified
-from tests.readability import ReportFaults
 
 LOST = SessionFinding("b", "lost", "touch/part-000001.parquet: <gone>: 50 rows, 10.0 s")
 
@@ -100,8 +99,3 @@ def test_a_page_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
         verification_page.check_file(tmp_path / "folder.html")
     with pytest.raises(EndpointError, match="cannot be written"):
         write(verified(), tmp_path, tmp_path / "folder.html")
-
-
-def test_the_page_is_readable_on_a_desk_and_a_phone(tmp_path: Path, report_faults: ReportFaults) -> None:
-    made = report(verified(LOST, whole=False), tmp_path / "data", "slipflow verify data --report page.html")
-    assert report_faults(made, tmp_path) == []

@@ -10,11 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import polars as pl
 import pytest
 from typer.testing import CliRunner
 
 from connectors import SimulatedRig
+from connectors.sim.drawn_grasp import simulate_grasp
 from flows.cli.main import app
 from flows.graph import Flow
 from flows.graph.testing import run_virtually
@@ -26,6 +28,7 @@ from flows.run.clocks import LoopClock
 from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from operators import Label, ms
+from operators.batch import SLIP
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
@@ -82,7 +85,22 @@ def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
         assert about["split"] == planned[session.name].split
         sources: Any = about["sources"]
         assert (sources["touch"]["plan"], sources["touch"]["plan_seed"]) == ("tiny", 0)
-        assert set(session.frame("episodes")["surface"]) == {planned[session.name].scene.curvature}
+        scene = planned[session.name].scene
+        assert scene
+        assert set(session.frame("episodes")["surface"]) == {scene.curvature}
+
+
+def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(simulation, "_GRASPS", 3)
+    done = simulate(tmp_path / "grasps", "grasps", 4)
+    sessions = [Session.open(path) for path in sorted((done.out / "sessions").iterdir())]
+    assert [session.name for session in sessions] == ["grasp-000", "grasp-001", "grasp-002"]
+    samples = pl.concat([session.frame("samples") for session in sessions])
+    sliding = np.concatenate([simulate_grasp(4, n)[1].sliding for n in range(3)]) > 0.003
+    assert sliding.any()
+    slip = samples["label"].to_numpy() == SLIP
+    assert slip[sliding].all()
+    assert slip.mean() < 2 * sliding.mean() + 0.02  # sticks within a slide are slip, too
 
 
 def test_the_tallies_match_the_files(tiny: SimulatedDataset) -> None:

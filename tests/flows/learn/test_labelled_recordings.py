@@ -26,7 +26,6 @@ from flows.learn.labelled_recordings import (
 )
 from flows.learn.splits import SPLITS, TURNS
 from flows.learn.stress.stress_fields import stressed
-from flows.learn.training.label_lag import relabelled
 from flows.learn.training.trained_model import provenance
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
@@ -180,16 +179,6 @@ def test_labels_by_hand_change_the_provenance_but_not_the_digest_that_finds_leak
     session.write_hand_labels([LabelSpan(begin, begin + s, 0, "slip")], based_on=0)
     assert provenance(copy, load(copy)) == {**before, "hand_labels": {name: 1}}
     assert provenance(copy, load(copy, labels="arm")) == before
-
-
-def test_a_shift_by_the_lag_leaves_labels_by_hand_where_they_are(tiny: Path) -> None:
-    recording = load(tiny)[0]
-    by_hand = np.zeros(len(recording), np.bool_)
-    by_hand[300:400] = True
-    label = np.where(by_hand, 1, recording.label).astype(np.int8)
-    [shifted] = relabelled([replace(recording, label=label, by_hand=by_hand)], 0.6)
-    assert set(shifted.label[300:400].tolist()) == {1}
-    assert shifted.label.tolist() != label.tolist()
 
 
 def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) -> None:

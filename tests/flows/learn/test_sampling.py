@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.learn.alarms.alarm_calibration import PATH, Trials
+from flows.learn.alarms.alarm_calibration import PATH, try_settings
 from flows.learn.evaluation.debounce_tuning import joined, tuned
 from flows.learn.evaluation.evaluation_study import PAPER_RULE
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips, lead_ms, onsets, performances
@@ -15,7 +15,6 @@ from flows.learn.evaluation.intervals import Judged
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
-from flows.learn.training.label_lag import lags, relabelled
 from operators import Debounce
 from operators.batch import Reals
 from operators.fingertip import TAKKTILE
@@ -86,7 +85,7 @@ def test_the_chosen_settings_take_as_long_at_another_rate(times: int) -> None:
         for each in (slow, fast)
     ]
     assert chosen[1] == Sampling(100.0 * times).rule(chosen[0])
-    trials = [Trials.of([one for one, _ in each], [score for _, score in each]) for each in (slow, fast)]
+    trials = [try_settings([one for one, _ in each], [score for _, score in each]) for each in (slow, fast)]
     assert trials[1].rules == tuple(map(Sampling(100.0 * times).rule, PATH))
     np.testing.assert_array_equal(trials[1].alarms, trials[0].alarms)
     np.testing.assert_allclose(trials[1].minutes, trials[0].minutes, atol=1e-3)
@@ -124,15 +123,6 @@ def test_times_of_other_rates_are_in_ms() -> None:
     np.testing.assert_array_equal(bins[1].samples, 2 * bins[0].samples)
     assert bins[0].spans[:2] == ["0-10", "20-30"]
     assert bins[1].spans[:2] == ["0-15", "20-35"]
-
-
-def test_labels_are_shifted_by_time() -> None:
-    slow, fast = ([repeated(scored(seed, 6000), times)[0] for seed in range(3)] for times in (1, 4))
-    assert lags(fast) == pytest.approx(lags(slow), abs=0.02)
-    later = [replace(each, label=np.roll(each.label, 40)) for each in fast]  # by 100 ms
-    assert lags(later) - lags(fast) == pytest.approx(0.1, abs=0.01)
-    found = lags(relabelled(later, 0.04))
-    assert np.abs(found - 0.04).max() < 0.01
 
 
 def test_the_warm_up_is_a_second_or_a_hundred_samples() -> None:

@@ -6,7 +6,7 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 
-from flows.learn.benchmark.folds import Fold, labelled_minutes, load_folds, without_labels
+from flows.learn.benchmark.folds import Fold, labelled_minutes, load_folds
 from flows.learn.labelled_recordings import LabelledRecording
 from operators.errors import FingertipError, InputError
 
@@ -86,27 +86,3 @@ def test_labelled_minutes_are_drawn_from_the_other_folds(surfaces: list[Labelled
         assert len(found[1].slip) == len(found[1].counts) == 500
     assert len({found[1].name for found in draws}) > 1
     assert sum(map(len, labelled_minutes(fold, 60, 0))) == 6 * 700
-
-
-def test_a_recording_that_is_adapted_to_has_no_labels_and_is_not_judged(
-    surfaces: list[LabelledRecording], having: Having
-) -> None:
-    data = load_folds(having(surfaces))
-    folds = [without_labels(data, data.folds[1], 2.0, draw) for draw in range(3)]
-    for fold in folds:
-        [source] = fold.train
-        assert len(source) == 200
-        assert set(source.label.tolist()) == {-1}
-        assert source.group == "wood"
-        assert source.name not in {data.recordings[place].name for place in fold.test}
-        assert len(fold.test) == 2
-    assert len({fold.train[0].name for fold in folds}) == 3
-
-
-def test_a_fold_of_one_recording_is_adapted_to_another_one(
-    surfaces: list[LabelledRecording], having: Having
-) -> None:
-    data = load_folds(having([replace(each, group="") for each in surfaces[:3]]))
-    fold = without_labels(data, data.folds[0], 2.0, 0)
-    assert fold.test == (0,)
-    assert fold.train[0].name == surfaces[1].name

@@ -20,7 +20,6 @@ from operators.errors import InputError
 from operators.fingertip import TAKKTILE
 from storage import load_detector
 from storage.models import save_weights
-from tests.readability import ReportFaults
 
 OTHERS = ("torch_eager_windowed", "onnxruntime_windowed")
 
@@ -142,9 +141,3 @@ def test_the_page_its_numbers_and_its_figure_are_written(found: Chart, tmp_path:
     root = ET.parse(paths[3]).getroot()  # noqa: S314 - ours
     drawn = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
     assert {"tcn", "tcn4", "psd", "paper's tcn, 91.3 %", "Pareto front"} <= drawn
-
-
-def test_the_page_is_readable_on_a_desk_and_a_phone(
-    found: Chart, tmp_path: Path, report_faults: ReportFaults
-) -> None:
-    assert report_faults(chart_report(found, "slipflow chart tiny"), tmp_path) == []

@@ -20,7 +20,6 @@ from operators import Debounce
 from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd
 from operators.errors import ParameterError
-from tests.readability import ReportFaults
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
 SEED = 7
@@ -152,12 +151,6 @@ def test_the_report_has_every_section_and_every_figure(report: Report, tmp_path:
         root = ET.parse(path).getroot()  # noqa: S314 - ours
         drawn = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
         assert {"noise, counts", "gain", "slip speed, mm/s"} <= drawn
-
-
-def test_the_page_is_readable_on_a_desk_and_a_phone(
-    report: Report, tmp_path: Path, report_faults: ReportFaults
-) -> None:
-    assert report_faults(report, tmp_path) == []
 
 
 def test_goals_and_breaking_points_are_in_the_json(found: Stress) -> None:

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 from flows.learn.training.paper_networks import PaperNetwork, PaperTcnNetwork, paper_network
 from flows.learn.training.recipe import PaperRecipe
-from flows.learn.training.training_loop import Arrays
+from flows.learn.training.trained_model import Arrays
 from operators.detectors import Detector, PaperTcn
 from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
 

@@ -11,11 +11,11 @@ from torch import Tensor
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import training_loop
-from flows.learn.training.learning_curve import Check
 from flows.learn.training.paper_networks import PaperTcnNetwork, paper_network
 from flows.learn.training.paper_training import MIRRORED, Windows, train_windowed, varied
 from flows.learn.training.recipe import PaperRecipe
-from flows.learn.training.training_loop import Arrays, Trained
+from flows.learn.training.trained_model import Arrays, Check
+from flows.learn.training.training_loop import Trained
 from operators import ParameterError
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector, PaperTcn
@@ -121,11 +121,6 @@ def test_each_step_is_reported_and_each_epoch_is_checked() -> None:
     assert [(done, of) for done, of, _ in seen] == [(done, 2 * steps) for done in range(1, 2 * steps + 1)]
     assert tuple(check for _, _, check in seen if check) == trained.curve
     assert [check.done for check in trained.curve] == [steps, 2 * steps]
-
-
-def test_fewer_windows_than_a_batch_make_one_step() -> None:
-    trained = train_windowed("paper_tcn", [_recording(0, 230)], SHORT, PaperRecipe(epochs=1))
-    assert trained.curve[0].done == 1
 
 
 def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:

@@ -1,44 +1,33 @@
-"""Simulated grasps to train on, with random objects, fingertips and grippers, labelled by true sliding.
+"""Simulated grasps to train on, with random objects, fingertips and grippers.
 
 A detector trained only on strokes has learnt the motion of the arm, not of the object: it reports slip when
 the load increases, at harmless blows, and when the gripper closes further. Here three of five grasps are
 firm: the object is gripped, lifted, pressed and tapped, and slides only at hard blows. The others are too
-weak for the object. No recording has one of the six objects of the experiments, or their fingertip.
+weak for the object. No grasp has one of the six objects of the experiments, or their fingertip.
 """
 
 import math
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final, Self, cast
 
 import numpy as np
 
-from connectors.sim.grasp import Grasp, least_force
+from connectors.sim.grasp import Grasp, GraspState, least_force
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Curvature, Vibration
 from connectors.sim.truth import SLIDING
-from flows.lab.experiments.trial import MOVED, STILL
-from flows.learn.evaluation.event_metrics import filled
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.onsets import runs
-from flows.learn.sampling import WARM_UP, Sampling
-from flows.run.executor import process_map
-from operators import Zero
-from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Reals, Touch, Zeroed, concat, ms
+from operators.batch import Touch, Truth, concat
 
 RATE: Final = 100.0  # Hz
-SECONDS: Final = 5.0  # of a recording; it ends earlier if the object is dropped
-STUCK: Final = 50 * ms  # ns; a shorter stick is part of a slip
+SECONDS: Final = 5.0  # of a grasp; it ends earlier if the object is dropped
 FIRM: Final = 0.6  # share of firm grasps
 BLOW: Final = 0.09  # m/s, of an object gripped with the least force by a blow that barely moves it
 _CURVATURES: Final[tuple[Curvature, ...]] = ("plane", "sphere", "cylinder_y", "cylinder_x")
 _SHARES: Final = (0.4, 0.2, 0.2, 0.2)  # more planes: half of their loaded cells read 0
-_SPLITS: Final = ("train",) * 8 + ("validation", "test")
 # constants of the fingertip that differ between grasps, but not between strokes: spread of their logarithm
 _SPREADS: Final = {
     "tilt_stiffness": 0.5,
@@ -50,59 +39,29 @@ _SPREADS: Final = {
 }
 
 
-def grasp_recordings(count: int, seed: int, jobs: int | None = None) -> list[LabelledRecording]:
-    """Simulate grasps, the same for a seed; 80 % for training, 10 % for validation, 10 % for the test.
+def simulate_grasp(seed: int, number: int) -> tuple[Touch, Truth]:
+    """Simulate one grasp of a series, from an open gripper on; the same for the same seed and number.
 
-    Args:
-        count: Number of recordings.
-        seed: Random seed.
-        jobs: Number of processes; None: one per core.
+    Returns:
+        Raw counts and the true sliding and force, with a row for each sample, from time 0 on.
     """
-    with closing(process_map(partial(_recording, seed), range(count), jobs)) as found:
-        return list(found)
-
-
-def sliding_labels(speed: Reals, pause: int = STUCK) -> Codes:
-    """Return labels (n,) by true sliding speed (n,) (m/s) at 100 Hz.
-
-    A slide is slip if the pad moves by more than `MOVED` on the object, unknown if it moves by more than
-    `STILL`, otherwise static. Pauses shorter than `pause` (ns) belong to the slide.
-    """
-    label = np.full(len(speed), STATIC, np.int8)
-    travelled = np.concatenate(([0.0], np.cumsum(speed))) * 1000 / RATE  # (n + 1,) mm
-    for first, end in runs(filled(speed > SLIDING, Sampling(RATE).samples(pause))).tolist():
-        moved = travelled[end] - travelled[first]
-        label[first:end] = SLIP if moved > MOVED else UNKNOWN if moved > STILL else STATIC
-    return label
-
-
-def _recording(seed: int, number: int) -> LabelledRecording:
     random = np.random.default_rng([seed, 11, number])
     held, parameters, passive = draw_object(random), draw_fingertip(random), float(random.uniform(0.3, 1.0))
     least = least_force(held, parameters, passive=passive)
     gripper = _RandomGripper.draw(random, least, firm=random.random() < FIRM)
     grasp = _draw_grasp(random, held, parameters, gripper, passive)
     touches: list[Touch] = []
-    speeds: list[float] = []
+    states: list[GraspState] = []
     for k in range(round(SECONDS * RATE)):
-        touch, truth = grasp.sense(k / RATE)
-        if truth.dropped:
+        touch, state = grasp.sense(k / RATE)
+        if state.dropped:
             break
         touches.append(touch)
-        speeds.append(truth.speed)
-        gripper.update(grasp, k / RATE, truth.speed)
-    zeroed = concat(Zeroed, [Zero().push(concat(Touch, touches))])
-    label = sliding_labels(np.array(speeds))
-    return LabelledRecording(
-        zeroed.counts,
-        label,
-        held.curvature,
-        valid=zeroed.valid,
-        sliding=label,
-        zeroing=WARM_UP + 1,
-        name=f"grasp-{seed}-{number:04}",
-        split=_SPLITS[number % len(_SPLITS)],
-    )
+        states.append(state)
+        gripper.update(grasp, k / RATE, state.speed)
+    touch = concat(Touch, touches)
+    speed, force = (np.array([getattr(state, name) for state in states]) for name in ("speed", "force"))
+    return touch, Truth(touch.time, speed, force, np.zeros((len(touch), 3)), finger=touch.finger)
 
 
 def _draw_grasp(

@@ -1,18 +1,15 @@
 // Pressure map of each fingertip in the layout of the sensor; a click selects the fingertip of the curves.
 
 import { styles } from "./charts.js";
+import { element, title, write } from "./dom.js";
 
 const DENSE = 12; // cells; more have smaller tiles
 const SHORT = { saturated: "max", drifting: "drift", "no reading": "none" }; // in small tiles
-const READABLE = 100; // ms between updates of the numbers, to keep them readable
 
 export class Pads {
   // `chosen(finger)` is called with the selected fingertip; `amount(value)` returns the text of a value.
   constructor(host, chosen, amount) {
-    this.host = host;
-    this.amount = amount;
-    this.pads = new Map();
-    this.written = 0;
+    Object.assign(this, { host, amount, pads: new Map() });
     host.addEventListener("change", ({ target }) => chosen(target.value));
   }
 
@@ -26,19 +23,21 @@ export class Pads {
     this.host.classList.toggle("many", fingers.length > 1);
   }
 
-  // Show the value of each cell (null: invalid), faults and the slip state; `share` maps a value to the colour ramp, 0 to 1.
-  show(finger, values, share, faults, state) {
+  // Show the state of a fingertip: slip, no slip, or unknown.
+  state(finger, state) {
     const pad = this.pads.get(finger);
-    if (!pad) return;
-    pad.box.classList.toggle("slips", state === "slip");
-    write(pad.now, state === "unknown" ? "–" : state);
-    if (!pad.due) return; // update numbers and colours together
-    pad.cells.forEach((cell, k) => {
+    pad?.box.classList.toggle("slips", state === "slip");
+    if (pad) write(pad.now, state === "unknown" ? "–" : state);
+  }
+
+  // Show the value of each cell (null: invalid) and its faults; `share` maps a value to the colour ramp, 0 to 1.
+  show(finger, values, share, faults) {
+    const pad = this.pads.get(finger), deep = Number(getComputedStyle(document.documentElement).getPropertyValue("--deep"));
+    pad?.cells.forEach((cell, k) => {
       const value = values?.[k] ?? null, silent = values !== null && value === null;
-      const part = value === null ? 0 : Math.min(Math.max(share(value), 0), 1);
+      const part = value === null ? 0 : Math.min(Math.max(share(value), 0), 1), saturated = faults[k] === "saturated";
       cell.td.style.setProperty("--share", part.toFixed(3));
-      cell.td.classList.toggle("deep", part > this.deep);
-      const saturated = faults[k] === "saturated";
+      cell.td.classList.toggle("deep", part > deep);
       cell.td.classList.toggle("saturated", saturated);
       cell.td.classList.toggle("fault", (k in faults && !saturated) || silent);
       const fault = faults[k] ?? (silent ? "no reading" : "");
@@ -47,27 +46,12 @@ export class Pads {
     });
   }
 
-  // Return true, and allow updates, if the last numbers were shown long enough.
-  tick(now) {
-    const due = now - this.written >= READABLE;
-    if (due) {
-      this.written = now;
-      this.deep = Number(getComputedStyle(document.documentElement).getPropertyValue("--deep"));
-    }
-    for (const pad of this.pads.values()) pad.due = due;
-    return due;
-  }
-
   #pad(finger, selected) {
     const box = element("div", "finger"), who = element("label", "who"), now = element("span", "now");
-    const input = Object.assign(document.createElement("input"), { type: "radio", name: "finger", value: finger, checked: selected });
-    const name = element("b");
-    name.textContent = title(finger);
-    who.append(input, name, now);
-    const table = element("table", "pad"), cells = [];
+    const input = Object.assign(element("input"), { type: "radio", name: "finger", value: finger, checked: selected });
+    who.append(input, element("b", "", title(finger)), now);
+    const table = element("table", "pad"), cells = [], looks = styles(this.layout), dense = looks.length > DENSE;
     table.setAttribute("aria-label", `Pressure of ${title(finger).toLowerCase()}`);
-    const looks = styles(this.layout);
-    const dense = looks.length > DENSE;
     table.classList.toggle("dense", dense);
     for (const row of this.layout) {
       const tr = table.insertRow();
@@ -77,30 +61,15 @@ export class Pads {
           td.className = "empty";
           continue;
         }
-        const count = element("span", "count"), fault = element("span", "fault-text");
-        const barometer = element("span", "unseen"), which = element("span", "which"), key = element("span", "key");
-        barometer.textContent = "barometer ";
-        which.textContent = k;
+        const count = element("span", "count"), fault = element("span", "fault-text"), key = element("span", "key");
         key.style.setProperty("--hue", `var(${looks[k].hue})`);
-        td.append(barometer, which, count, fault, key);
+        td.append(element("span", "unseen", "barometer "), element("span", "which", String(k)), count, fault, key);
         cells[k] = { td, count, fault };
       }
     }
     box.append(who, table);
     table.addEventListener("click", () => input.click());
-    this.pads.set(finger, { box, now, cells, dense, due: true });
+    this.pads.set(finger, { box, now, cells, dense });
     return box;
   }
-}
-
-export const title = (finger) => (finger === "every" ? "The fingertip" : `Fingertip ${finger}`);
-
-export function write(node, text) {
-  if (node.textContent !== text) node.textContent = text;
-}
-
-export function element(tag, kind = "") {
-  const made = document.createElement(tag);
-  if (kind) made.className = kind;
-  return made;
 }

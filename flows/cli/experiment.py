@@ -1,0 +1,84 @@
+"""The command `slipflow experiment`."""
+
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.cli.options import AsJson, Cluster, Jobs
+from flows.cli.report_output import ReportFolder, prepare_report, write_report
+from flows.cli.terminal import progress_bar
+
+
+def experiment(
+    name: Annotated[
+        str,
+        typer.Argument(metavar="tap|lift", help="tap: hit held objects. lift: lift weakly gripped objects."),
+    ],
+    *,
+    trials: Annotated[int, typer.Option(min=1, help="Number of trials of each object.")] = 20,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DETECTOR[:RULE]",
+            help="Detector (tcn_grasp, threshold, psd, paper, another name or a model file) and grip force"
+            " rule (ours, steps or none); repeatable (default: these four, tcn_grasp with our rule, the"
+            " others with the paper's, steps).",
+        ),
+    ] = None,
+    objects: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--object",
+            metavar="NAME",
+            help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve or metal_can; repeatable"
+            " (default: all).",
+        ),
+    ] = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Random seed of the first trial; it increases by 1 per trial.")
+    ] = 900_000,
+    stress: Annotated[
+        bool,
+        typer.Option("--stress", help="Also vary friction, mass, latency, sample rate, stiffness and pad."),
+    ] = False,
+    tune: Annotated[
+        int,
+        typer.Option(min=0, metavar="N", help="Tune all thresholds on N other taps first (default: cards')."),
+    ] = 0,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
+    out: ReportFolder = Path("experiment"),
+    as_json: AsJson = False,
+) -> None:
+    """Run a robot experiment of the paper in closed loop, simulated.
+
+    Prints success next to the paper's, false slips, failed trials by ending, slides and holding forces.
+    Writes NAME.html, .md, .json and figures.
+
+    Examples:
+      slipflow experiment tap --tune 50
+      slipflow experiment lift --object ball --trials 5 --method psd:none
+      slipflow experiment lift --stress --trials 5
+    """
+    from connectors.sim.objects import OBJECTS
+    from flows.lab.experiments.experiment_report import experiment_report
+    from flows.lab.experiments.rivals import METHODS, parse_method
+    from flows.lab.experiments.study import Trials, run_study
+    from flows.lab.experiments.tuning import tuned
+    from flows.run.executor import workers
+
+    methods = [parse_method(text) for text in method or ()] or list(METHODS)
+    chosen = Trials(trials, seed, tuple(objects or OBJECTS))
+    prepare_report(out)
+    with workers(jobs, cluster) as executor:
+        if tune:
+            with progress_bar("tuning") as update:
+                methods = list(tuned(methods, tune, executor=executor, progress=update))
+        with progress_bar(name) as update:
+            results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
+    command = shlex.join(["slipflow", *sys.argv[1:]])
+    report = experiment_report(name, results, methods, chosen, command)
+    write_report(report, out, name, as_json=as_json)

@@ -1,0 +1,228 @@
+"""Reports of the tap and lift experiments: success beside the paper's, false slips and breaking points."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import polars as pl
+
+from connectors.sim.objects import named
+from connectors.sim.truth import SLIDING
+from flows.lab.experiments import lift_trial, tap_trial
+from flows.lab.experiments.rivals import Method
+from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials, axes_of
+from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
+from flows.learn.onsets import runs
+from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, WIDTH, Axes, Figure, grid, styled
+from flows.report.report_page import Report, Section
+from flows.report.results import Statistic, estimate_table, estimates, median, rate
+from flows.report.table import Table, Value
+
+# success of 20 trials with real objects (%), "Under Pressure" (2021)
+PAPER: Final[Mapping[str, Mapping[str, int]]] = {
+    "tap": {
+        "ball": 90,
+        "box": 85,
+        "cardboard_can": 90,
+        "football_sleeve": 90,
+        "foam_sleeve": 80,
+        "metal_can": 90,
+    },
+    "lift": {
+        "ball": 35,
+        "box": 100,
+        "cardboard_can": 85,
+        "football_sleeve": 85,
+        "foam_sleeve": 35,
+        "metal_can": 95,
+    },
+}
+TITLES: Final = {"tap": "Mallet tap", "lift": "Object lift"}
+EXAMPLE: Final = "ball"  # object of the figure: one of the two hardest in the paper's lift
+SUCCESS: Final = "success %"
+FALSE_FIRM: Final = "firm lift %"
+RATES: Final = {SUCCESS: rate("success", "trials"), FALSE_FIRM: rate("false_firm", "trials")}
+STATISTICS: Final[Mapping[str, Mapping[str, Statistic]]] = {
+    "tap": {
+        **RATES,
+        "soft blow %": rate("false_soft", "soft"),
+        "lead ms": median("lead"),
+        "slide mm": median("slide"),
+    },
+    "lift": {
+        **RATES,
+        "force": median("force"),
+        "peak": median("peak"),
+        "lead ms": median("lead"),
+        "slide mm": median("slide"),
+    },
+}
+_DECIMALS: Final = {"force": 2, "peak": 2}
+_NOTES: Final = {
+    "tap": "Firm lift and soft blow: share with a false slip. Lead (from the registered slip to the onset of "
+    "sliding) and slide at the blows that move the object: medians over trials.",
+    "lift": "Firm lift: share with a false slip. Medians over trials: force of the last second and highest "
+    "force relative to the least that holds, lead from the registered slip to the onset of sliding, slide.",
+}
+_TEXT: Final = (
+    "Simulated trials, the same for all methods; the paper used real objects. "
+    "docs/explanations/experiments.md defines success and lists the assumptions."
+)
+_PANELS: Final = 3  # in a row of the figure
+
+
+def experiment_report(
+    experiment: str, results: pl.DataFrame, methods: Sequence[Method], trials: Trials, command: str
+) -> Report:
+    """Report the results of an experiment.
+
+    Args:
+        experiment: ``tap`` or ``lift``.
+        results: Long table that `run_study` returned.
+        methods: Methods of the study; the figure shows the first one.
+        trials: Trials of the study.
+        command: Command line that ran it.
+    """
+    nominal = results.filter(condition=NOMINAL)
+    found = estimates(nominal, STATISTICS[experiment])
+    table = estimate_table(
+        found, _DECIMALS, intervals=[name for name in STATISTICS[experiment] if "%" in name]
+    )
+    sections = [
+        Section(
+            experiment,
+            "Success and false slips",
+            _NOTES[experiment],
+            [table],
+            lambda: trial_figure(experiment, methods[0], trials),
+        ),
+        Section("objects", "Success by object, %", "", [_objects(experiment, nominal, trials)]),
+        Section("failures", "Failed trials by ending", "", [_endings(nominal)]),
+    ]
+    if len(results) > len(nominal):
+        sections.append(_breaking_points(experiment, results, methods))
+    facts = {
+        "experiment": experiment,
+        "trials": trials.count,
+        "seed": trials.seed,
+        "results": found.to_dicts(),
+    }
+    return Report(TITLES[experiment], _TEXT, sections, command, facts)
+
+
+def title(name: str) -> str:
+    """Return an object's name as shown in tables and figures."""
+    return name.replace("_", " ")
+
+
+def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> Table:
+    """Return the success of each method with each object, and the paper's."""
+    found = estimates(nominal, {SUCCESS: RATES[SUCCESS]}, by=("method", "fold"), draws=0)
+    rows = {
+        str(method): part["value"].to_list()
+        for (method,), part in found.group_by("method", maintain_order=True)
+    }
+    rows["paper, real objects"] = [float(PAPER[experiment][name]) for name in trials.objects]
+    cells: list[list[Value]] = [[name, *values, sum(values) / len(values)] for name, values in rows.items()]
+    objects = [title(name) for name in trials.objects]
+    return Table(["method", *objects, "mean"], cells, decimals=dict.fromkeys(objects, 0))
+
+
+def _endings(nominal: pl.DataFrame) -> Table:
+    """Return the number of failed trials of each method by ending."""
+    endings = nominal.filter(pl.col("metric").str.starts_with("ending "))
+    endings = endings.with_columns(pl.col("metric").str.strip_prefix("ending "))
+    counts = endings.group_by("method", "metric", maintain_order=True).agg(pl.col("value").sum().cast(int))
+    wide = counts.pivot("metric", index="method", values="value").fill_null(0)
+    good = [name for name in ("registered", "held") if name in wide.columns]
+    names = [*good, *sorted(name for name in wide.columns if name not in ("method", *good))]
+    return Table(["method", *names], [list(row) for row in wide.select("method", *names).rows()])
+
+
+def _breaking_points(experiment: str, results: pl.DataFrame, methods: Sequence[Method]) -> Section:
+    """Return the section about the conditions that differ from the nominal one."""
+    found = estimates(results, RATES, by=("condition", "method"))
+    tables = [
+        estimate_table(found.filter(statistic=name), {}, index=("condition",), columns="method", caption=name)
+        for name in RATES
+    ]
+    note = (
+        "One setting differs from nominal: factors of friction, mass, contact and pad stiffness; added delay."
+    )
+    return Section(
+        "stress", "Where each method breaks", note, tables, lambda: stress_figure(experiment, found, methods)
+    )
+
+
+@styled
+def stress_figure(experiment: str, found: pl.DataFrame, methods: Sequence[Method]) -> Figure:
+    """Draw success and false slips along each axis: a line for each method.
+
+    Args:
+        experiment: ``tap`` or ``lift``.
+        found: Estimates of `RATES` by condition and method.
+        methods: Methods to draw.
+    """
+    axes = axes_of(experiment)
+    rows = -(-len(axes) // _PANELS)
+    drawing, panels = grid(2 * rows, _PANELS, (WIDTH, 4.4 * rows), sharey=True)
+    for panel in panels:
+        panel.set_axis_off()
+    values = {(row["condition"], row["method"], row["statistic"]): row["value"] for row in found.to_dicts()}
+    for number, (axis, conditions) in enumerate(axes.items()):
+        first = number // _PANELS * 2 * _PANELS + number % _PANELS
+        for panel, statistic in ((panels[first], SUCCESS), (panels[first + _PANELS], FALSE_FIRM)):
+            for method, color in zip(methods, CELLS, strict=False):
+                heights = [
+                    values[NOMINAL if each == Conditions() else f"{axis} {name}", str(method), statistic]
+                    for name, each in conditions.items()
+                ]
+                panel.plot(
+                    list(conditions), heights, color=color, marker="o", markersize=3.5, label=str(method)
+                )
+            panel.set_axis_on()
+            panel.yaxis.grid(visible=True)
+            panel.set(ylim=(-4, 104), title=f"{axis}: {statistic}")
+    drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=len(methods))
+    return drawing
+
+
+@styled
+def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
+    """Draw the first trial of a method with the ball, or else with the first object."""
+    held = named(EXAMPLE if EXAMPLE in trials.objects else trials.objects[0])
+    trial, setup = Trial.draw(held, trials.seed, Conditions()), method.load()
+    [(trace, outcome)] = EXPERIMENTS[experiment](trial, [setup])
+    least = trial.least_force
+    figure, axes = grid(5, 1, (9, 8), sharex=True)
+    force, counts, probability, slide, height = axes
+    t = trace.t
+    force.plot(t, trace.commanded, color=FAINT, drawstyle="steps-post", label="commanded")
+    force.plot(t, trace.force, color=MAIN, label="normal force")
+    force.axhline(least, color=SECOND, linestyle="--", linewidth=0.9, label="least that holds")
+    top = 1.3 * max(float(trace.commanded.max()), least)  # leaves room for the legend
+    force.set(ylabel="N", ylim=(0, top), title=f"{method}: {title(held.name)}, {outcome.ending}")
+    force.legend(loc="upper left", ncols=3)
+    for cell, color in enumerate(CELLS):
+        counts.plot(t, trace.counts[:, cell], color=color, linewidth=0.8)
+    counts.set(ylabel="counts", title="Barometers")
+    probability.plot(t, trace.probability, color=INK)
+    probability.axhline(setup[1].threshold, color=FAINT, linestyle="--", linewidth=0.9)
+    probability.set(ylabel="", ylim=(0, 1), title="Probability of slip (shaded: the object slides)")
+    slide.plot(t, 1000 * trace.slide, color=MAIN)
+    slide.set(ylabel="mm", title="Slide along the pad")
+    height.plot(t, 1000 * trace.gripper_height, color=FAINT, label="gripper")
+    height.plot(t, 1000 * trace.height, color=MAIN, label="object")
+    height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
+    height.legend(loc="upper left")
+    events = tap_trial.BLOWS if experiment == "tap" else (lift_trial.LIFT.instant,)
+    for axis in axes:
+        _shade(axis, trace)
+        for event in events:
+            axis.axvline(event, color=FAINT, linewidth=0.8)
+    return figure
+
+
+def _shade(axis: Axes, trace: Trace) -> None:
+    """Shade the times in which the object slides."""
+    for first, end in runs(trace.speed > SLIDING).tolist():
+        axis.axvspan(trace.t[max(first - 1, 0)], trace.t[end - 1], color=SHADE, linewidth=0)

@@ -1,1 +1,0 @@
-"""Adaptation of a trained network to another fingertip: without labels, or with few."""

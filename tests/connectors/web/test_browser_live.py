@@ -1,0 +1,198 @@
+"""The live page in a real browser: headless Chromium."""
+
+import asyncio
+
+import numpy as np
+import pytest
+from playwright.sync_api import ViewportSize, expect
+
+from flows.cli.live_view import add_page
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import Debounce, FaultKind, Faults, Run, Score, Touch, Truth, Zero
+from operators.fingertip import Fingertip, grid
+from storage import load_detector
+from tests.connectors.web.browsing import Served, ServedPage, Watched, shaking, sideways
+from tests.connectors.web.reading import moved, scored
+
+TOKEN = "0123456789abcdef"  # noqa: S105 - of tests
+
+
+def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched) -> None:
+    tab, addresses = watched.tab, list[str]()
+    flow = Flow("pressed")
+    zeroed = flow.source(TestSource(Touch, shaking(60), fingers=(0,))) | Zero()
+    (zeroed | Score(load_detector("psd")) | Debounce()).to(TestSink())
+    with Served() as served:
+        add_page(flow, "127.0.0.1:0", opened=addresses.append)
+
+        async def begin() -> LiveRunner:
+            return LiveRunner(flow, "session-7", clock=LoopClock())
+
+        runner: LiveRunner = served.do(begin())
+        running = asyncio.run_coroutine_threadsafe(runner.execute(), served.loop)
+        while not addresses:
+            served.do(asyncio.sleep(0))
+        tab.goto(addresses[0])
+        expect(tab.locator("#link")).to_have_text("Live")
+        expect(tab.locator("#session")).to_have_text("Flow pressed · session session-7")
+        state = tab.locator("#state")
+        expect(state).to_have_attribute("data-slip", "true")
+        expect(tab.locator("h1")).to_have_text("Fingertip 0Slip")
+        expect(state).to_have_css("background-color", "rgb(195, 19, 27)")
+        expect(state).to_have_attribute("data-slip", "false")
+        expect(tab.locator("h1")).to_have_text("Fingertip 0No slip")
+        expect(tab.locator("#events tr").first).to_contain_text("slip")
+        expect(tab.locator("#events tr").first).to_contain_text(" ms")
+        expect(tab.locator("#sources")).to_contain_text("Hz")
+        expect(tab.locator("#recording")).to_have_text("Not recording")
+        served.loop.call_soon_threadsafe(runner.stop)
+        run: Run = running.result(30)
+        expect(tab.locator("#link")).to_have_text("Ended")
+    assert run.sinks["page"].dropped == 0
+    assert watched.complaints == []
+    assert {url.split("/")[2] for url in watched.asked} == {addresses[0].split("/")[2]}
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_every_part_is_shown_and_nothing_is_cut_off_at_the_side(watched: Watched, width: int) -> None:
+    tab, cells = watched.tab, 64
+    tab.set_viewport_size(ViewportSize(width=width, height=844))
+    layout = tuple(row[::-1] for row in grid(cells, 8))  # numbered from the top right
+    tip = Fingertip(layout, 1000.0, "kPa", 0.01, (0, 4000))
+    with ServedPage(
+        session="a-session-with-a-really-long-name-20261121T185903.123456Z", fingertip=tip
+    ) as served:
+        tab.goto(served.url)
+        now = served.run.clock.now()
+        counts = np.arange(100, 100 + cells, dtype=np.int16)[None]
+        served.write(Touch(np.array([now]), counts, counts, counts > 0, finger=0))
+        expect(tab.locator("h1")).to_have_text("Fingertip 0Unknown")
+        for hidden in ("#motion", "#truth-key"):
+            expect(tab.locator(hidden)).to_be_hidden()
+        served.write(scored(now, 0.93), moved(now))
+        sliding = np.array([0.01])
+        served.write(Truth(np.array([now]), sliding, sliding, np.zeros((1, 3)), finger=0))
+        kinds = (5, FaultKind.STUCK), (63, FaultKind.SATURATED)
+        for cell, kind in kinds:
+            codes = np.array([cell], np.int8), np.array([kind], np.int8)
+            served.write(Faults(np.array([now]), *codes, np.array([True]), finger=0))
+        served.slip(1)
+        expect(tab.locator("#events tr")).to_contain_text("slip onset▲\u00a0doubtful: barometer 5 stuck")
+        expect(tab.locator("#cells")).to_contain_text("■ barometer 5 stuck, barometer 63 saturated")
+        expect(tab.locator("#quality")).to_have_text("Doubtful: barometer 5 stuck")
+        expect(tab.locator(".pad tr").first.locator(".which")).to_have_text(list(map(str, layout[0])))
+        expect(tab.locator(".count").first).to_have_text("1.07")
+        expect(tab.locator(".pad td.fault")).to_contain_text("stuck")
+        expect(tab.locator(".pad td.saturated")).to_contain_text("max")
+        expect(tab.locator("#unit")).to_have_text("Raw kPa, which rise with pressure.")
+        expect(tab.locator("#ramp-to")).to_have_text("40.00")
+        expect(tab.locator("#probability")).to_have_text("0.93")
+        expect(tab.locator("#speed")).to_have_text("3.0")
+        expect(tab.locator("#truth-key")).to_be_visible()
+        expect(tab.locator("#sources")).to_contain_text("down: 10.0.0.2: unplugged")
+        expect(tab.locator("#recording")).to_have_text("Recording, 1,234 rows")
+        expect(tab.locator("[aria-live=polite]")).to_have_text("slip onset: fingertip 0")
+        expect(tab).to_have_title("Slip · Fingertip 0 · demo · slipflow")
+        for name in ("Reading of each barometer", "Slip probability", "TCP speed"):
+            expect(tab.get_by_role("img", name=name)).to_be_visible()
+        for scheme in ("light", "dark"):
+            tab.emulate_media(color_scheme=scheme)
+            assert sideways(tab) == 0
+    assert watched.complaints == []
+
+
+def test_zeroed_counts_are_shown_as_pressure_in_the_layout_of_the_sensor(watched: Watched) -> None:
+    with ServedPage() as served:
+        watched.tab.goto(served.url)
+        served.touch(-10, -11, -12, -13, -14, -15)
+        expect(watched.tab.locator(".count")).to_have_text(["15", "14", "13", "10", "11", "12"])
+        expect(watched.tab.locator(".which")).to_have_text(["5", "4", "3", "0", "1", "2"])
+        cells, get = watched.tab.locator(".pad td"), "cell => cell.style.getPropertyValue('--share')"
+        assert [float(cells.nth(k).evaluate(get)) for k in (0, 3)] == pytest.approx([0.15, 0.1])
+
+
+def test_the_page_reconnects_to_a_restarted_server_unless_that_has_another_token(watched: Watched) -> None:
+    tab = watched.tab
+    with ServedPage() as first:
+        port = int(first.url.rpartition(":")[2])
+        tab.goto(first.url)
+        first.touch(-5)
+        expect(tab.locator("#session")).to_have_text("Flow demo · session first")
+        assert watched.complaints == []
+    expect(tab.locator("#link")).to_have_text("Ended")
+    expect(tab.locator("#notice")).to_contain_text("waits for the next run")
+    with ServedPage(port, "second") as second:
+        second.touch(-77)
+        expect(tab.locator("#session")).to_have_text("Flow demo · session second")
+        expect(tab.locator("#link")).to_have_text("Live")
+        expect(tab.locator("#notice")).to_be_hidden()
+        expect(tab.locator(".count").first).to_have_text("77")
+    assert all("ERR_" in complaint for complaint in watched.complaints)  # while no server ran
+    with ServedPage(port, token=TOKEN) as third:
+        expect(tab.get_by_role("heading", name="Token required")).to_be_visible()
+        tab.goto(third.page.login_url)
+        third.touch(-33)
+        expect(tab.locator(".count").first).to_have_text("33")
+
+
+def test_every_control_works_with_the_keyboard(watched: Watched) -> None:
+    tab = watched.tab
+    with ServedPage() as served:
+        tab.goto(served.url)
+        served.touch(-10, finger=0)
+        served.touch(-20, finger=1)
+        served.slip(1, finger=1)
+        expect(tab.get_by_role("radio")).to_have_count(2)
+        tab.keyboard.press("Tab")
+        expect(tab.get_by_role("combobox", name="Window")).to_be_focused()
+        tab.keyboard.press("ArrowDown")
+        expect(tab.get_by_role("combobox")).to_have_value("30")
+        tab.keyboard.press("Tab")
+        expect(tab.get_by_role("button", name="Pause")).to_be_focused()
+        tab.keyboard.press("Tab")
+        expect(tab.get_by_role("radio", name="Fingertip 0")).to_be_focused()
+        expect(tab.locator("#state")).to_have_attribute("data-slip", "false")
+        tab.keyboard.press("ArrowDown")
+        expect(tab.get_by_role("radio", name="Fingertip 1")).to_be_checked()
+        expect(tab.locator("h1")).to_have_text("Fingertip 1Slip")
+        tab.keyboard.press("Shift+Tab")
+        tab.keyboard.press("Enter")
+        expect(tab.get_by_role("button", name="Resume")).to_have_attribute("aria-pressed", "true")
+        served.touch(-99, finger=1)
+        served.slip(0, finger=1)
+        expect(tab.locator("h1")).to_have_text("Fingertip 1No slip")  # also updated during a pause
+        expect(tab.locator(".count").nth(6)).to_have_text("20")
+        tab.keyboard.press("Enter")
+        expect(tab.locator(".count").nth(6)).to_have_text("99")
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_token_is_entered_on_the_page_or_in_the_address(watched: Watched, width: int) -> None:
+    tab = watched.tab
+    tab.set_viewport_size(ViewportSize(width=width, height=844))
+    with ServedPage(token=TOKEN) as served:
+        tab.goto(served.url)
+        expect(tab.get_by_role("heading", name="Token required")).to_be_visible()
+        expect(tab.locator("body")).to_have_css("background-color", "rgb(239, 241, 242)")  # as on the pages
+        expect(tab.get_by_text("Wrong token.")).to_be_hidden()
+        field = tab.get_by_label("Token", exact=True)
+        expect(field).to_be_focused()
+        field.fill("no token at all")
+        tab.keyboard.press("Enter")
+        expect(tab.get_by_text("Wrong token.")).to_be_visible()
+        assert sideways(tab) == 0
+        assert all("the server responded with a status of 401" in text for text in watched.complaints)
+        watched.complaints.clear()
+        field.fill(TOKEN)
+        tab.get_by_role("button", name="Open").click()
+        served.touch(-10)
+        expect(tab.locator("#link")).to_have_text("Live")
+        assert tab.url == f"{served.url}/"
+        tab.context.clear_cookies()
+        tab.goto(served.page.login_url)
+        expect(tab.locator("#link")).to_have_text("Live")
+        assert tab.url == f"{served.url}/"
+    assert watched.complaints == []

@@ -1,0 +1,62 @@
+"""The command line of `slipflow experiment`."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flows.lab.experiments import study
+from flows.lab.experiments.lift_trial import LiftOutcome
+from tests.command import slipflow
+
+ONE = ["--method", "psd:none", "--object", "ball", "--trials", "1", "--jobs", "1"]
+
+
+def no_constant(name: str) -> None:
+    raise AssertionError(name)
+
+
+@pytest.fixture
+def no_simulation(monkeypatch: pytest.MonkeyPatch, hide_packages: Callable[..., None]) -> None:
+    """Lose the object in each trial, without a simulation and without figures."""
+    lost = LiftOutcome("missed", True, 30.0, math.nan, math.nan, 0.5)  # noqa: FBT003
+
+    def lift(_: Any, setups: list[Any]) -> list[tuple[None, LiftOutcome]]:  # noqa: ANN401
+        return [(None, lost)] * len(setups)
+
+    monkeypatch.setattr(study, "EXPERIMENTS", {"lift": lift})
+    hide_packages("matplotlib")
+
+
+def test_a_tap_is_printed_as_json_and_written_as_a_page_that_names_the_command(tmp_path: Path) -> None:
+    done = slipflow("experiment", "tap", *ONE, "--out", str(tmp_path), "--json")
+    found = json.loads(done.stdout.splitlines()[-1], parse_constant=no_constant)
+    assert found == json.loads((tmp_path / "tap.json").read_text())
+    assert (found["experiment"], found["trials"]) == ("tap", 1)
+    assert {row["method"] for row in found["results"]} == {"psd, none"}
+    assert "slipflow experiment tap --method psd:none --object ball" in (tmp_path / "tap.md").read_text()
+    assert "least that holds" in (tmp_path / "tap.svg").read_text()
+
+
+@pytest.mark.usefixtures("no_simulation")
+def test_without_a_method_ours_and_its_rivals_run_each_with_its_rule(tmp_path: Path) -> None:
+    done = slipflow("experiment", "lift", *ONE[2:], "--out", str(tmp_path))
+    first = done.stdout.partition("\n\n")[2].partition("\n\n")[0]  # table
+    methods = [line.split("|")[1].strip() for line in first.splitlines()[2:]]
+    assert methods == ["tcn_grasp, ours", "threshold, steps", "psd, steps", "paper, steps"]
+    assert "no figures, which need matplotlib" in done.stderr
+    assert "nan" not in (tmp_path / "lift.md").read_text()
+
+
+def test_an_unknown_experiment_object_or_rule_is_named(tmp_path: Path) -> None:
+    for words, text in (
+        (["drop"], "name is 'drop', must be one of tap, lift"),
+        (["tap", "--object", "egg"], "object is 'egg', must be one of box"),
+        (["tap", "--method", "psd:best"], "rule is 'best', must be one of ours, steps, none"),
+    ):
+        done = slipflow("experiment", *words, "--out", str(tmp_path))
+        assert done.returncode == 2
+        assert text in done.stderr

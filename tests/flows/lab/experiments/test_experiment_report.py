@@ -1,0 +1,99 @@
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import polars as pl
+import pytest
+
+from flows.lab.experiments.experiment_report import experiment_report
+from flows.lab.experiments.rivals import Method
+from flows.lab.experiments.study import NOMINAL, Trials, conditions_of
+from flows.report.report_page import Report
+from flows.report.results import Metrics, joined, result_rows
+
+OURS, NONE = Method("psd"), Method("psd", "none")
+TRIALS = Trials(2, 7, ("ball", "box"))
+HELD: Metrics = {
+    "trials": 1,
+    "success": 1,
+    "ending held": 1,
+    "false_firm": 0,
+    "slide": 3,
+    "lead": -20,
+    "force": 1.5,
+    "peak": 1.75,
+}
+LOST: Metrics = {"trials": 1, "success": 0, "ending missed": 1, "false_firm": 1, "slide": 30, "peak": 0.5}
+
+
+def lifts(names: Sequence[str] = (NOMINAL,)) -> pl.DataFrame:
+    """Two trials of two objects: our rule fails once, with the ball, the other always."""
+    return joined(
+        result_rows(
+            LOST if method == NONE or (name, seed) == ("ball", 7) else HELD,
+            method=str(method),
+            recording=f"{name}-{seed}",
+            condition=condition,
+            fold=name,
+        )
+        for condition in names
+        for name in TRIALS.objects
+        for seed in (7, 8)
+        for method in (OURS, NONE)
+    )
+
+
+def rows(report: Report, section: str, table: int = 0) -> list[dict[str, Any]]:
+    """The rows of a section's table, as a program reads them."""
+    found = json.loads(json.dumps(report.json(), allow_nan=False))
+    return list(found["sections"][section]["tables"][table]["rows"])
+
+
+@pytest.fixture
+def report() -> Report:
+    return experiment_report("lift", lifts(), [OURS, NONE], TRIALS, "command")
+
+
+def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
+    ours, none = rows(report, "lift")
+    assert {name: ours[name] for name in ("method", "success %", "firm lift %", "force", "lead ms")} == {
+        "method": "psd, ours",
+        "success %": 75,
+        "firm lift %": 25,
+        "force": 1.5,
+        "lead ms": -20,
+    }
+    assert (none["success %"], none["force"]) == (0, None)
+
+
+def test_success_with_each_object_stands_above_the_papers(report: Report) -> None:
+    assert rows(report, "objects") == [
+        {"method": "psd, ours", "ball": 50, "box": 100, "mean": 75},
+        {"method": "psd, none", "ball": 0, "box": 0, "mean": 0},
+        {"method": "paper, real objects", "ball": 35, "box": 100, "mean": 67.5},
+    ]
+
+
+def test_trials_are_counted_by_ending(report: Report) -> None:
+    assert rows(report, "failures") == [
+        {"method": "psd, ours", "held": 3, "missed": 1},
+        {"method": "psd, none", "held": 0, "missed": 4},
+    ]
+
+
+def test_the_json_has_every_estimate(report: Report) -> None:
+    found = report.json()
+    assert (found["experiment"], found["trials"], found["seed"]) == ("lift", 2, 7)
+    first = found["results"][0]
+    assert (first["method"], first["statistic"], first["value"]) == ("psd, ours", "success %", 75)
+    assert 20 < first["low"] < 50
+    assert 90 < first["high"] < 100
+
+
+def test_a_stress_test_has_a_row_for_each_condition_and_a_line_for_each_method() -> None:
+    conditions = list(conditions_of("lift", stress=True))
+    report = experiment_report("lift", lifts(conditions), [OURS, NONE], TRIALS, "command")
+    table = rows(report, "stress")
+    assert [row["condition"] for row in table] == conditions
+    assert table[1] == {"condition": conditions[1], "psd, ours": 75, "psd, none": 0}
+    assert report.sections[-1].svg.count("friction: success %") == 1

@@ -1,0 +1,135 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.training import trainer
+from flows.learn.training.dense_training import train_dense
+from flows.learn.training.fine_tuning import Alignment, aligned, best_alignment, fine_tune
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.trained_model import Model, label_scores, write_model
+from flows.learn.training.trainer import train
+from operators.detectors import Tcn
+from operators.errors import InputError
+from storage import load_debounce, load_detector
+
+STROKES = Path(__file__).parents[5] / "shared" / "real" / "strokes"
+_CELLS = np.array([1.0, 0.6, 0.3, -0.9, -0.5, -0.4])  # response to shear
+
+
+def stroked(
+    seed: int, stroke: float = 0.5, amplitude: float = 120.0, seconds: float = 30.0
+) -> LabelledRecording:
+    """A finger that rests 1.5 to 3 s between strokes; friction shears the pad while it slides."""
+    rng = np.random.default_rng(seed)
+    shear, label, sign = list[float](), list[int](), 1.0
+    while len(shear) < 100 * seconds:
+        rest, slide = round(100 * rng.uniform(1.5, 3)), round(100 * stroke * rng.uniform(0.9, 1.1))
+        last = shear[-1] if shear else 0.0
+        shear += [last * 0.4 + last * 0.6 * np.exp(-k / 12) for k in range(rest)]
+        wave = np.cumsum(rng.normal(0, 0.03, slide))
+        shear += [(sign + wave[k]) * (1 - np.exp(-k / 8)) + shear[-1] * np.exp(-k / 8) for k in range(slide)]
+        label += [0] * rest + [1] * slide
+        sign = -sign
+    size = round(100 * seconds)
+    counts = amplitude * np.array(shear)[:size, None] * _CELLS + rng.normal(0, 1.5, (size, 6))
+    return LabelledRecording(
+        np.rint(counts).astype(np.int16), np.array(label[:size], np.int8), "plane", name=f"stroked-{seed}"
+    )
+
+
+@pytest.fixture(scope="module")
+def learned() -> Tcn:
+    """A small network that learned strokes of 0.5 s and 120 counts."""
+    recipe = Recipe(filters=6, units=8, steps=150, batch=8, crop=400, checks=1, rate=1e-2)
+    return Tcn(train_dense([stroked(seed) for seed in range(4)], [stroked(4)], recipe).arrays)
+
+
+@pytest.fixture
+def parent(learned: Tcn, tmp_path: Path) -> Path:
+    return write_model(tmp_path / "parent.safetensors", learned.weights, {"detector": "tcn"}).path
+
+
+def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording]) -> None:
+    monkeypatch.setattr(trainer, "load", lambda _: recordings)
+
+
+def test_slower_and_weaker_strokes_are_found_by_time_scale_and_gain(learned: Tcn) -> None:
+    slow = [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)]
+    found = best_alignment(learned, slow)
+    assert found.time_scale > 1
+    assert found.gain < 1 or found.time_scale > 1
+    before, after = (label_scores(each, slow)["balanced"] for each in (learned, aligned(learned, found)))
+    assert after > before
+    assert best_alignment(learned, [stroked(0, seconds=3)]) == Alignment()  # hardly longer than a window
+
+
+def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the_origin(
+    parent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _loading(monkeypatch, [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)])
+    out, done = tmp_path / "tuned.safetensors", list[int]()
+    model = train(
+        [tmp_path], out, start=str(parent), recipe=Recipe(steps=30), progress=lambda n, *_: done.append(n)
+    )
+    scores = model.card["scores"]
+    assert scores["after"]["balanced"] > scores["before"]["balanced"]
+    assert "NOT better" not in model.report()
+    assert model.card["parent"]["id"] == "parent"
+    assert model.card["alignment"]["time_scale"] in {1, 2, 3}
+    assert (len(done), load_debounce(out) is None) == (30, False)
+    assert isinstance(load_detector(out), Tcn)
+
+
+def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(
+    parent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wrong, truth = stroked(10), stroked(11)
+    _loading(monkeypatch, [replace(wrong, label=1 - wrong.label), replace(truth, split="test")])
+
+    def tuned(start: Path) -> Model:
+        return train([tmp_path], tmp_path / "m.safetensors", start=str(start), recipe=Recipe(steps=60))
+
+    assert "NOT better than the model that it was trained from" in tuned(parent).report()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda one: replace(one, label=np.zeros_like(one.label)), "lacks slip or static samples"),
+        (lambda one: one.piece(slice(250)), "too short to hold out a part"),
+    ],
+)
+def test_recordings_that_cannot_be_learned_from_are_refused(
+    learned: Tcn, change: Callable[[LabelledRecording], LabelledRecording], reason: str
+) -> None:
+    with pytest.raises(InputError, match=reason):
+        fine_tune(learned, [change(stroked(0))], (), Recipe(steps=3))
+
+
+def test_only_a_tcn_is_trained_further(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="psd: is not a tcn: only a tcn can be trained further"):
+        train([tmp_path], tmp_path / "m.safetensors", start="psd")
+
+
+def _read(name: str) -> LabelledRecording:
+    frame = pl.read_parquet(STROKES / f"{name}.parquet")
+    counts = frame.select([f"b{cell}" for cell in range(6)]).to_numpy().astype("int16")
+    return LabelledRecording(counts, frame["label"].to_numpy().astype("int8"), "", name=name)
+
+
+@pytest.mark.skipif(
+    not STROKES.is_dir(), reason=f"no real recordings in {STROKES}: fetch the recipe `strokes`"
+)
+def test_two_minutes_of_real_strokes_improve_the_shipped_network_on_another_surface() -> None:
+    tcn = load_detector("tcn")
+    assert isinstance(tcn, Tcn)
+    two_minutes = [_read(f"{surface}_vel3").piece(slice(4000)) for surface in ("dvp_flat", "still", "tkan")]
+    others = [_read(f"fabric_vel{number}") for number in (2, 4, 5)]
+    tuned = fine_tune(tcn, two_minutes, (), Recipe(steps=trainer.FURTHER_STEPS)).tcn
+    before, after = (label_scores(each, others)["balanced"] for each in (tcn, tuned))
+    assert after > max(before, 85)
