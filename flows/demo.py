@@ -15,8 +15,6 @@ def demo(
     rig: str = "demo",
     outbox: Path | None = None,
     seed: int = 0,
-    *,
-    connect_required: bool = True,
 ) -> Flow:
     """Record a simulated fingertip and arm into `out`, detect slip, and publish the events to `broker`.
 
@@ -26,7 +24,6 @@ def demo(
         rig: Rig name used in topics.
         outbox: Folder that keeps the published events; None: one per rig.
         seed: Random seed of the simulation.
-        connect_required: End the run if the broker refuses the first connection.
     """
     flow = Flow("demo")
     dataset = Dataset(out)
@@ -46,7 +43,6 @@ def demo(
                 threshold=debounce.threshold,
                 consecutive=debounce.consecutive,
                 outbox=outbox,
-                connect_required=connect_required,
             )
         )
     return flow

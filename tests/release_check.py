@@ -18,7 +18,7 @@ from tests.pages import ROOT
 
 PACKAGES: Final = {"operators", "connectors", "storage", "flows"}
 COMMANDS: Final = (  # each needs other data files of the package
-    "demo --for 3s --out recordings --no-browser --rig release-check",
+    "demo --for 3s --out recordings --no-browser",
     "verify recordings",
     "check live --set detector=frequency_cnn",
     "simulate tiny --plan tiny",

@@ -1,75 +1,90 @@
 """The command `slipflow demo`."""
 
-import json
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.event_log import Format, Log, begin_log, with_json_console
-from flows.cli.execution import execute, separate_result
-from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
-from flows.cli.options import AsJson, Recordings, Seed
+from flows.cli.event_log import Format, begin_log
+from flows.cli.execution import execute
+from flows.cli.live_view import NoBrowser, add_page
+from flows.cli.options import Recordings
+
+if TYPE_CHECKING:
+    from operators import Run
 
 
 def demo(
     *,
     duration: Annotated[
-        str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
+        str, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
     ] = "20s",
     out: Recordings = Path("recordings"),
     mqtt: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="MQTT broker to publish to (default: one on this machine, if any)."),
+        str | None, typer.Option(metavar="URL", help="Publish the slip events to this MQTT broker.")
     ] = None,
-    rig: Annotated[
-        str, typer.Option(metavar="NAME", help="Rig name used in topics; each name has its own outbox.")
-    ] = "demo",
-    outbox: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="Folder that keeps the published events (default: one per rig)."),
-    ] = None,
-    seed: Seed = 0,
-    page: WithPage = True,
-    listen: Listen = None,
     no_browser: NoBrowser = False,
-    metrics: Metrics = None,
-    log: Log = Format.TEXT,
-    as_json: AsJson = False,
 ) -> None:
     """Detect slip on a simulated rig; no hardware is needed.
 
-    Records a labelled dataset, shows touch and slips on the live page, and publishes events if there is a
-    broker. Exits 1 if a source was down or silent at the end, or rows were lost.
+    Records a labelled dataset, shows touch and slips on the live page, and compares the detected slips with
+    the true ones. Exits 1 if a source was down or silent at the end, or rows were lost. `slipflow run demo`
+    runs the same flow with all options of `run`.
 
     Examples:
       slipflow demo --for 1min
-      slipflow demo --mqtt mqtt://localhost --rig left --no-page
+      slipflow demo --mqtt mqtt://localhost
     """
     from connectors.punctual_loop import run_punctually
     from flows import demo as declared
-    from flows.cli import demo_summary
     from flows.graph.quantity import parse_time
     from flows.run.run_summary import Summary
 
-    begin_log(log)
-    limit = None if duration is None else parse_time("demo", "--for", duration)  # ns
-    broker = mqtt or demo_summary.local_broker()
-    flow = declared.demo(str(out), broker, rig, outbox, seed, connect_required=bool(mqtt))
-    if log is Format.JSON:
-        flow = with_json_console(flow)
-    if page:
-        add_page(flow, listen, browse=not no_browser)
-    if metrics:
-        add_metrics(flow, metrics)
+    begin_log(Format.TEXT)
+    limit = parse_time("demo", "--for", duration)  # ns
+    flow = declared.demo(str(out), mqtt)
+    add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
-    with separate_result(as_json=as_json, log=log):
-        done = run_punctually(execute(flow, limit=limit))
-    summary = Summary.of(done)
-    found = demo_summary.summarize(done, out, broker)
-    if as_json:
-        typer.echo(json.dumps({**summary.as_dict(), **found}))
-    elif log is Format.TEXT:
-        typer.echo(demo_summary.report(found, done))
-    if summary.lost:
+    done = run_punctually(execute(flow, limit=limit))
+    typer.echo("\n".join([*report(done, out), *published(mqtt)]))
+    if Summary.of(done).lost:
         raise typer.Exit(1)
+
+
+def report(run: "Run", out: Path) -> list[str]:
+    """Compare the slips that a demo run recorded in the dataset `out` with the simulated truth, as lines."""
+    import numpy as np
+
+    from connectors.sim.truth import true_slips
+    from flows.learn.onsets import match_onsets
+    from operators import SLIP, Slips, Truth, concat, ms, s
+    from storage import Session
+
+    session = Session.open(out / "sessions" / run.session)
+    slips = concat(Slips, list(session.read(Slips, 0)))
+    onsets = slips.time[slips.state == SLIP]
+    found = match_onsets(onsets, true_slips(concat(Truth, list(session.read(Truth, 0)))))
+    caught, delays = len(found.delays), found.delays / ms  # (caught,) ms
+    rows = ", ".join(f"{run.sources[name].rows} {name}" for name in ("touch", "motion"))
+    seconds, recorded = (run.clock.now() - run.start) / s, run.sinks["dataset"].rows
+    lines = [
+        f"{seconds:.1f} s: {rows} samples in, {recorded} rows recorded",
+        f"{caught + found.missed} true slips: {caught} detected, {found.missed} missed",
+        f"{len(onsets)} onsets reported, {found.false} of them false",
+    ]
+    if caught:
+        median, p90 = np.quantile(delays, (0.5, 0.9)).tolist()
+        lines.append(f"onset delay: median {median:.0f} ms, p90 {p90:.0f} ms")
+    python = Path(sys.executable)
+    return [
+        *lines,
+        f"dataset: {out}; to view it, or to open it in Python:",
+        f"  {python.parent}/slipflow show {session.folder}",
+        f"  {python} -c \"import polars; print(polars.read_parquet('{session.folder}/samples/*.parquet'))\"",
+    ]
+
+
+def published(broker: str | None) -> list[str]:
+    """Return how to follow the events that were published, as lines."""
+    return [f"events published to {broker}; to follow them: slipflow watch {broker}"] if broker else []

@@ -33,7 +33,6 @@ def page_served() -> float:
     """CPU of the demo from its start until its page is served, s."""
     with tempfile.TemporaryDirectory() as folder:
         words = ["demo", "--for", "1min", "--no-browser", "--out", f"{folder}/recordings"]
-        words += ["--listen", "127.0.0.1:0", "--outbox", f"{folder}/outbox"]
         demo = subprocess.Popen(
             [*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )

@@ -1,13 +1,14 @@
 """The shipped flows, built and run over the simulated rig in virtual time."""
 
 import asyncio
+import re
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from connectors import Trace
-from flows.cli.demo_summary import report, summarize
+from flows.cli.demo_command import report
 from flows.demo import demo
 from flows.graph import Flow
 from flows.graph.loading import load
@@ -63,16 +64,16 @@ def test_live_prints_slip_events(capsys: pytest.CaptureFixture[str]) -> None:
     assert "slip onset" in capsys.readouterr().out
 
 
-def test_the_demo_summary_compares_onsets_with_the_truth(
+def test_the_report_of_the_demo_compares_onsets_with_the_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    flow = demo(str(tmp_path))
-    run = run_for(flow, 20)
-    found = summarize(run, tmp_path, None)
-    assert found["true_slips"] > 3
-    assert found["slips"] == capsys.readouterr().out.count("slip onset") > 0
-    assert found["missed"] < found["true_slips"]
-    text = report(found, run)
+    run = run_for(demo(str(tmp_path)), 20)
+    onsets = capsys.readouterr().out.count("slip onset")
+    text = "\n".join(report(run, tmp_path))
+    slips, caught, missed = map(int, re.findall(r"(\d+) true slips: (\d+) detected, (\d+) missed", text)[0])
+    assert slips == caught + missed > 3
+    assert caught > 0
+    assert f"{onsets} onsets reported" in text
     assert "onset delay: median" in text
     assert f"{tmp_path}/sessions/test/samples/*.parquet" in text
     assert set(Session.open(tmp_path).tables) == {"touch", "motion", "samples", "slips", "episodes", "truth"}

@@ -61,7 +61,10 @@ def test_a_usage_error_names_the_help_to_read() -> None:
             "invalid value for '--log': 'xml' is not one of 'text', 'json'. See slipflow run",
         ),
         ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
-        ("demo --seed x", "invalid value for '--seed': must be a valid integer. See slipflow demo --help"),
+        (
+            "simulate out --seed x",
+            "invalid value for '--seed': must be a valid integer. See slipflow simulate",
+        ),
         ("simulate", "missing argument 'OUT'. See slipflow simulate --help"),
     ],
 )
