@@ -1,4 +1,4 @@
-"""Slip events as CloudEvents 1.0 in structured JSON; the schema is ``slip-event.schema.json``.
+"""Slip events as CloudEvents 1.0 in structured JSON; docs/reference/asyncapi.json has the schema.
 
 This module does no I/O and reads no clock. Source: https://github.com/cloudevents/spec, v1.0.2.
 """

@@ -1,4 +1,4 @@
-"""docs/reference/mqtt.md is the contract that a rig keeps on a real broker; its files run."""
+"""docs/reference/mqtt.md and asyncapi.json are the contract that a rig keeps on a real broker; files run."""
 
 import asyncio
 import json
@@ -8,21 +8,22 @@ import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
+from jsonschema import Draft7Validator
 
 from connectors import Consumer, Event, Mqtt
 from connectors.events import encode
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
-from operators.batch import Slips, ms
-from operators.ports import Run
-from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
+from operators.batch import Clocks, Faults, Slips, ms, s
+from operators.health import FaultKind
+from operators.ports import Run, SinkStatus, SourceStatus
+from tests.asyncapi import DOCUMENT, problems
+from tests.connectors.mqtt.broker_process import Received, TestBroker
 from tests.pages import ROOT, block, commands, table
 from tests.waiting import until
 
@@ -37,10 +38,11 @@ def shown(name: str) -> Any:  # noqa: ANN401 - JSON
     return json.loads(block(PAGE, name))
 
 
-def slips(*states: int, finger: int = 0, time: int = START) -> Slips:
-    """Rows 10 ms apart."""
-    times = time + 10 * ms * np.arange(len(states))
-    return Slips(times, np.array(states, np.int8), times, np.full(len(states), 0.93), finger=finger)
+def slips(*states: int, finger: int = 0) -> Slips:
+    """Rows 10 ms apart; the last one without a probability."""
+    time = START + 10 * ms * np.arange(len(states))
+    probability = np.array([0.93] * (len(states) - 1) + [np.nan])
+    return Slips(time, np.array(states, np.int8), time, probability, finger=finger)
 
 
 def use(sink: Mqtt, run: Run, body: Callable[[], Awaitable[None]]) -> None:
@@ -54,65 +56,85 @@ def use(sink: Mqtt, run: Run, body: Callable[[], Awaitable[None]]) -> None:
     asyncio.run(main())
 
 
-def heard(listener: TestListener, *topics: str) -> dict[str, Received]:
-    """The first message on each of these topics."""
-    found = dict[str, Received]()
-    while not set(topics) <= set(found):
-        received = listener.next()
-        found.setdefault(received.topic, received)
-    return found
-
-
 def topic(row: dict[str, str]) -> str:
-    """The topic of a row of the page, of this rig, finger 0 and this asker."""
+    """The topic of a row of the page, of this rig, finger 0 and this client."""
     return f"{RIG}/{row['topic'].strip('`')}".replace("<finger>", "0").replace("<name>", "logger-1")
 
 
-def test_a_rig_publishes_the_documents_of_the_page(broker: TestBroker, run: Run) -> None:
-    rows = table(PAGE, "## Topics")
-    topics = [topic(row) for row in rows if row["topic"] != "`replay/request`"]
-    listener = broker.listen(f"{RIG}/#")
-    found = dict[str, Received]()
+def messages(broker: TestBroker, run: Run) -> list[Received]:
+    """All messages of a run with a fault, a clock, slips and a request for missed events."""
+    everything, events = broker.listen("slip/#"), broker.listen(f"{RIG}/+/event", f"{RIG}/replay/logger-1")
+    run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=run.clock.now() - 5 * ms)
+    run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
+    now, cell = np.array([run.clock.now()]), np.array([3], np.int8)
 
-    async def ask() -> None:
-        await asyncio.to_thread(lambda: found.update(heard(listener, f"{RIG}/0/event", f"{RIG}/0/state")))
-        asked = {**shown("request"), "epoch": json.loads(found[f"{RIG}/0/event"].payload)["data"]["epoch"]}
-        asked["reply_to"] = f"{RIG}/replay/logger-1"
+    async def body() -> None:
+        await sink.write(Faults(now, cell, np.array([FaultKind.STUCK], np.int8), np.array([True]), finger=0))
+        await sink.write(Clocks(now, np.array([3 * s]), np.array([5e-5]), np.array([0.004])))
+        await sink.write(slips(1, 0, 1, 0))
+        event = json.loads((await asyncio.to_thread(events.next)).payload)
+        asked = {"epoch": event["data"]["epoch"], "from": 1, "to": 1, "reply_to": f"{RIG}/replay/logger-1"}
+        await until(lambda: not sink.waiting)
         await asyncio.to_thread(broker.publish, f"{RIG}/replay/request", json.dumps(asked))
-        await asyncio.to_thread(lambda: found.update(heard(listener, f"{RIG}/replay/logger-1")))
+        for _ in range(2):
+            await asyncio.to_thread(events.next, f"{RIG}/replay/logger-1")
 
-    async def body() -> None:
-        await sink.write(slips(1, 0, 1, 0, 1, 0))
-        await ask()
-
-    sink = Mqtt(broker.url, model={"id": "tcn"}, threshold=0.777, consecutive=2)
+    sink = Mqtt(broker.url, model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2)
     use(sink, run, body)
-    retained = {received.topic for received in broker.listen(f"{RIG}/#").rest()}
+    return everything.rest()
+
+
+def test_the_asyncapi_document_follows_its_meta_schema_and_has_the_topics_of_the_page() -> None:
+    meta = json.loads((ROOT / "tests" / "asyncapi-3.0.0.schema.json").read_text())
+    validator: Any = Draft7Validator(meta)
+    assert not [(error.json_path, error.message) for error in validator.iter_errors(DOCUMENT)]
+    topics = {}
+    for name, operation in DOCUMENT["operations"].items():
+        channel, mqtt = DOCUMENT["channels"][name], operation["bindings"]["mqtt"]
+        address = channel["address"].replace("{", "<").replace("}", ">")
+        retained = "yes" if mqtt["retain"] else "no"
+        topics[address] = str(mqtt["qos"]), retained, channel["description"]
+    rows = table(PAGE, "## Topics")
+    assert topics == {
+        f"slip/v1/<site>/<rig>/{row['topic'].strip('`')}": (row["QoS"], row["retained"], row["content"])
+        for row in rows
+    }
+
+
+def test_a_rig_publishes_the_documents_of_the_page(broker: TestBroker, run: Run) -> None:
+    received = messages(broker, run)
+    assert not {each.topic: found for each in received if (found := problems(*each[:2]))}
+    rows = table(PAGE, "## Topics")
+    assert {each.topic for each in received} == {topic(row) for row in rows}
+    retained = {each.topic for each in broker.listen(f"{RIG}/#").rest()}
     assert retained == {topic(row) for row in rows if row["retained"] == "yes"}
-    assert set(topics) - retained == {f"{RIG}/{name}" for name in ("0/event", "replay/logger-1")}
-    published = {name: json.loads(found[f"{RIG}/0/{name}"].payload) for name in ("event", "state")}
-    assert shown("event").keys() == published["event"].keys()
-    assert shown("event")["data"].keys() == published["event"]["data"].keys()
-    assert shown("state").keys() == published["state"].keys()
-
-
-def test_the_retained_documents_have_the_fields_of_the_page(broker: TestBroker, run: Run) -> None:
-    listener = broker.listen(f"{RIG}/#")
-    found = dict[str, Received]()
-
-    async def body() -> None:
-        names = [f"{RIG}/{name}" for name in ("head", "status", "info", "health")]
-        await asyncio.to_thread(lambda: found.update(heard(listener, *names)))
-
-    use(Mqtt(broker.url), run, body)
-    documents = {name.removeprefix(f"{RIG}/"): json.loads(each.payload) for name, each in found.items()}
-    assert documents["head"].keys() == shown("head").keys() - {"before"}
-    assert documents["status"].keys() == shown("status").keys()
+    newest = {each.topic.removeprefix(f"{RIG}/"): json.loads(each.payload) for each in received}
+    assert newest["head"].keys() == shown("head").keys() - {"before"}
     text = " ".join(PAGE.read_text().split())
     for name in ("info", "health"):
         [fields] = re.findall(rf"`{name}` has (.*?)[;.] ", text)
-        named = set(re.findall(r"`(\w+)`", fields))
-        assert named == documents[name].keys() - {"epoch", "session", "time_ns"}
+        assert {*re.findall(r"`(\w+)`", fields)} == newest[name].keys() - {"epoch", "session", "time_ns"}
+    event = newest["0/event"]
+    assert (event.keys(), event["data"].keys()) == (shown("event").keys(), shown("event")["data"].keys())
+
+
+@pytest.mark.parametrize("name", ["event", "state", "head", "status", "request", "answer"])
+def test_the_examples_of_the_page_are_valid(name: str) -> None:
+    level = {"event": "0/event", "state": "0/state", "request": "replay/request", "answer": "replay/me"}
+    assert not problems(f"{RIG}/{level.get(name, name)}", block(PAGE, name))
+    assert problems(f"{RIG}/{level.get(name, name)}", "{}")
+
+
+def test_the_examples_of_the_page_are_read_and_written() -> None:
+    event = Event.decode(encode(shown("event")))
+    assert json.loads(event.encode()) == shown("event")
+    GapRequest.decode(encode(shown("request")), "slip/v1/lab/ur10")
+    answer = shown("answer")
+    missing = tuple((first, last) for first, last in answer["missing"])
+    closing = GapAnswer(answer["epoch"], answer["from"], answer["to"], missing)
+    assert json.loads(closing.encode()) == answer
+    [component] = shown("discovery")["components"].values()
+    assert component["state_topic"] in {topic(row) for row in table(PAGE, "## Topics")}
 
 
 @pytest.mark.parametrize("live", [True, False])
@@ -135,19 +157,6 @@ def test_a_replay_publishes_as_another_rig(broker: TestBroker, run: Run, *, live
     assert event["data"]["session"] == info["session"] == run.session
     assert info["recording"] == "stroke-9"
     assert event["data"]["latency_ms"] is None
-
-
-def test_the_documents_of_the_page_are_valid() -> None:
-    schema = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
-    validator: Any = Draft202012Validator(schema)
-    validator.validate(shown("event"))
-    event = Event.decode(encode(shown("event")))
-    assert json.loads(event.encode()) == shown("event")
-    GapRequest.decode(encode(shown("request")), "slip/v1/lab/ur10")
-    answer = shown("answer")
-    missing = tuple((first, last) for first, last in answer["missing"])
-    closing = GapAnswer(answer["epoch"], answer["from"], answer["to"], missing)
-    assert json.loads(closing.encode()) == answer
 
 
 # --- the files -------------------------------------------------------------------------------------------

@@ -1,6 +1,5 @@
 import json
 from dataclasses import replace
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,9 @@ from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
 from operators.health import FaultKind
 from operators.ports import Json
+from tests.asyncapi import EVENT_SCHEMA
 
-SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
-VALIDATOR: Any = Draft202012Validator(SCHEMA)
+VALIDATOR: Any = Draft202012Validator(EVENT_SCHEMA)
 letters = st.characters(exclude_categories=["C", "Z"]) | st.just(" ")  # what `str.isprintable` lets pass
 names = st.text(letters, min_size=1, max_size=8)
 parts = st.text(letters.filter(lambda letter: letter not in "/+#"), min_size=1, max_size=8)
@@ -56,8 +55,8 @@ EVENT = Event(
     degraded=(Fault(2, "stuck"),),
 )
 READ: list[tuple[str | int, ...]] = [
-    *[(name,) for name in SCHEMA["required"] if name not in ("time", "datacontenttype")],
-    *[("data", name) for name in SCHEMA["properties"]["data"]["required"] if name != "quality"],
+    *[(name,) for name in EVENT_SCHEMA["required"] if name not in ("time", "datacontenttype")],
+    *[("data", name) for name in EVENT_SCHEMA["properties"]["data"]["required"] if name != "quality"],
     ("data", "model", "id"),
     ("data", "model", "sha256"),
     ("data", "degraded", 0),
@@ -87,7 +86,7 @@ def is_valid(payload: bytes) -> bool:
 
 
 def test_the_schema_follows_draft_2020_12() -> None:
-    Draft202012Validator.check_schema(SCHEMA)
+    Draft202012Validator.check_schema(EVENT_SCHEMA)
 
 
 @given(events)

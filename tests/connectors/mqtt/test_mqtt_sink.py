@@ -4,7 +4,6 @@ import signal
 from collections.abc import AsyncGenerator, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import replace
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +22,13 @@ from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
 from storage.append_log import AppendLog
+from tests.asyncapi import EVENT_SCHEMA
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.inside import inside
 from tests.waiting import until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
-SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
 RIG = "slip/v1/lab/rig"
 REFUSED = "cannot connect: Connection refused; check that the broker runs and that this is its port"
 NOW = 100 * s  # what the clock of the run shows
@@ -59,7 +58,7 @@ def event(listener: TestListener, finger: str = "0") -> Event:
     """The next event, checked against the schema by an independent validator."""
     received = listener.next(f"{RIG}/{finger}/event")
     assert (received.retained, received.content_type) == (False, CONTENT_TYPE)
-    validate(json.loads(received.payload), SCHEMA, Draft202012Validator)
+    validate(json.loads(received.payload), EVENT_SCHEMA, Draft202012Validator)
     return Event.decode(received.payload.encode())
 
 
@@ -491,7 +490,7 @@ async def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(
     async with opened(sink, run):
         await sink.write(slips(1))
     document = read(listener.next(f"{RIG}-replay/0/event"))
-    validate(document, SCHEMA, Draft202012Validator)
+    validate(document, EVENT_SCHEMA, Draft202012Validator)
     assert (document["source"], document["data"]["latency_ms"]) == ("/lab/rig-replay/0", None)
 
 

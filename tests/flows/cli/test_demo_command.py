@@ -12,12 +12,11 @@ import jsonschema
 import polars as pl
 import pytest
 
+from tests.asyncapi import EVENT_SCHEMA
 from tests.command import SLIPFLOW, slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.web.reading import listening
 from tests.waiting import PATIENCE
-
-SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.schema.json").read_text())
 
 
 def summary(output: str) -> dict[str, Any]:
@@ -90,6 +89,6 @@ def test_watch_receives_every_event_although_the_broker_is_killed(tmp_path: Path
     rest, _ = watch.communicate(timeout=PATIENCE)
     assert not rest
     for event in events:
-        jsonschema.validate(event, SCHEMA)
+        jsonschema.validate(event, EVENT_SCHEMA)
     assert {event["data"]["seq"] for event in events} == set(range(1, len(recorded) + 1))
     assert sorted(event["data"]["sample_time_ns"] for event in events) == sorted(recorded)
