@@ -36,9 +36,9 @@ faults:  ## simulate the whole system under drawn faults until stopped; prints s
 	@deploy/prepare test
 	.venv/bin/python -m tests.faults
 
-scene:  ## measure the realism of the simulated scene, for docs/explanations/scene.md; judge=FILE trace=FILE: real data
+scene:  ## print how well the simulated scene meets its targets, for docs/explanations/scene.md; judge=FILE trace=FILE
 	@deploy/prepare test
-	.venv/bin/python -m tests.scene $(if $(judge),--judge $(judge)) $(if $(trace),--trace $(trace))
+	.venv/bin/python -m tests.scene.scene_fit --judge $(judge) --trace $(trace) --rounds 0
 
 scene-fit:  ## fit the constants of the scene to real data, half an hour on two cores; judge=FILE trace=FILE
 	@deploy/prepare test

@@ -13,7 +13,7 @@ from flows.learn.training.trained_model import label_scores
 from flows.report.table import Table, Value
 from storage import load_detector
 from tests.benchmarks.machine import commit
-from tests.scene.scene_measurements import read_trace
+from tests.scene.scene_targets import read_trace
 
 
 def table(trace: Path, models: Sequence[Path]) -> Table:

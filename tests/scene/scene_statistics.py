@@ -109,12 +109,6 @@ def measure(recordings: Sequence[LabelledRecording]) -> dict[str, Reals]:
     return found
 
 
-def distance(found: dict[str, Reals]) -> float:
-    """Return the mean of `Published.distance` over the published rows; 0: indistinguishable."""
-    far = [row.distance(found[row.key]) for row in TABLE if row.low and row.key in found]
-    return float(np.nanmean(far))
-
-
 def edges(recordings: Sequence[LabelledRecording]) -> tuple[Reals, Reals]:
     """Return how long the signal rises after a label's onset and rings after its end, ms: (onsets,), (ends,).
 

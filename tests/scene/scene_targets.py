@@ -1,21 +1,24 @@
 """Targets of the fit of the scene: real and published figures, and the same figures of a simulated plan."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from connectors import Trace
+from connectors.files.column_map import ColumnMap
 from connectors.sim.barometers import DECADES
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.physics_parameters import Parameters
-from flows.learn.evaluation.motion_metrics import MotionConfusions
+from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionGroup
+from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import windows
-from flows.report.table import Table, Value
-from operators.batch import Reals
+from operators.batch import UNKNOWN, Reals
 from operators.detectors import Detector
-from tests.scene.scene_motion import groups
+from operators.errors import InputError
 from tests.scene.scene_statistics import FREQUENCIES, TABLE, measure
 
 PLAN: Final = PaperPlan(repeats=2, rotations=2)  # that the constants are fitted on
@@ -72,16 +75,16 @@ def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
     )
 
 
-def target_table(plan: PaperPlan, seeds: Sequence[int], network: Detector, trace: LabelledRecording) -> Table:
-    """Return the targets, and the mean figures of a plan over seeds."""
-    found = np.mean([figures(plan, seed, network) for seed in seeds], axis=0)
-    rows: list[list[Value]] = [
-        [each.text, each.weight, each.real, value]
-        for each, value in zip(targets(trace), found.tolist(), strict=True)
-    ]
-    head = ["target of the fit", "weight", "real", "simulated"]
-    caption = f"Targets of `make scene-fit`, and the scene on {len(seeds)} seeds that the fit does not use"
-    return Table(head, rows, caption, dict.fromkeys(head))
+def read_trace(path: Path) -> LabelledRecording:
+    """Read a real trace.
+
+    Raises:
+        InputError: if a row has no label, or the file is not a trace.
+    """
+    trace = Trace(path, ColumnMap(zeroed=True))
+    if (trace.labels == UNKNOWN).any():
+        raise InputError(str(path), "has rows without a label; label each row")
+    return LabelledRecording(trace.touch.counts, trace.labels, path.stem, name=path.stem)
 
 
 def relaxed(parameters: Parameters) -> list[float]:
@@ -94,3 +97,22 @@ def _shape(statistics: Mapping[str, Reals]) -> list[float]:
     octaves = np.log2(statistics["slip spectrum"])
     shape: list[float] = (octaves - octaves.mean()).tolist()
     return shape
+
+
+def groups() -> list[tuple[str, MotionGroup, float]]:
+    """Return the groups of windows that the paper has figures for: name, cells, F1 (%)."""
+
+    def on(surface: str) -> MotionGroup:
+        return lambda cell: cell.surface == surface
+
+    def moved(kind: str, pace: float | None) -> MotionGroup:
+        return lambda cell: (cell.kind, cell.speed) == (kind, pace)
+
+    surfaces = [(s.replace("_", " "), on(s), f1) for s, f1 in zip(SURFACES, TABLE_3_ANY, strict=True)]
+    motions = [(_motion_name(*motion), moved(*motion), f1[-1]) for motion, f1 in TABLE_3.items()]
+    return [("all", lambda _: True, TABLE_1["TCN"][-1]), *surfaces, *motions]
+
+
+def _motion_name(kind: str, pace: float | None) -> str:
+    """Return kind and speed of a motion as text."""
+    return f"{kind}, 1 rad/s" if pace is None else f"{kind}, {100 * pace:g} cm/s"
