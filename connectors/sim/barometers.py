@@ -21,8 +21,7 @@ from typing import Final
 import numpy as np
 
 from connectors.sim.contact import compiled
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Faults
+from connectors.sim.scene import Faults, Parameters
 from operators.batch import BAROMETERS, Counts, Flags, Reals
 
 CEILING: Final = 1023  # counts, of 10 bits

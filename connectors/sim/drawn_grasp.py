@@ -17,9 +17,8 @@ from connectors.sim.grasp import Grasp, GraspState, least_force
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Curvature, Vibration
-from connectors.sim.truth import SLIDING
+from connectors.sim.scene import Curvature, Parameters, Vibration
+from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Touch, Truth, concat
 
 RATE: Final = 100.0  # Hz

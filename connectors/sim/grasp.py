@@ -19,8 +19,7 @@ from connectors.sim.contact import FingerState
 from connectors.sim.finger import contact_model, pad, vibration_velocity
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Faults, Scene, Vibration
+from connectors.sim.scene import Faults, Parameters, Scene, Vibration
 from operators.batch import Reals, Touch, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError

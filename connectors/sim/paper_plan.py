@@ -14,8 +14,7 @@ from typing import TypeAlias, cast
 
 import numpy as np
 
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Curvature, Move, Scene, Timing, Vibration
+from connectors.sim.scene import Curvature, Move, Parameters, Scene, Timing, Vibration
 
 Variation: TypeAlias = Callable[[Scene, np.random.Generator], Scene]
 

@@ -5,7 +5,7 @@ from collections.abc import AsyncIterator
 from dataclasses import asdict, replace
 from itertools import count
 from math import nan, radians
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Source
+from operators.sliding_motion import SlidingMotion
+
+SLIDING: Final = SlidingMotion.speed  # m/s, true sliding that counts as slip
 
 
 class SimulatedRig:
@@ -217,3 +220,13 @@ def episode(move: Move, start: float, origin: int, scene: Scene) -> Episodes:
         np.array([SURFACES.index(scene.curvature)], np.int8),
         *(np.array([value]) for value in (radians(move.direction_deg), speed, angular_speed, nan, force)),
     )
+
+
+def true_slips(truth: Truth) -> list[tuple[int, int]]:
+    """Return onset and end (ns) of every true slip; short sticks are part of a slip."""
+    at = truth.time[truth.sliding > SLIDING]  # (k,)
+    if not len(at):
+        return []
+    breaks = np.flatnonzero(np.diff(at) > SlidingMotion.stick)
+    starts, ends = at[np.r_[0, breaks + 1]], at[np.r_[breaks, -1]]
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors.events import Fault, Slip, quality
-from connectors.sim.truth import SLIDING
+from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
 from operators.ports import Json, Run
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors.events import Slip, finger_name, slips
-from connectors.sim.truth import true_slips
+from connectors.sim.simulated_rig import true_slips
 from connectors.web.cell_faults import FaultHistory, fault_list
 from connectors.web.curves import (
     GAP,

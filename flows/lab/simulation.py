@@ -22,8 +22,7 @@ from connectors.sim.drawn_grasp import simulate_grasp
 from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan, PaperStrokes, varied
 from connectors.sim.scene import Scene
-from connectors.sim.simulated_rig import episode
-from connectors.sim.truth import SLIDING
+from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.learn.splits import SPLITS, TURNS

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
-from connectors.sim.simulated_rig import episode
-from connectors.sim.truth import SLIDING
+from connectors.sim.simulated_rig import SLIDING, episode
 from flows.learn.sampling import Sampling
 from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Health, Label, Resample, SlidingMotion, Zero, ms

@@ -11,7 +11,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.sim.barometers import DECADES
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Parameters
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionGroup
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings

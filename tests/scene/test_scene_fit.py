@@ -5,7 +5,7 @@ import pytest
 
 from connectors.sim.barometers import DECADES, influence, respond
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Parameters
 from operators.batch import Reals
 from tests.scene.scene_fit import CONSTANTS, SLOPE, STEP, changed, constants, fit
 from tests.scene.scene_statistics import Published

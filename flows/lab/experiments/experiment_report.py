@@ -6,7 +6,7 @@ from typing import Final
 import polars as pl
 
 from connectors.sim.objects import named
-from connectors.sim.truth import SLIDING
+from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
 from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials, axes_of

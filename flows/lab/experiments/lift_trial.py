@@ -11,7 +11,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from connectors.sim.grasp_actions import Lift
-from connectors.sim.truth import SLIDING
+from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.trial import HELD, Trace, Trial, run_trial
 from operators.batch import Reals, s
 from operators.detectors import Detector

@@ -15,7 +15,7 @@ import numpy as np
 from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import PASSIVE_FRICTION, grip_model, surface
 from connectors.sim.grasp_actions import Tap
-from connectors.sim.truth import SLIDING
+from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.trial import HELD, MOVED, STILL, Trace, Trial
 from operators.detectors import Detector
 from operators.grip import GripController

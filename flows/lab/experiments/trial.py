@@ -9,8 +9,7 @@ import numpy as np
 from connectors.sim.grasp import Grasp, GraspState, least_force
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Vibration
+from connectors.sim.scene import Parameters, Vibration
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource

@@ -12,8 +12,7 @@ from connectors.sim.barometers import (
     influence,
     respond,
 )
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Faults
+from connectors.sim.scene import Faults, Parameters
 from operators.batch import Reals
 
 MIRROR_X = [2, 1, 0, 5, 4, 3]

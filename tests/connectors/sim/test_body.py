@@ -9,7 +9,7 @@ from connectors.sim.body import GRAVITY, BodyState, GripModel
 from connectors.sim.contact import FingerState, Pad
 from connectors.sim.finger import pad
 from connectors.sim.objects import OBJECTS, Object
-from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Parameters
 from operators.batch import Reals
 from tests.connectors.sim import body_numpy
 

@@ -7,8 +7,7 @@ import pytest
 from connectors.sim import contact
 from connectors.sim.barometers import influence
 from connectors.sim.finger import contact_model, pad
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Curvature, Scene
+from connectors.sim.scene import Curvature, Parameters, Scene
 from operators.batch import Reals
 from tests.connectors.sim import contact_numpy
 

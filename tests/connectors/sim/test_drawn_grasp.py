@@ -3,8 +3,8 @@ import pytest
 
 from connectors.sim.drawn_grasp import RATE, SECONDS, draw_fingertip, draw_object, simulate_grasp
 from connectors.sim.objects import OBJECTS
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.truth import SLIDING
+from connectors.sim.scene import Parameters
+from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Touch, Truth
 
 FINGERTIP = Parameters()  # of the experiments

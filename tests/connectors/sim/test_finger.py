@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from connectors.sim.finger import Finger
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Faults, Move, Moves, Scene, Timing, Vibration
-from connectors.sim.truth import true_slips
+from connectors.sim.scene import Faults, Move, Moves, Parameters, Scene, Timing, Vibration
+from connectors.sim.simulated_rig import true_slips
 from operators.batch import Touch, Truth, concat
 
 STROKE = Moves(

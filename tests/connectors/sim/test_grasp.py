@@ -16,8 +16,7 @@ from connectors.sim.grasp import (
 )
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import OBJECTS
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Faults, Vibration
+from connectors.sim.scene import Faults, Parameters, Vibration
 from operators.batch import Touch, concat
 from operators.errors import ParameterError
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.scene import Move, Moves, Scene, Timing
-from connectors.sim.simulated_rig import SimulatedRig
-from connectors.sim.truth import true_slips
+from connectors.sim.simulated_rig import SimulatedRig, true_slips
 from operators.batch import MOTIONS, SURFACES, Batch, Episodes, Motion, Touch, Truth, concat, ms
 from operators.errors import ParameterError
 from operators.ports import Source

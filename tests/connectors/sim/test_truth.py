@@ -1,6 +1,6 @@
 import numpy as np
 
-from connectors.sim.truth import true_slips
+from connectors.sim.simulated_rig import true_slips
 from operators.batch import Truth, ms
 
 

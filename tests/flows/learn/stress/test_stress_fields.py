@@ -7,8 +7,7 @@ from connectors.sim import finger
 from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Move, Moves, Scene
+from connectors.sim.scene import Move, Moves, Parameters, Scene
 from flows.learn.stress.stress_fields import (
     FIELDS,
     GOALS,
