@@ -56,7 +56,7 @@ def report(run: "Run", out: Path) -> list[str]:
     """Compare the slips that a demo run recorded in the dataset `out` with the simulated truth, as lines."""
     import numpy as np
 
-    from connectors.sim.truth import true_slips
+    from connectors.sim.simulated_rig import true_slips
     from flows.learn.onsets import match_onsets
     from operators import SLIP, Slips, Truth, concat, ms, s
     from storage import Session
