@@ -4,7 +4,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import isfinite, nan
+from math import isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias
@@ -48,7 +48,6 @@ _FINGERS: Final = 32767  # fingertip numbers have 16 bits
 _EXAMPLE: Final = "time=t,counts=p0..p5,units.time=ms, or a file such as pad.toml"
 _RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")  # of columns
 _GRID: Final = re.compile(r"(\d{1,3}) *x *(\d{1,3})")  # rows x columns
-_TRUTH: Final = {"true": True, "false": False}
 
 
 @dataclass(frozen=True)
@@ -76,8 +75,6 @@ class ColumnMap:
         rate: Rows per second, Hz: of a file without times, which begin at 0; otherwise the expected rate.
         zeroed: Readings are relative to the unloaded fingertip; None: if one is negative.
         finger: Number of the fingertip.
-        lenient: Values of cells and motion that are not numbers are missing, and rows without a time are left
-            out; otherwise they are errors.
         separator: Separator of a CSV file; empty: detected.
         header: Column names of a CSV file without such a line.
 
@@ -94,7 +91,6 @@ class ColumnMap:
     rate: float | None = None
     zeroed: bool | None = None
     finger: int = 0
-    lenient: bool = False
     separator: str = ""
     header: tuple[str, ...] = ()
 
@@ -178,7 +174,7 @@ class ColumnMap:
             elif key in SIZES:
                 columns[key] = tuple(each for text in texts for each in expanded(text))
             elif key in _PARSERS:
-                values[key] = _PARSERS[key](key, ",".join(texts))
+                values[key] = _parsed(key, ",".join(texts))
             else:
                 known = (*SIZES, *_PARSERS, "units.time", "labels.slip")
                 check_choice(_OWNER, "key", key, known)
@@ -269,60 +265,45 @@ def _value(text: str) -> str:
     return str(int(number)) if number.is_integer() else text.strip().lower()
 
 
-def _parse_number(key: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ParameterError(_OWNER, key, text, "a number") from None
-
-
-def _parse_whole(key: str, text: str) -> int:
-    try:
-        return int(text)
-    except ValueError:
-        raise ParameterError(_OWNER, key, text, "a whole number") from None
-
-
-def _parse_truth(key: str, text: str) -> bool:
-    check_choice(_OWNER, key, text, _TRUTH)
-    return _TRUTH[text]
-
-
-def _parse_layout(key: str, text: str) -> Layout:
-    must_be = (
-        f"ROWSxCOLUMNS such as 8x2, at most {CELL_LIMIT} cells, or cell numbers of each row from the top,"
-        " such as 5,4,3/0,1,2 (-1: no cell)"
-    )
+def _layout(text: str) -> Layout:
     if match := _GRID.fullmatch(text.strip()):
         rows, columns = int(match[1]), int(match[2])
         if not 0 < rows * columns <= CELL_LIMIT:
-            raise ParameterError(_OWNER, key, text, must_be)
+            raise ValueError(text)
         return grid(rows * columns, columns)
-    try:
-        return tuple(tuple(int(cell) for cell in row.split(",")) for row in text.split("/"))
-    except ValueError:
-        raise ParameterError(_OWNER, key, text, must_be) from None
+    return tuple(tuple(int(cell) for cell in row.split(",")) for row in text.split("/"))
 
 
-def _parse_range(key: str, text: str) -> tuple[float, float]:
-    try:
-        low, high = map(float, text.split(":"))
-    except ValueError:
-        low = high = nan
+def _range(text: str) -> tuple[float, float]:
+    low, high = map(float, text.split(":"))
     if not isfinite(low) or not isfinite(high):
-        must_be = "LOW:HIGH, the readings at the lowest and at the highest pressure, such as 0:4000"
-        raise ParameterError(_OWNER, key, text, must_be)
+        raise ValueError(text)
     return low, high
 
 
-_PARSERS: Final[Mapping[str, Callable[[str, str], Any]]] = {
-    "resolution": _parse_number,
-    "layout": _parse_layout,
-    "range": _parse_range,
-    "rate": _parse_number,
-    "zeroed": _parse_truth,
-    "finger": _parse_whole,
-    "lenient": _parse_truth,
-    "separator": lambda _key, text: text,
-    "header": lambda _key, text: tuple(name for each in text.split(",") for name in expanded(each)),
+def _header(text: str) -> tuple[str, ...]:
+    return tuple(name for each in text.split(",") for name in expanded(each))
+
+
+_PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser and what the text must be
+    "resolution": (float, "a number"),
+    "layout": (
+        _layout,
+        f"ROWSxCOLUMNS such as 8x2 ({CELL_LIMIT} cells at most), or rows such as 5,4,3/0,1,2 (-1: no cell)",
+    ),
+    "range": (_range, "LOW:HIGH, the readings at the lowest and at the highest pressure, such as 0:4000"),
+    "rate": (float, "a number"),
+    "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),
+    "finger": (int, "a whole number"),
+    "separator": (str, "a text"),
+    "header": (_header, "column names"),
 }
+
+
+def _parsed(key: str, text: str) -> Any:  # noqa: ANN401 - of the type of the key
+    """Return the value of a key of `_PARSERS`."""
+    parse, must_be = _PARSERS[key]
+    try:
+        return parse(text)
+    except (ValueError, KeyError):
+        raise ParameterError(_OWNER, key, text, must_be) from None

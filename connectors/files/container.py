@@ -12,7 +12,7 @@ import polars as pl
 from connectors.files import trace_table
 from connectors.files.column_map import ColumnMap
 from connectors.files.csv_table import parse_csv
-from connectors.files.trace_table import VALUE_SIZE, TraceTable, check_size
+from connectors.files.trace_table import TraceTable, check_size
 from operators.errors import InputError, os_error_reason
 from storage.arrow import pa, pq
 
@@ -30,7 +30,6 @@ _OTHERS: Final = {  # first bytes of other formats
     b"\x93NUMPY": "an array of numpy",
 }
 _PACKED: Final = (b"\x28\xb5\x2f\xfd", b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")  # zstd, zlib
-_TEXTS: Final = ("string", "large_string")  # read without repeating each text
 
 
 def read_table(path: Path, columns: ColumnMap) -> TraceTable:
@@ -57,34 +56,31 @@ def read_table(path: Path, columns: ColumnMap) -> TraceTable:
             raise InputError(where, f"{reason} (docs/how-to/import.md)")
     if content.startswith(_PACKED):
         raise InputError(where, "is compressed: decompress it first, or use gzip")
-    return parse_csv(
-        content, where, columns.separator, columns.header, lenient=columns.lenient, sha256=sha256
-    )
+    return parse_csv(content, where, columns.separator, columns.header, sha256=sha256)
 
 
 def _read(path: Path) -> bytes:
     """Return the content of a file, up to the limit."""
     try:
         with path.open("rb") as file:
-            content = file.read(trace_table.LIMIT + 1)
+            return _limited(str(path), file.read(trace_table.LIMIT + 1))
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
-    if len(content) > trace_table.LIMIT:
-        reason = f"is larger than {trace_table.LIMIT >> 20} MiB, the limit: split it into several files"
-        raise InputError(str(path), reason)
-    return content
 
 
 def _unzipped(where: str, content: bytes) -> bytes:
     try:
         with gzip.open(io.BytesIO(content)) as file:
-            unpacked = file.read(trace_table.LIMIT + 1)
+            return _limited(where, file.read(trace_table.LIMIT + 1))
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
-    if len(unpacked) > trace_table.LIMIT:
-        rows = unpacked.count(b"\n")  # in the first part of the file
-        check_size(where, len(unpacked), rows, "lines, each with the line of names")
-    return unpacked
+
+
+def _limited(where: str, content: bytes) -> bytes:
+    if len(content) > trace_table.LIMIT:
+        reason = f"is larger than {trace_table.LIMIT >> 20} MiB, the limit: split it into several files"
+        raise InputError(where, reason)
+    return content
 
 
 def _read_parquet(where: str, content: bytes) -> tuple[pl.DataFrame, dict[str, str]]:
@@ -94,11 +90,8 @@ def _read_parquet(where: str, content: bytes) -> tuple[pl.DataFrame, dict[str, s
     """
     try:
         data = pa.BufferReader(content)
-        head: Any = pq.ParquetFile(data)
-        rows, schema = head.metadata.num_rows, head.schema_arrow
-        check_size(where, rows * head.metadata.num_columns * VALUE_SIZE, rows)
-        texts = [each.name for each in schema if str(each.type) in _TEXTS]
-        file: Any = pq.ParquetFile(data, read_dictionary=texts, page_checksum_verification=True)
+        file: Any = pq.ParquetFile(data, page_checksum_verification=True)
+        check_size(where, file.metadata.num_rows * file.metadata.num_columns)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
         read: Any = file.read(use_threads=False)
         read.validate(full=True)

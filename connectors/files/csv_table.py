@@ -4,6 +4,7 @@ import codecs
 import csv
 import io
 import re
+from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
 from typing import Final
@@ -11,7 +12,7 @@ from typing import Final
 import numpy as np
 import polars as pl
 
-from connectors.files.trace_table import VALUE_SIZE, TraceTable, check_size
+from connectors.files.trace_table import TraceTable, check_size
 from operators.checks import check_choice
 from operators.errors import InputError
 
@@ -30,7 +31,6 @@ def parse_csv(
     separator: str = "",
     header: Sequence[str] = (),
     *,
-    lenient: bool = False,
     sha256: str = "",
 ) -> TraceTable:
     """Parse the content of a CSV file.
@@ -44,7 +44,6 @@ def parse_csv(
         separator: One ASCII character, or a name: comma, semicolon, tab, space (any number of spaces and
             tabs) or pipe (default: detected).
         header: Names of the columns of a file whose first line has none.
-        lenient: Accept a last line that is cut off; its missing fields are empty.
         sha256: Checksum of the file, hex.
 
     Raises:
@@ -60,16 +59,14 @@ def parse_csv(
     notes = [] if sign == "," else [f"separator {_name(sign)}"]
     if sign == " ":
         content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
-    lines = content.count(b"\n") + 1
-    size = (content.count(sign.encode()) + lines) * VALUE_SIZE
-    check_size(where, size, lines, "lines, each with the line of names")
+    check_size(where, content.count(sign.encode()) + content.count(b"\n") + 1)
     if header:
         quoted = ('"' + name.replace('"', '""') + '"' for name in header)
         content = sign.join(quoted).encode() + b"\n" + content
         above -= 1  # that line
     named_by = "the header of the map" if header else f"line {above + 1}"
     frame = _frame(where, content, sign, above, named_by)
-    if not lenient and _cut_off(_last_line(content), sign, frame.width):
+    if _last_line(content).count(sign.encode()) < frame.width - 1:
         reason = f"the last line has fewer fields than {named_by} has names: it is cut off, delete it"
         raise InputError(where, reason)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
@@ -81,20 +78,28 @@ def parse_csv(
         frame = frame.with_columns(
             pl.when(pl.all().str.contains(_DECIMAL_COMMA)).then(point).otherwise(pl.all())
         )
-    names = [name.strip().replace('""', '"') for name in frame.columns]
-    columns = {
-        name: column.alias(name) for name, column in zip(names[::-1], frame.get_columns()[::-1], strict=True)
-    }
+    columns, left_out = _named(frame)
     return TraceTable(
-        pl.DataFrame(list(columns.values())[::-1]),
+        columns,
         where,
-        names=[_original(name, names) for name in names],
         named_by=named_by,
         place="line",
         numbers=numbers,
         sha256=sha256,
         notes=notes,
+        left_out=left_out,
     )
+
+
+def _named(frame: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, str]]:
+    """Return the columns by their names in the file, and the names that occur twice; polars renames these."""
+    stripped = [name.strip().replace('""', '"') for name in frame.columns]
+    bases = [name.rpartition("_duplicated_")[0].strip() for name in stripped]
+    names = [base if base in stripped else name for base, name in zip(bases, stripped, strict=True)]
+    often = Counter(names)
+    pairs = zip(names, frame.get_columns(), strict=True)
+    columns = [column.alias(name) for name, column in pairs if often[name] == 1]
+    return pl.DataFrame(columns), {name: "it occurs twice" for name in names if often[name] > 1}
 
 
 def detected(lines: Sequence[str]) -> str:
@@ -130,12 +135,6 @@ def _last_line(content: bytes) -> bytes:
 
 def _name(sign: str) -> str:
     return next((name for name, each in SEPARATORS.items() if each == sign), repr(sign))
-
-
-def _original(name: str, names: Sequence[str]) -> str:
-    """Return the name in the file: polars renames a duplicate."""
-    base, again, _ = name.rpartition("_duplicated_")
-    return base.strip() if again and base.strip() in names else name
 
 
 def _without_comments(content: bytes, *, named: bool) -> tuple[int, bytes]:
@@ -177,15 +176,6 @@ def _frame(where: str, content: bytes, sign: str, above: int, named_by: str) -> 
     for number in range(len(columns)):  # one by one, as each needs as much memory again
         columns[number] = columns[number].str.strip_chars()
     return pl.DataFrame(columns)
-
-
-def _cut_off(line: bytes, sign: str, width: int) -> bool:
-    """Return True if a line has fewer than `width` fields."""
-    try:
-        fields = next(csv.reader([line.decode("utf-8", "replace")], delimiter=sign), ())
-    except csv.Error:
-        return False
-    return len(fields) < width
 
 
 def _too_long(content: bytes, sign: str) -> int:

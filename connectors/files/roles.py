@@ -42,7 +42,7 @@ class Header:
     """Column names of a table.
 
     Args:
-        names: The names; one may occur twice.
+        names: The names.
         where: Their place in messages.
         left_out: Reasons by names of what cannot be a column.
     """
@@ -58,17 +58,15 @@ class Header:
         return InputError(self.where, f"{text} ({listed:.200})" if listed else text)
 
     def check(self, column: str) -> None:
-        """Require that a column occurs once.
+        """Require that a column exists and can be used.
 
         Raises:
-            InputError: if it does not.
+            InputError: if it does not, or cannot.
         """
         if column in self.left_out:
             raise InputError(self.where, f"column {column} cannot be used: {self.left_out[column]}")
         if column not in self.names:
             raise self.error(f"must have {column}")
-        if self.names.count(column) > 1:
-            raise InputError(self.where, f"has two columns {column}")
 
     def matching(self, column: str) -> list[str]:
         """Return the columns that match a pattern such as ``e*``, sorted by their numbers.
@@ -79,7 +77,7 @@ class Header:
         if "*" not in column or column in self.names:
             return [column]
         pattern = re.compile(".*".join(map(re.escape, column.split("*"))), re.DOTALL)
-        found = sorted(filter(pattern.fullmatch, dict.fromkeys(self.names)), key=natural)
+        found = sorted(filter(pattern.fullmatch, self.names), key=natural)
         if not found:
             raise self.error(f"none of which matches {column}")
         return found
@@ -95,8 +93,7 @@ def completed(columns: ColumnMap, header: Header) -> ColumnMap:
         header: Column names of a recording.
 
     Raises:
-        InputError: if a column is missing or occurs twice, there are no counts or no time, or the choice
-            is ambiguous.
+        InputError: if a column is missing, there are no counts or no time, or the choice is ambiguous.
         ParameterError: if a pattern matches a wrong number of columns.
     """
     found = dict[str, tuple[str, ...]]()
@@ -150,7 +147,7 @@ def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
                 return
     else:
         usual = _NAMES.get(name, ())
-        yield from ((each,) for each in dict.fromkeys(names) if _stem(name, each)[0].casefold() in usual)
+        yield from ((each,) for each in names if _stem(name, each)[0].casefold() in usual)
 
 
 def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:

@@ -11,10 +11,7 @@ from connectors.files.column_map import (
     COUNTS,
     LABEL,
     MOTIONS,
-    SPEED,
     TIME,
-    UNITS,
-    VELOCITY,
     ColumnMap,
     layout_text,
 )
@@ -103,8 +100,6 @@ class Trace:
         self.columns = columns = completed(columns, table.header)
         found = columns.columns
         if TIME in found:
-            if columns.lenient:
-                table.timed(found[TIME][0], columns.units[TIME])
             times = table.times(found[TIME][0], columns.units[TIME])
         else:
             times = np.rint(np.arange(len(table)) * (s / cast("float", columns.rate))).astype(np.int64)
@@ -128,11 +123,11 @@ class Trace:
 
     def _readings(self, table: "TraceTable") -> Reals:
         """Return the readings of the cells, (n, cells) in their unit; NaN: missing."""
-        names, lenient = self.columns.columns[COUNTS], self.columns.lenient
+        names = self.columns.columns[COUNTS]
         whole = self.columns.unit == "count" and self.columns.resolution is None
         readings = np.empty((len(table), len(names)))
         for cell, name in enumerate(names):
-            values = table.reals(name, lenient=lenient)
+            values = table.reals(name)
             if whole:
                 fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
                 table.check(name, np.isnan(values) | (values == np.rint(values)), fix)
@@ -199,8 +194,7 @@ class Trace:
         lines = list[str]()
         fastest, rate = float(self.speeds.max(initial=0.0)), self.rate
         if fastest > MAX_SPEED:
-            units = " or ".join(self._slower_units(fastest)) or "another unit"
-            lines.append(f"the arm moves at up to {fastest:.3g} m/s: is its speed in {units}?")
+            lines.append(f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if rate is not None and not SLOWEST <= rate <= FASTEST:
             lines.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
         if self.missing:
@@ -215,16 +209,6 @@ class Trace:
             many = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"
             lines.append(f"the time has {many} of {span:.3g} s after {(at - self.touch.time[0]) / s:.4g} s")
         return tuple(lines)
-
-    def _slower_units(self, fastest: float) -> list[str]:
-        """Return the units in which the file's highest speed (m/s) would be plausible, with that speed."""
-        speeds = {
-            unit: fastest * factor / self.columns.scale(name)
-            for name in (VELOCITY, SPEED)
-            if name in self.columns.units
-            for unit, factor in UNITS[name].items()
-        }
-        return [f"{unit} ({speed:.3g} m/s)" for unit, speed in speeds.items() if speed <= MAX_SPEED]
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
@@ -289,7 +273,7 @@ def _motion(table: "TraceTable", columns: ColumnMap, times: Times) -> Motion:
     velocity: Reals = np.full((len(times), 6), np.nan)
     for name in MOTIONS:
         if names := columns.columns.get(name):
-            given = [table.reals(each, lenient=columns.lenient) for each in names]
+            given = [table.reals(each) for each in names]
             velocity = np.pad(np.column_stack(given), ((0, 0), (0, 6 - len(given))))
             velocity[:, :3] *= columns.scale(name)
     moving: Flags = np.all(np.isfinite(velocity), axis=1)

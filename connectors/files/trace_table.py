@@ -1,7 +1,7 @@
 """Table of a recording: columns of a polars DataFrame, converted on request; errors name row and column."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 import polars as pl
@@ -12,8 +12,8 @@ from connectors.files.roles import Header
 from operators.batch import Codes, Flags, Reals, Times
 from operators.errors import InputError
 
-LIMIT: Final = 1 << 29  # bytes of a file, and of its unpacked columns; an import takes six times as many
-VALUE_SIZE: Final = 8  # bytes of an unpacked value
+LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
+VALUES: Final = 1 << 26  # of a file; an import takes about 48 bytes of memory for each
 
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 _TIME_LIMIT: Final = float(1 << 63)  # ns
@@ -27,7 +27,6 @@ class TraceTable:
         frame: The columns; lists of equal length become columns ``name0``, ``name1``, ..., structs
             ``name.field``.
         file: Name of the file, or of the table in memory.
-        names: Names of the columns in the file, if some occur twice.
         named_by: Place of the names in messages, such as ``line 1``.
         place: Word for a row in messages.
         numbers: Numbers of the rows (n,) in messages (default: from 0).
@@ -47,7 +46,6 @@ class TraceTable:
         frame: pl.DataFrame,
         file: str = "table",
         *,
-        names: Sequence[str] = (),
         named_by: str = "",
         place: str = "row",
         numbers: NDArray[np.int64] | None = None,
@@ -68,27 +66,12 @@ class TraceTable:
         if not self._columns:
             raise InputError(file, "has no columns of numbers or texts")
         where = f"{file}, {named_by}" if named_by else file
-        self.header = Header(tuple(names or self._columns), where, reasons)
+        self.header = Header(tuple(self._columns), where, reasons)
         self._place = place
         self._numbers = np.arange(frame.height) if numbers is None else numbers
 
     def __len__(self) -> int:
         return len(self._numbers)
-
-    def timed(self, name: str, unit: str) -> None:
-        """Leave out the rows that have no time in a column, with a note.
-
-        Raises:
-            InputError: if no row has one.
-        """
-        known = _nanoseconds(self._columns[name], unit).is_not_null()
-        if known.all():
-            return
-        if not known.any():
-            raise InputError(self.file, "has no valid row")
-        self.notes = (*self.notes, f"{len(self) - known.sum()} rows without a time left out")
-        self._columns = {name: values.filter(known) for name, values in self._columns.items()}
-        self._numbers = self._numbers[known.to_numpy()]
 
     def times(self, name: str, unit: str) -> Times:
         """Return a column of times (n,) in ns; `unit` is the unit in the file: s, ms, us or ns.
@@ -106,12 +89,8 @@ class TraceTable:
         self.check(name, np.diff(times, prepend=times[0]) >= 0, order)
         return times
 
-    def reals(self, name: str, *, lenient: bool = False) -> Reals:
+    def reals(self, name: str) -> Reals:
         """Return a column of numbers (n,); NaN for a missing value.
-
-        Args:
-            name: Name of the column.
-            lenient: Other values are missing too; otherwise they are errors.
 
         Raises:
             InputError: on a value that is not a finite number.
@@ -123,11 +102,7 @@ class TraceTable:
             given &= ~column.str.to_lowercase().is_in(["", "nan"]).fill_null(value=True).to_numpy()
         else:
             given &= ~np.isnan(values)
-        good: Flags = np.isfinite(values)
-        if lenient:
-            values[~good] = np.nan
-        else:
-            self.check(name, good | ~given, "a number or empty")
+        self.check(name, np.isfinite(values) | ~given, "a number or empty")
         return values
 
     def codes(self, name: str, values: Mapping[str, int], other: int | None, missing: int) -> Codes:
@@ -175,21 +150,15 @@ class TraceTable:
             raise InputError(where, f"is {text:.40}, must be {must_be}")
 
 
-def check_size(where: str, size: int, rows: int, unit: str = "rows") -> None:
-    """Check the size of unpacked columns.
-
-    Args:
-        where: Name of the table in messages.
-        size: Size, bytes; `VALUE_SIZE` for each value.
-        rows: Number of rows, to state how many are allowed.
-        unit: Word for rows in messages.
+def check_size(where: str, values: int) -> None:
+    """Check the number of values of a table.
 
     Raises:
-        InputError: if it exceeds `LIMIT`.
+        InputError: if it exceeds `VALUES`.
     """
-    if size > LIMIT:
-        reason = f"unpacks to more than {LIMIT >> 20} MiB, the limit ({VALUE_SIZE} bytes for each value)"
-        raise InputError(where, f"{reason}: split it into files of at most {rows * LIMIT // size:,} {unit}")
+    if values > VALUES:
+        reason = f"has more than {VALUES >> 20} million values, the limit: split it into several files"
+        raise InputError(where, reason)
 
 
 def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
@@ -201,7 +170,7 @@ def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
     if isinstance(column.dtype, pl.Array):
         column = column.arr.to_list()
     sizes = column.list.len().unique().drop_nulls() if isinstance(column.dtype, pl.List) else pl.Series([])
-    if len(sizes) == 1 and sizes.item() * len(column) * VALUE_SIZE <= LIMIT:
+    if len(sizes) == 1 and sizes.item() * len(column) <= VALUES:
         for item in range(sizes.item()):
             yield from _flat(f"{name}{item}", column.list.get(item))
     else:
@@ -214,9 +183,6 @@ def _unusable(column: pl.Series) -> str:
         return "its lists differ in length"
     if isinstance(column.dtype, pl.Object | pl.Binary):
         return f"its values are {column.dtype}, not numbers, texts or dates"
-    if isinstance(column.dtype, pl.Categorical | pl.Enum):  # stored once, each repeated as a text
-        longest = cast("int", column.unique().cast(pl.String).str.len_bytes().max() or 0)
-        return f"its texts have more than {LIMIT >> 20} MiB" if longest * len(column) > LIMIT else ""
     return ""
 
 

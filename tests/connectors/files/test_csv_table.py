@@ -108,22 +108,17 @@ def test_names_may_have_quotation_marks(write: Write) -> None:
         read_csv(write('t,2" pad\n0.01,1\n'))
 
 
-@pytest.mark.parametrize(("separator", "line"), [("", b",,1\n"), ("space", b"1 2  3\n")])
 def test_a_file_of_many_values_is_refused_before_they_fill_the_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, separator: str, line: bytes
+    write: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
-    path = tmp_path / "trace.csv"
-    content = b"t,p0,p1\n".replace(b",", b"," if line[:1] == b"," else b" ")
-    path.write_bytes(content + line * 43_000)
-    assert len(read_csv(path, separator)) == 43_000
-    path.write_bytes(content + line * 44_000)
-    assert path.stat().st_size < 1 << 19
-    found = (
-        r"more than 1 MiB, the limit \(8 bytes for each value\): split it into files of at most 43,69\d lines"
-    )
-    with pytest.raises(InputError, match=found):
-        read_csv(path, separator)
+    monkeypatch.setattr("connectors.files.trace_table.VALUES", 1 << 20)
+    for sign in ",", " ":
+        line = sign.join(("1", "2", "3")) + "\n"
+        assert len(read_csv(write(line.replace("1", "t") + line * 300_000))) == 300_000
+        with pytest.raises(
+            InputError, match="has more than 1 million values, the limit: split it into several files"
+        ):
+            read_csv(write(line.replace("1", "t") + line * 350_000))
 
 
 def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,9 +128,7 @@ def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
     path.write_bytes(gzip.compress(b"t,p0,p1\n" + b"1,2,3\n" * (1 << 18)))
     assert path.stat().st_size < 1 << 14
-    with pytest.raises(
-        InputError, match=r"more than 1 MiB, the limit .* at most 17\d,\d{3} lines, each with"
-    ):
+    with pytest.raises(InputError, match="is larger than 1 MiB, the limit: split it into several files"):
         read_csv(path)
     packed = path.read_bytes()
     for damaged in (packed[:100], packed[:20] + bytes(20) + packed[40:]):
@@ -157,8 +150,6 @@ def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
         InputError, match="the last line has fewer fields than line 1 has names: it is cut off"
     ):
         read_csv(write("t,p0,p1\n1,2,3\n2,3"))
-    lenient = read_table(write("t,p0,p1\n1,2,3\n2,3"), ColumnMap(lenient=True))
-    assert lenient.reals("p0").tolist() == [2, 3]
 
 
 def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:

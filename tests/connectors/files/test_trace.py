@@ -195,8 +195,6 @@ def test_a_time_in_ns_must_be_a_whole_number(write: Write, time: str) -> None:
             "s1,s2,s3,s4,s5,s6",
             f"has the columns 's1 s2 s3 s4 s5 s6', none recognised as time; {MAP_IT} time=t",
         ),
-        ("t,s1,s2,s3,s4,s5,s6,s1", "has two columns s1"),
-        ("t,s1,s2,s3,s4,s5,s6, s1", "has two columns s1"),
         (
             "0,1,2,3,4,5,6",
             f"has the columns '0 1 2 3 4 5 6', none recognised as time; {MAP_IT} time=t",
@@ -208,6 +206,17 @@ def test_missing_columns_are_named(write: Write, header: str, complaint: str) ->
     with pytest.raises(InputError) as caught:
         Trace(path)
     assert str(caught.value) == f"{path}, line 1: {complaint}"
+
+
+@pytest.mark.parametrize(
+    "header", ["t,s1,s2,s3,s4,s5,s6,s1", "t,s1,s2,s3,s4,s5,s6, s1", "t,s1,s1,s1,s4,s5,s6,s7"]
+)
+def test_a_column_that_occurs_twice_cannot_be_used(write: Write, header: str) -> None:
+    path = write(header, "1,1,1,1,1,1,1,1")
+    for columns in (ColumnMap(), ColumnMap.parse("counts=s1")):
+        with pytest.raises(InputError, match=r"line 1: .*s1 cannot be used: it occurs twice"):
+            Trace(path, columns)
+    assert Trace(path, ColumnMap.parse("counts=s6")).touch.cells == 1
 
 
 def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
@@ -265,20 +274,6 @@ def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> Non
     assert trace.warnings[1] == "missing readings: 2, in 1 of 3 rows"
     with pytest.raises(InputError, match="column s2 has no readings"):
         Trace(write(HEADER, "0,1,,3,4,5,6", "1,1,,3,4,5,6"))
-
-
-def test_text_instead_of_a_reading_is_missing_only_if_asked_for(write: Write) -> None:
-    path = write(f"{HEADER},v", "0,1,2,3,4,5,6,1", "1,1,2,98.1.2,4,5,6,fast")
-    with pytest.raises(InputError, match=r"line 3, column s3: is '98.1.2', must be a number or empty"):
-        Trace(path)
-    trace = Trace(path, ColumnMap(lenient=True))
-    assert trace.missing == 1
-    assert len(trace.motion) == 1
-
-
-def test_dates_are_recognised_below_a_row_without_a_time(write: Write) -> None:
-    path = write(HEADER, ",1,2,3,4,5,6", "1970-01-01 00:00:01,1,2,3,4,5,6", "1970-01-01 00:00:02,1,2,3,4,5,6")
-    assert Trace(path, ColumnMap(lenient=True)).touch.time.tolist() == [1_000_000_000, 2_000_000_000]
 
 
 def test_a_gap_in_the_time_is_a_warning(write: Write) -> None:
