@@ -42,11 +42,9 @@ from operators.errors import (
     os_error_reason,
 )
 from operators.fingertip import TAKKTILE, Fingertip
-from operators.follow import Follow
 from operators.grip import Grip, GripController, StepGrip
 from operators.health import FaultKind, Health
-from operators.label import Label
-from operators.mask_lifted import MaskLifted
+from operators.label import Label, MaskLifted
 from operators.operator import Join, Operator
 from operators.pool import Pool
 from operators.ports import (
@@ -91,7 +89,6 @@ __all__ = [
     "Fingertip",
     "FingertipError",
     "FlowError",
-    "Follow",
     "Gap",
     "Grip",
     "GripController",

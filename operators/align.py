@@ -7,11 +7,11 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 
 from operators.batch import Flags, Motion, Reals, Sample, Times, Zeroed, ms, s
-from operators.chain import END, Chain
 from operators.checks import check_at_least, check_choice
 from operators.operator import Join
 from operators.rotation import interpolate_rotation
 from operators.row_loop import row_loop
+from operators.row_queues import END, Chain
 
 How = Literal["nearest", "previous", "linear"]
 

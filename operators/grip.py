@@ -22,11 +22,7 @@ class GripController(Operator[Scores, Commands]):
 
     The first decision commands `force`, which closes the hand. Decisions within `settle` after it are
     ignored, as the contact itself causes them. A slip is registered after `consecutive` decisions for slip
-    in a row; NaN interrupts the run. A command is issued if it differs from the last one by `resolution`, or
-    is a force limit.
-
-    If the object still slips after `max_force` has been commanded for `give_up_after`, the controller gives
-    up: it commands `min_force` once, and nothing more until the operator is reset.
+    in a row; NaN interrupts the run. A command is issued if it differs from the last one.
 
     Args:
         force: Initial force, N.
@@ -36,8 +32,6 @@ class GripController(Operator[Scores, Commands]):
         threshold: Smallest probability that is a decision for slip.
         consecutive: Decisions that register a slip.
         settle: Time after the first command in which decisions are ignored, ns.
-        give_up_after: Time of slip at `max_force` before giving up, ns.
-        resolution: Smallest change of a command, N.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -50,15 +44,11 @@ class GripController(Operator[Scores, Commands]):
     threshold: float = 0.5
     consecutive: int = 2
     settle: int = 300 * ms
-    give_up_after: int = 1 * s
-    resolution: float = 0.02
     _commanded: float = field(default=math.nan, init=False, repr=False)  # N, latest command
     _aim: float = field(default=0.0, init=False, repr=False)  # N, desired force
     _begun: int = field(default=0, init=False, repr=False)  # ns, first decision
     _before: int = field(default=0, init=False, repr=False)  # ns, latest decision
     _run: int = field(default=0, init=False, repr=False)  # slip decisions in a row
-    _full: int = field(default=0, init=False, repr=False)  # ns of slip at the upper limit
-    _given_up: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
         name = type(self).__name__
@@ -68,10 +58,8 @@ class GripController(Operator[Scores, Commands]):
         if not 0 < self.threshold <= 1:
             raise ParameterError(name, "threshold", self.threshold, "above 0 and at most 1")
         check_above(name, "rate", self.rate, 0, "N/s")
-        check_above(name, "resolution", self.resolution, 0, "N")
         check_at_least(name, "consecutive", self.consecutive, 1, "decision")
         check_at_least(name, "settle", self.settle, 0, "ns")
-        check_at_least(name, "give_up_after", self.give_up_after, 0, "ns")
 
     def process(self, batch: Scores) -> Commands:
         """Return the commands that follow from the decisions."""
@@ -105,8 +93,6 @@ class GripController(Operator[Scores, Commands]):
             self._begun = self._before = time
             self._aim = self._commanded = self.force
             return self.force
-        if self._given_up:
-            return math.nan
         since, self._before = time - self._before, time
         if since > _LONGEST:  # a gap: nothing is known about it
             since = 0
@@ -118,18 +104,7 @@ class GripController(Operator[Scores, Commands]):
             return math.nan
         wanted = self.aim(time, elapsed, probability, registered=registered)
         self._aim = min(max(wanted, self.min_force), self.max_force, self._aim + self.rate * elapsed)
-        if registered and self._commanded == self.max_force:
-            self._full += since
-            if self._full >= self.give_up_after:
-                self._given_up = True
-                self._commanded = self.min_force
-                return self.min_force
-        elif not registered:
-            self._full = 0
-        if self._aim == self._commanded or (
-            abs(self._aim - self._commanded) < self.resolution
-            and self._aim not in (self.max_force, self.min_force)
-        ):
+        if self._aim == self._commanded:
             return math.nan
         self._commanded = self._aim
         return self._aim
@@ -139,8 +114,7 @@ class GripController(Operator[Scores, Commands]):
 class StepGrip(GripController):
     """Raise the grip force by a step per registered slip, as in the paper.
 
-    A lasting slip is registered again after `consecutive` more decisions. The force never decreases: only
-    with `consecutive` 1 can the controller give up, else each of these counts restarts the time until then.
+    A lasting slip is registered again after `consecutive` more decisions. The force never decreases.
 
     Args:
         step: Force step, N; the paper does not state its value.

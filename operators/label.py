@@ -1,6 +1,6 @@
-"""Slip labels from the arm's motion."""
+"""Slip labels from the arm's motion, and their masking without contact."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import hypot, inf, isfinite, isnan, nan, sqrt
 from typing import Final
 
@@ -20,13 +20,12 @@ from operators.batch import (
     column,
     ms,
 )
-from operators.chain import END, Chain
 from operators.checks import check_at_least, check_ns
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.rotation import quaternion, rotate
 from operators.row_loop import Ints, row_loop
-from operators.tail import Tail
+from operators.row_queues import END, Chain, Tail
 
 _AXES: Final = 3
 
@@ -128,6 +127,45 @@ class Label(Operator[Sample, Labelled]):
         limits = known.stop, self.delay, self.within
         _shift(rows.time, block.time, block.speed, block.label, limits, speed, label)
         return _labelled(rows, speed, label)
+
+
+@dataclass
+class MaskLifted(Operator[Labelled, Labelled]):
+    """Replace slip labels by unknown while the fingertip is lifted off the surface.
+
+    `Label` uses the arm's speed only. This operator masks slip where the TCP is more than `margin` above the
+    contact plane. On a curved surface, that is the plane through its highest point: choose a margin that
+    covers its height.
+
+    Args:
+        contact_pose: TCP pose at first contact, m and rotation vector; z points into the surface.
+        margin: Tolerance above the contact plane, m.
+
+    Raises:
+        ParameterError: if the margin is below 0.
+
+    >>> samples = Labelled.empty()
+    >>> len(MaskLifted((0, 0, 0.1, 3.14, 0, 0)).push(samples))
+    0
+    """
+
+    contact_pose: tuple[float, float, float, float, float, float]
+    margin: float = 0.002
+
+    def __post_init__(self) -> None:
+        check_at_least("MaskLifted", "margin", self.margin, 0, "m")
+
+    def process(self, batch: Labelled) -> Labelled:
+        """Return the batch with masked labels."""
+        x, y, z, *rotation = self.contact_pose
+        u, v, w = rotate((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
+        pose = batch.pose  # (n, 6)
+        # (n,) m below the contact plane; NaN: unknown
+        depth = u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)
+        lifted = (depth < -self.margin) & (batch.label == SLIP)
+        if not lifted.any():
+            return batch
+        return replace(batch, label=np.where(lifted, np.int8(UNKNOWN), batch.label))
 
 
 @row_loop

@@ -2,19 +2,20 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from operators.batch import Counts, Reals, Scores, Zeroed
+from operators.batch import Counts, Flags, Reals, Scores, Zeroed
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector, ForFingertip, Stream, Streaming
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
-from operators.forward_fill import forward_fill
 from operators.operator import Operator
 from operators.window import Window
 
+Scalar = TypeVar("Scalar", bound=np.generic)
 _BLOCK: Final = 64  # windows per call of a detector; few enough to stay in the cache
 
 
@@ -129,3 +130,25 @@ class _Windowed:
             return score(windows) if len(windows) else np.empty(0)
         blocks = range(0, len(windows), _BLOCK)
         return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])
+
+
+def forward_fill(
+    values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar] | None = None
+) -> NDArray[Scalar]:
+    """Replace each invalid value by the last valid one of its column.
+
+    Args:
+        values: (n, m)
+        valid: (n, m)
+        last: (m,) replacements before the first valid value; None: 0
+
+    >>> values, valid = np.array([[7], [0], [9]]), np.array([[True], [False], [True]])
+    >>> forward_fill(values, valid).ravel()
+    array([7, 7, 9])
+    """
+    if b"\0" not in valid.tobytes():  # all are valid; five times as fast as numpy for one row
+        return values
+    source = np.where(valid, np.arange(1, len(values) + 1)[:, None], 0)  # (n, m) 0: `last`
+    np.maximum.accumulate(source, axis=0, out=source)
+    first = np.zeros_like(values[:1]) if last is None else last[None]
+    return np.take_along_axis(np.concatenate((first, values)), source, axis=0)

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Motion, Reals, Truth, concat, ms
-from operators.chain import END
 from operators.checks import check_at_least
 from operators.operator import Operator
+from operators.row_queues import END
 
 _AXES: Final = 6
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from operators.batch import Touch, Windows
 from operators.checks import check_at_least
 from operators.operator import Operator
-from operators.tail import Tail
+from operators.row_queues import Tail
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Counts, Flags, Touch, Zeroed
-from operators.chain import Chain
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.row_loop import nearest_count, row_loop
+from operators.row_queues import Chain
 
 _RANGE: Final = np.iinfo(np.int16)
 

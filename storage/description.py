@@ -11,9 +11,9 @@ from typing import Any, Final, cast
 
 from operators.batch import Batch, s
 from operators.errors import InputError
+from operators.extras import software_version
 from operators.fingertip import Fingertip
 from operators.ports import Description, Run
-from operators.software import software_version
 from storage import files
 from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, TABLES, Table, inside
 from storage.lock import lock

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Generator, Iterator
-from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from hypothesis import settings
 from connectors.mqtt import outbox
 from connectors.mqtt.broker_link import Link
 from flows.graph.testing import run_virtually
+from operators.extras import EXTRAS
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.waiting import PATIENCE
@@ -120,14 +121,13 @@ def broker(tmp_path: Path) -> Iterator[TestBroker]:
 
 @pytest.fixture
 def hide_packages(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
-    """Function after which packages, all if none is named, count as not installed."""
+    """Function after which packages count as not installed."""
+
+    modules = {package: module for each in EXTRAS.values() for package, module in each.packages.items()}
 
     def hide(*packages: str) -> None:
-        def find(package: str) -> str:
-            if not packages or package in packages:
-                raise PackageNotFoundError(package)
-            return version(package)
-
-        monkeypatch.setattr("operators.extras.version", find)
+        hidden = {modules.get(package, package) for package in packages}
+        for where in ("operators.extras.find_spec", "flows.run.host_checks.find_spec"):
+            monkeypatch.setattr(where, lambda name: None if name in hidden else find_spec(name))
 
     return hide

@@ -11,11 +11,10 @@ import numpy as np
 from connectors.gripper.drive import GripperDrive
 from connectors.gripper.modbus_link import GripperLink
 from connectors.gripper.robotiq import FULL, PORT, UNIT, ForceScale, Request, Status
-from operators.back_off import BackOff
 from operators.batch import Commands
 from operators.checks import check_above, check_between
 from operators.errors import EndpointError, FlowError, ParameterError
-from operators.ports import Clock, Description, Finding, Run, Sink
+from operators.ports import BackOff, Clock, Description, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")

@@ -16,9 +16,9 @@ from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
 from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_topic
-from operators.back_off import BackOff
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
+from operators.ports import BackOff
 from storage.background_task import BackgroundTask
 from storage.files import put
 

@@ -23,8 +23,8 @@ from connectors.mqtt.sender import Sender
 from operators.batch import Clocks, Faults, Slips, ms
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
+from operators.extras import software_version
 from operators.ports import Clock, Finding, Json, Run, Sink
-from operators.software import software_version
 from storage.disk_check import check_disk
 
 log = logging.getLogger("slipflow")

@@ -13,8 +13,8 @@ from secrets import token_hex
 
 from connectors.events import Event
 from connectors.mqtt.outbox_log import Entry, Key, OutboxLog
-from operators.back_off import BackOff
 from operators.errors import EndpointError, SlipflowError, os_error_reason
+from operators.ports import BackOff
 from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")

@@ -12,8 +12,8 @@ from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.gap_replay import GapReplies
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
-from operators.back_off import BackOff
 from operators.errors import EndpointError
+from operators.ports import BackOff
 from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:

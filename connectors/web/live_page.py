@@ -12,8 +12,8 @@ from connectors.web.curves import page_fingertip
 from connectors.web.page_frames import Frames, Rows, Seen, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
 from operators.checks import check_between
+from operators.extras import software_version
 from operators.ports import Clock, Finding, Json, Run, Sink
-from operators.software import software_version
 
 if TYPE_CHECKING:
     from aiohttp.web import WebSocketResponse

@@ -25,7 +25,7 @@ from connectors.web.cell_faults import NO_FAULTS, CellFaults, changes, fault_lis
 from connectors.web.curves import curve_json, event_json, nested, plotted_values, score_quality, stream_name
 from operators.batch import AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Truth, Zeroed, ms, s
 from operators.ports import Json, Run
-from operators.tail import Tail
+from operators.row_queues import Tail
 
 EVENTS_KEPT: Final = 100
 FINGERS_MAX: Final = 32  # further fingertips are not shown

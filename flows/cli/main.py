@@ -119,11 +119,9 @@ def explanation(error: Exception) -> tuple[int, str]:
 
 def _missing_package(error: Exception) -> str:
     """Return how to install a missing package that slipflow needs; empty if that is not the error."""
-    from operators.extras import requirements
-
     if isinstance(error, ModuleNotFoundError):
         package = (error.name or "").partition(".")[0]
-        if package in {each.package for each in requirements() if not each.extra}:
+        if package in {"numba", "polars", "scipy"}:  # a small installation lacks them, see deploy/edge.txt
             return f"{package} is not installed: {sys.executable} -m pip install {package}"
     return ""
 

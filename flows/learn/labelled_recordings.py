@@ -39,7 +39,7 @@ from operators.batch import (
 from operators.checks import check_choice
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
-from operators.forward_fill import forward_fill
+from operators.score import forward_fill
 from storage import HandLabels, Session
 from storage.layout import SESSION, may_exist, session_folder, session_names
 

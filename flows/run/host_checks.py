@@ -4,13 +4,14 @@ import ctypes
 import os
 import sys
 from collections.abc import Iterator
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from struct import unpack_from
 from typing import Final
 
-from operators.extras import EXTRAS, Requirement, install_command, missing_packages, requirements
+from operators.extras import EXTRAS, install_command, missing_packages, software_version
 from operators.ports import Finding
-from operators.software import software_version
 
 PYTHONS: Final = ((3, 11), (3, 13))  # oldest and newest supported version
 OMITTED: Final = ("numba", "polars", "scipy")  # a small installation may lack them, see deploy/edge.txt
@@ -51,29 +52,18 @@ def python_finding(running: tuple[int, int]) -> Finding:
 
 
 def package_findings() -> Iterator[Finding]:
-    """Yield findings about the packages that slipflow needs, and about each extra."""
-    wrong = [each for each in requirements() if not each.extra and not each.satisfied]
-    if not wrong:
-        yield Finding("slipflow", f"{software_version()} with all required packages")
-    yield from map(_problem, wrong)
-    for extra, use in EXTRAS.items():
-        packages = [each for each in requirements() if each.extra == extra]
+    """Yield findings about the packages that a small installation may lack, and about each extra."""
+    yield Finding("slipflow", software_version())
+    for package in OMITTED:
+        if find_spec(package) is None:
+            text = f"not installed; simulation, imports and analyses need it: pip install {package}"
+            yield Finding(package, text, "note")
+    for extra, about in EXTRAS.items():
         if missing_packages(extra):
-            yield Finding(f"extra {extra}", f"not installed; for {use}: {install_command(extra)}", "note")
-        elif old := [each for each in packages if not each.satisfied]:
-            yield from map(_problem, old)
+            text = f"not installed; for {about.use}: {install_command(extra)}"
+            yield Finding(f"extra {extra}", text, "note")
         else:
-            installed = ", ".join(f"{each.package} {each.installed}" for each in packages)
-            yield Finding(f"extra {extra}", installed)
-
-
-def _problem(requirement: Requirement) -> Finding:
-    if requirement.installed is None and requirement.package in OMITTED:
-        text = f"not installed; simulation, imports and analyses need it: pip install {requirement.package}"
-        return Finding(requirement.package, text, "note")
-    found = requirement.installed or "not installed"
-    name = f"{requirement.package}{requirement.versions}"
-    return Finding(requirement.package, f"{found}, must be {name}: pip install '{name}'", "bad")
+            yield Finding(f"extra {extra}", ", ".join(f"{each} {version(each)}" for each in about.packages))
 
 
 def clock_finding() -> Finding:

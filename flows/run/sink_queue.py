@@ -10,10 +10,9 @@ from typing import Any, Final
 
 from flows.run.cancellation import contained, exit_reason
 from flows.run.log_events import reason_of, warn
-from operators.back_off import BackOff
 from operators.batch import Batch
 from operators.errors import EndpointError, OutputClosedError
-from operators.ports import Sink, SinkStatus
+from operators.ports import BackOff, Sink, SinkStatus
 
 LAST_ATTEMPTS: Final = 5.0  # s; a failing sink is retried for this time after the end of the run
 STUCK: Final = 10.0  # s; a sink whose write takes longer while the sources wait counts as failing

@@ -13,11 +13,10 @@ import numpy as np
 from flows.graph.error_location import location
 from flows.run.cancellation import contained
 from flows.run.log_events import reason_of, warn
-from operators.back_off import BackOff
 from operators.batch import Batch, Times, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
 from operators.operator import LateRowFilter
-from operators.ports import Gap, Run, Source, SourceStatus
+from operators.ports import BackOff, Gap, Run, Source, SourceStatus
 
 MISTAKES: Final = (  # of the source's code: a retry would not help
     ArithmeticError,

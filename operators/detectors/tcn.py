@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, Counts, Reals
-from operators.detectors.causal_layer import CausalLayer
-from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
+from operators.detectors.weights import CausalLayer, Floats, ForOneFingertip, Weights, check_weights
 from operators.errors import InputError
 
 if TYPE_CHECKING:

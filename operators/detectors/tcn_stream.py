@@ -21,8 +21,7 @@ from numba import from_dtype, types
 from operators.batch import Counts, Reals, Times
 from operators.checks import check_at_least
 from operators.compilation import compile_function
-from operators.detectors.causal_layer import CausalLayer
-from operators.detectors.weights import Floats
+from operators.detectors.weights import CausalLayer, Floats
 from operators.errors import ParameterError
 
 _TAPS, _CHANNELS, _DILATION, _RINGS, _KERNEL, _SKIP = range(6)  # columns of the table of layers

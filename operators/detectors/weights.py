@@ -1,6 +1,7 @@
 """Weights of detectors: named arrays, checked before use."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,6 +13,16 @@ from operators.fingertip import TAKKTILE, Fingertip
 Floats: TypeAlias = NDArray[np.float32]
 Weights: TypeAlias = Mapping[str, NDArray[Any]]
 Shapes: TypeAlias = Mapping[str, tuple[int, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class CausalLayer:
+    """Causal convolution over past steps; a dense layer has a single tap."""
+
+    kernel: Floats  # (taps, inputs, outputs), the oldest tap first
+    bias: Floats  # (outputs,)
+    dilation: int = 1  # steps between taps
+    skip: bool = False  # add the input of the previous layer after the ReLU
 
 
 class ForOneFingertip:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from operators.batch import EVERY, Codes, Counts, Flags, Labelled, Motion, Times, ms, s
 from operators.errors import InputError
-from operators.forward_fill import forward_fill
+from operators.score import forward_fill
 from storage.session import Session
 
 WITHIN: Final = 20 * ms  # ns, largest distance between a sample and its pose

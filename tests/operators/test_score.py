@@ -3,9 +3,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from operators import ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
+from operators.score import forward_fill
 
 
 @dataclass
@@ -126,3 +129,14 @@ def test_a_detector_whose_compiler_is_not_installed_is_given_windows() -> None:
 def test_a_hop_out_of_range_is_refused() -> None:
     with pytest.raises(ParameterError, match="Score: hop is 0, must be at least 1"):
         Score(_Keeper(), hop=0)
+
+
+@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(0, 30))
+def test_an_invalid_value_is_replaced_by_the_last_valid_one_of_its_column(seed: int, rows: int) -> None:
+    rng = np.random.default_rng(seed)
+    values, valid = rng.integers(0, 99, (rows, 3)), rng.random((rows, 3)) < 0.7
+    last = rng.integers(0, 99, 3)
+    found, expected = forward_fill(values, valid, last), last.copy()
+    for row in range(rows):
+        expected[valid[row]] = values[row, valid[row]]
+        np.testing.assert_array_equal(found[row], expected)

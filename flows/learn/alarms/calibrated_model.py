@@ -14,7 +14,7 @@ from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import provenance
 from flows.report.table import counted
 from operators.errors import InputError, ParameterError
-from operators.software import software_version
+from operators.extras import software_version
 from storage import files, load_detector
 from storage.models import ALARMS, LIMIT, load_card, save_card, shipped
 

@@ -15,7 +15,7 @@ from flows.learn.training.trained_model import write_model
 from operators import Debounce
 from operators.detectors import Detector, Tcn
 from operators.errors import InputError
-from operators.software import software_version
+from operators.extras import software_version
 from storage import load_debounce, load_detector
 from storage.files import hash_json
 

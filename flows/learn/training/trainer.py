@@ -25,9 +25,8 @@ from operators.checks import check_choice
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
-from operators.extras import require_extra
+from operators.extras import require_extra, software_version
 from operators.fingertip import TAKKTILE, Fingertip
-from operators.software import software_version
 from storage import load_detector
 from storage.models import identify_detector
 

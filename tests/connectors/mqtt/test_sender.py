@@ -16,8 +16,8 @@ from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.sender import Sender
-from operators.back_off import BackOff
 from operators.errors import EndpointError, InputError
+from operators.ports import BackOff
 from tests.inside import inside
 from tests.waiting import until
 

@@ -10,7 +10,7 @@ from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
 from operators.batch import Counts, Reals
 from operators.detectors import Psd
-from operators.forward_fill import forward_fill
+from operators.score import forward_fill
 
 
 @dataclass
