@@ -145,21 +145,15 @@ def logged(run: "Run") -> Generator[None]:
 def _result(run: "Run") -> "dict[str, Any]":
     from flows.run.log_events import event
 
+    def counters(status: "SourceStatus | SinkStatus", *names: str) -> dict[str, Json]:
+        return {**{name: getattr(status, name) for name in names}, "error": status.error or None}
+
     sources: dict[str, Json] = {
-        name: {
-            **_counters(each, "rows", "late", "failures"),
-            "gaps": len(each.gaps),
-            "error": each.error or None,
-        }
+        name: {**counters(each, "rows", "late", "failures"), "gaps": len(each.gaps)}
         for name, each in run.sources.items()
     }
     sinks: dict[str, Json] = {
-        name: {**_counters(each, "rows", "dropped", "failures"), "error": each.error or None}
-        for name, each in run.sinks.items()
+        name: counters(each, "rows", "dropped", "failures") for name, each in run.sinks.items()
     }
     seconds, error = (run.clock.now() - run.start) / 1e9, run.error or None
     return event("run_ends", session=run.session, seconds=seconds, sources=sources, sinks=sinks, error=error)
-
-
-def _counters(status: "SourceStatus | SinkStatus", *names: str) -> "dict[str, Json]":
-    return {name: getattr(status, name) for name in names}

@@ -60,6 +60,7 @@ def watch(
         async with Consumer(
             url, site, rig, position_file=position, since="start" if since == "start" else "now", report=note
         ) as events:
+            note(f"connected to {url}; waiting for slip events of {site}/{rig}")
             async for event in events:
                 typer.echo(event.encode() if as_json else _line(event, time_ns()))
 

@@ -40,6 +40,7 @@ def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
     line = watch.stdout.readline()
     shown = f"{timestamp(time)[:23].replace('T', ' ')}  lab/{rig} finger 0  slip onset  p 0.93"
     assert re.fullmatch(re.escape(shown) + end + "\n", line)
+    assert watch.stderr.readline() == f"connected to {broker.url}; waiting for slip events of +/{rig}\n"
     assert watch.stderr.readline().startswith(f"ignoring malformed message: slip/v1/lab/{rig}/1/event: ")
     watch.terminate()
     watch.communicate()
