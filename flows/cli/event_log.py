@@ -145,7 +145,7 @@ def logged(run: "Run") -> Generator[None]:
 def _result(run: "Run") -> "dict[str, Any]":
     from flows.run.log_events import event
 
-    def counters(status: "SourceStatus | SinkStatus", *names: str) -> dict[str, Json]:
+    def counters(status: "SourceStatus | SinkStatus", *names: str) -> "dict[str, Json]":
         return {**{name: getattr(status, name) for name in names}, "error": status.error or None}
 
     sources: dict[str, Json] = {
