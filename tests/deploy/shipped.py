@@ -9,6 +9,7 @@ from typing import Final
 from tests.connectors.mqtt.broker_process import TestBroker
 
 DEPLOY: Final = Path(__file__).parents[2] / "deploy"
+LEFT_OUT: Final = {"numba", "polars", "scipy"}  # of a small install: the flow at the edge works without
 PASSWORDS: Final = {"fingertip": "secret", "reader": "other"}  # by user
 
 

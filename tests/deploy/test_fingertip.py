@@ -14,8 +14,7 @@ from flows.graph.loading import load
 from flows.graph.validation import problems
 from operators import Slips, Touch
 from storage import Session
-from tests.deploy.shipped import DEPLOY
-from tests.deploy.test_requirements import LEFT_OUT
+from tests.deploy.shipped import DEPLOY, LEFT_OUT
 
 FLOW = str(DEPLOY / "fingertip.py")
 CHILD = DEPLOY.parent / "tests" / "benchmarks" / "edge_child.py"

@@ -1,5 +1,9 @@
+"""The shipped configuration of mosquitto, with a real one: rights, passwords, certificates, persistence."""
+
 import asyncio
 import signal
+import ssl
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -7,13 +11,13 @@ import numpy as np
 import pytest
 
 from connectors import Consumer, Mqtt
-from connectors.mqtt.broker import PASSWORD, USER, Broker
+from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker
 from connectors.mqtt.broker_link import connect
 from operators.batch import Slips
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
-from tests.deploy.shipped import DEPLOY, login, shipped_broker
+from tests.deploy.shipped import DEPLOY, login, settings, shipped_broker
 from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
@@ -65,33 +69,21 @@ def test_a_reader_gets_missed_and_new_events(shipped: TestBroker, run: Run) -> N
     assert asyncio.run(main()) == [1, 2, 3]
 
 
-@pytest.mark.parametrize(
-    ("user", "topic"),
-    [
+def test_other_topics_and_clients_without_a_password_are_refused(shipped: TestBroker) -> None:
+    for user, topic in (
         ("fingertip", "slip/v1/lab/other/0/event"),
         ("fingertip", "slip/v1/elsewhere/fingertip/status"),
         ("fingertip", "slip/v1/lab/fingertip2/head"),
-        ("fingertip", "other"),
         ("reader", f"{RIG}/0/event"),
-        ("reader", f"{RIG}/status"),
         ("reader", f"{RIG}/replay/somebody"),
         ("reader", "other"),
-    ],
-)
-def test_other_topics_are_refused(shipped: TestBroker, user: str, topic: str) -> None:
-    with pytest.raises(EndpointError, match=f"refuses to publish {topic}"):
-        asyncio.run(send(shipped, user, topic))
-
-
-@pytest.mark.parametrize(
-    ("user", "password"), [(None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret")]
-)
-def test_a_client_without_a_password_is_refused(
-    shipped: TestBroker, user: str | None, password: str | None
-) -> None:
-    login(user, password)
-    with pytest.raises(EndpointError, match="cannot connect"):
-        asyncio.run(connect(Broker.parse(shipped.url), "stranger"))
+    ):
+        with pytest.raises(EndpointError, match=f"refuses to publish {topic}"):
+            asyncio.run(send(shipped, user, topic))
+    for name, password in (None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret"):
+        login(name, password)
+        with pytest.raises(EndpointError, match="cannot connect"):
+            asyncio.run(connect(Broker.parse(shipped.url), "stranger"))
 
 
 def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
@@ -130,6 +122,41 @@ def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBroker, tm
     assert asyncio.run(retained()) == (f"{RIG}/head", b"remembered")
 
 
-def test_no_password_is_in_the_repository() -> None:
-    ignored = (DEPLOY / ".gitignore").read_text().split()
-    assert {"/mosquitto/passwords", "/mosquitto/*.password"} <= set(ignored)
+def strict(cafile: str | None) -> ssl.SSLContext:
+    """Return the context that Python 3.13 creates: it checks certificates as RFC 5280 demands."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.load_verify_locations(cafile)
+    context.verify_flags |= ssl.VERIFY_X509_STRICT | ssl.VERIFY_X509_PARTIAL_CHAIN
+    return context
+
+
+def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its_authority(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ssl, "create_default_context", strict)
+    for folder in (tmp_path, tmp_path / "other"):
+        script = DEPLOY / "mosquitto" / "make_certificates"
+        subprocess.run([script, folder, "127.0.0.1", "fingertip"], check=True)
+    monkeypatch.setenv(CA, str(tmp_path / "ca.crt"))
+    text = (DEPLOY / "mosquitto" / "tls.conf").read_text().replace("/mosquitto/config", str(tmp_path))
+    _, *tls = [line for line in text.splitlines() if not line.startswith("#")]  # without its listener
+
+    async def meet() -> None:
+        link = await connect(Broker.parse(url), "test")
+        try:
+            await deliver(link, f"{RIG}/status")
+        finally:
+            await link.disconnect()
+
+    with TestBroker(tmp_path, *tls, *settings(tmp_path)) as broker:
+        url = broker.url.replace("mqtt:", "mqtts:")
+        with pytest.raises(EndpointError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
+            asyncio.run(meet())
+        monkeypatch.setenv(CERTIFICATE, str(tmp_path / "other" / "fingertip.pem"))
+        with pytest.raises(EndpointError, match="cannot connect"):
+            asyncio.run(meet())
+        monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
+        asyncio.run(meet())
+    monkeypatch.setenv(CERTIFICATE, "/missing.pem")
+    with pytest.raises(InputError, match=rf"cannot use the client certificate and its key \({CERTIFICATE}\)"):
+        Broker.parse(url).tls()

@@ -1,0 +1,184 @@
+"""Compose files, Dockerfile, systemd unit and pins: tools accept them, and they fit the product."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from ruamel.yaml import YAML
+
+from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD_FILE
+from flows.graph.loading import load
+from flows.graph.validation import problems
+from flows.run.live_runner import CHECK_INTERVAL
+from tests.deploy.shipped import DEPLOY, LEFT_OUT
+
+COMPOSE = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml")
+STEPS = [
+    step
+    for step in re.sub(r"\\\n\s*", "", (DEPLOY / "Dockerfile").read_text()).splitlines()
+    if step and not step.startswith("#")
+]
+UNIT = (DEPLOY / "systemd" / "slipflow.service").read_text()
+TLS = (DEPLOY / "systemd" / "tls.conf").read_text()
+PAGE = (DEPLOY.parent / "docs" / "how-to" / "deploy.md").read_text()
+EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
+
+
+def read(name: str) -> Any:  # noqa: ANN401 - YAML
+    parser: Any = YAML(typ="safe")
+    return parser.load(DEPLOY / name)
+
+
+def run(*words: str | Path) -> tuple[int, str]:
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def accepts(settings: dict[str, str]) -> bool:
+    """Return True if the shipped flow has these parameters and is valid."""
+    return not problems(load(str(DEPLOY / "fingertip.py")).flow(settings))
+
+
+@pytest.mark.parametrize("name", COMPOSE)
+def test_a_compose_file_satisfies_the_schema_of_the_specification(name: str) -> None:
+    words = ("-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec")
+    code, output = run(sys.executable, *words, DEPLOY / name)
+    assert code == 0, output
+
+
+@pytest.mark.parametrize("name", COMPOSE[:2])
+def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
+    command, file, *settings = read(name)["services"]["recorder"]["command"]
+    assert (command, file) == ("run", "/opt/slipflow/fingertip.py")
+    values = dict(each.removeprefix("--set=").split("=", 1) for each in settings if each.startswith("--set="))
+    values["broker"] = re.sub(r"\$\{\w+:-(.*)\}", r"\1", values["broker"])  # without the variable
+    assert accepts(values)
+    assert {"--metrics=0.0.0.0:9464", "--log=json"} <= {*settings}
+
+
+def test_containers_are_locked_down_and_mount_only_shipped_files_and_secrets() -> None:
+    compose, tls = read("compose.yaml"), read("compose.tls.yaml")
+    for service in compose["services"].values():
+        assert all(port.startswith("127.0.0.1:") for port in service["ports"])
+        assert (service["read_only"], service["cap_drop"]) == (True, ["ALL"])
+        assert service["security_opt"] == ["no-new-privileges:true"]
+    used = set[str]()
+    for file in (compose, tls):
+        mounts = [each for service in file["services"].values() for each in service.get("volumes", ())]
+        used |= {mount.split(":")[0] for mount in mounts} | {
+            each["file"] for each in file["secrets"].values()
+        }
+    ignored = (DEPLOY / ".gitignore").read_text().split()
+    for name in used - set(compose["volumes"]):
+        secret = any(Path(name).match(each.lstrip("/")) or name.startswith(f".{each}") for each in ignored)
+        assert (DEPLOY / name).exists() != secret, name
+    assert tls["services"]["recorder"]["environment"] == {
+        CA: "/run/secrets/ca",
+        CERTIFICATE: "/run/secrets/certificate",
+    }
+
+
+def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
+    assert run(Path(sys.executable).with_name("hadolint"), "-t", "style", DEPLOY / "Dockerfile") == (0, "")
+
+
+def test_the_image_has_hashed_wheels_and_runs_unprivileged() -> None:
+    installs = [part for step in STEPS for part in step.split("&&") if " install " in part and "pip" in part]
+    *packages, ours = installs
+    assert all("--require-hashes --only-binary :all:" in each for each in packages)
+    assert "--no-deps /wheels/slipflow-" in ours
+    last = STEPS[max(n for n, step in enumerate(STEPS) if step.startswith("FROM")) :]
+    assert not [step for step in last if re.search(r"\b(pip|apt|apt-get|gcc|curl)\b", step)]
+    assert "USER 10001:10001" in last
+    assert 'CMD ["run", "/opt/slipflow/fingertip.py", "--metrics=9464", "--log=json"]' in last
+    [volumes] = [json.loads(step.removeprefix("VOLUME")) for step in last if step.startswith("VOLUME")]
+    kept = re.findall(r"(?:XDG_STATE_HOME|NUMBA_CACHE_DIR)=(/\w+)", " ".join(last))
+    assert {*kept} <= {*volumes}
+
+
+def test_the_build_context_has_the_copied_files_only() -> None:
+    sent = (DEPLOY / "Dockerfile.dockerignore").read_text().splitlines()
+    copies = [step.split()[1:-1] for step in STEPS if step.startswith("COPY") and "--from" not in step]
+    copied = [source for sources in copies for source in sources]
+    assert sorted(line[1:] for line in sent if line.startswith("!")) == sorted(copied)
+    assert all((DEPLOY.parent / source).exists() for source in copied)
+
+
+@pytest.mark.parametrize("mistake", ["", "Restart=sometimes"])
+def test_systemd_accepts_the_unit_with_its_certificates_and_reports_a_mistake(
+    tmp_path: Path, mistake: str
+) -> None:
+    program = "/opt/slipflow/bin/slipflow"  # where a user installs it
+    assert program in UNIT
+    (tmp_path / "slipflow.service.d").mkdir()
+    (tmp_path / "slipflow.service.d" / "tls.conf").write_text(TLS)
+    text = UNIT.replace(program, str(Path(sys.executable).with_name("slipflow")))
+    (tmp_path / "slipflow.service").write_text(text.replace("Restart=always", mistake or "Restart=always"))
+    _, output = run("systemd-analyze", "verify", "--man=no", tmp_path / "slipflow.service")
+    assert ("slipflow.service:" in output) == bool(mistake)
+    assert bool(output) == bool(mistake)
+
+
+def test_the_service_is_locked_down_restarted_and_watched(tmp_path: Path) -> None:
+    (tmp_path / "slipflow.service").write_text(UNIT)
+    words = ("security", "--offline=true", "--no-pager")
+    _, output = run("systemd-analyze", *words, tmp_path / "slipflow.service")
+    [exposure] = re.findall(r"exposure level for slipflow.service: ([\d.]+)", output)
+    assert float(exposure) <= EXPOSURE
+    assert {"Type=notify", "Restart=always", "StartLimitIntervalSec=0"} <= {*UNIT.splitlines()}
+    assert re.search(r"^ExecStart=.* --metrics 9464 --log json \$SETTINGS$", UNIT, re.MULTILINE)
+    [watchdog] = re.findall(r"^WatchdogSec=(\d+)$", UNIT, re.MULTILINE)
+    assert int(watchdog) >= 3 * (CHECK_INTERVAL + 5)  # a busy host delays the messages
+    assert "\nSupplementaryGroups=i2c\n" in UNIT  # from this package only
+    assert "python3-venv i2c-tools" in PAGE
+
+
+def test_password_and_certificates_reach_the_sink_as_credentials() -> None:
+    loaded = dict(re.findall(r"^LoadCredential=(\S+):(\S+)$", UNIT + TLS, re.MULTILINE))
+    variables = dict(re.findall(r"(SLIPFLOW_MQTT_\w+)=%d/(\S+)", UNIT + TLS))
+    assert {name: loaded[credential] for name, credential in variables.items()} == {
+        PASSWORD_FILE: "/etc/slipflow/mqtt-password",
+        CA: "/etc/slipflow/ca.crt",
+        CERTIFICATE: "/etc/slipflow/client.pem",
+    }
+    assert all(f" {place}" in PAGE for place in loaded.values())
+
+
+def test_the_shipped_settings_match_the_shipped_flow() -> None:
+    lines = (DEPLOY / "systemd" / "settings").read_text().splitlines()
+    settings = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
+    words = shlex.split(settings["SETTINGS"])
+    values = dict(word.split("=", 1) for word in words[1::2])
+    assert words[::2] == ["--set"] * len(values)
+    assert accepts(values)
+    assert values["rig"] == settings["SLIPFLOW_MQTT_USER"]  # as the broker's list has it
+
+
+def pins(name: str) -> dict[str, str]:
+    """Version of each package, which has hashes."""
+    text = re.sub(r"^#.*\n", "", (DEPLOY / name).read_text(), flags=re.MULTILINE)
+    found = re.findall(r"^(\S+)==(\S+)(?: \\\n {4}--hash=sha256:[0-9a-f]{64})+$", text, re.MULTILINE)
+    assert len(found) == text.count("==")
+    return dict(found)
+
+
+def test_the_pinned_versions_satisfy_the_project() -> None:
+    project = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+    everything, edge, build = pins("requirements.txt"), pins("edge.txt"), pins("build.txt")
+    asked = {
+        canonicalize_name(each.name): each for each in map(Requirement, project["project"]["dependencies"])
+    }
+    assert asked.keys() <= everything.keys()
+    assert asked.keys() - edge.keys() == LEFT_OUT
+    assert edge.items() <= everything.items()
+    assert all(each.specifier.contains(everything[name]) for name, each in asked.items())
+    [tool] = map(Requirement, project["build-system"]["requires"])
+    assert tool.specifier.contains(build[tool.name])
