@@ -1,52 +1,125 @@
 """The command `slipflow evaluate`."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Labels, Methods, Models
-from flows.cli.report_output import (
-    Budget,
-    Dataset,
-    ReportFolder,
-    method_options,
-    prepare_report,
-    write_report,
-)
-from flows.cli.terminal import note
+from flows.cli.options import AsJson, Cluster, Jobs, Labels
+from flows.cli.report_output import ReportFolder, command_line, prepare_report, write_report
+from flows.cli.terminal import note, progress_bar
+from operators.errors import InputError
+
+_WEIGHTS = {".safetensors", ".npz"}
+_TURN = 0.02  # s, CPU time of each turn of timing
 
 
 def evaluate(
-    dataset: Dataset,
+    dataset: Annotated[
+        Path | None, typer.Argument(metavar="[DATASET]", help="Labelled dataset, with splits or groups.")
+    ] = None,
     *,
     split: Annotated[
-        str, typer.Option(help="Split to evaluate on: train, validation, test or all.")
+        str, typer.Option(help="Split to judge detectors on: train, validation, test or all.")
     ] = "test",
-    model: Models = None,
-    method: Methods = None,
-    budget: Budget = 2.0,
+    hold_out: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="GROUP",
+            help="Judge detectors on this surface or object (`group` of the sessions); repeatable; all: each"
+            " in turn.",
+        ),
+    ] = None,
+    train: Annotated[
+        bool, typer.Option("--train", help="With --hold-out: also train detectors on the other groups.")
+    ] = False,
+    stress: Annotated[
+        bool,
+        typer.Option("--stress", help="Judge detectors along simulated stresses, without a dataset."),
+    ] = False,
+    chart: Annotated[
+        bool, typer.Option("--chart", help="Also measure the CPU time of each detector.")
+    ] = False,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Judge only this detector; or judge this model file, too; repeatable (default: all).",
+        ),
+    ] = None,
     labels: Labels = "hand",
+    list_: Annotated[bool, typer.Option("--list", help="List the shipped detectors and exit.")] = False,
+    jobs: Jobs = None,
+    cluster: Cluster = None,
     out: ReportFolder = Path("evaluation"),
     as_json: AsJson = False,
 ) -> None:
     """Compare detectors on a dataset.
 
-    Prints Tables I and III next to the paper's results, false alarms, missed slips and onset delay. Writes
-    evaluation.html, .md, .json and figures. Needs the train extra.
+    Prints Tables I and III next to the paper's results, false alarms, missed slips and delay, with intervals
+    over recordings. Baselines are fitted to the train split; recordings that are judged do not count. Writes
+    a report as evaluation.html, .md, .json and figures. Needs the train extra.
+
+    With --hold-out, detectors are judged on surfaces or objects; --train shows what training on the others
+    gives. With --stress, the scene is simulated from nominal to extreme conditions.
 
     Examples:
-      slipflow evaluate recordings --model mine.safetensors --method psd --out evaluation
+      slipflow evaluate recordings --method mine.safetensors --method psd
+      slipflow evaluate recordings --hold-out all --train
+      slipflow evaluate recordings --chart
+      slipflow evaluate --stress --method tcn --method psd --jobs 2
     """
-    from flows.learn.evaluation.evaluation_report import evaluation_report
+    from flows.learn.evaluation.evaluation_report import evaluation_report, stress_report
     from flows.learn.evaluation.evaluation_study import evaluate as run_evaluation
+    from flows.learn.evaluation.stress_study import stress as run_stress
+    from flows.learn.hold_out_training import learners
+    from flows.run.executor import workers
 
+    if list_:
+        _print_shipped(as_json=as_json)
+        return
+    if (dataset is None) != stress:
+        raise InputError("evaluate", "needs a dataset, or --stress without one")
+    if train and not hold_out:
+        raise InputError("--train", "needs --hold-out: a detector is judged on groups that it did not see")
     prepare_report(out)
-    models, names = model or [], method or []
-    found = run_evaluation(
-        dataset, split=split, models=models, names=names, budget=budget, labels=labels, log=note
-    )
-    only_arm = " --labels arm" if labels == "arm" else ""
-    options = f"--split {split}{method_options(models, names)} --budget {budget:g}{only_arm}"
-    report = evaluation_report(found, f"slipflow evaluate {found.dataset} {options}")
-    write_report(report, out, "evaluation", as_json=as_json)
+    models = [Path(each) for each in method or [] if Path(each).suffix in _WEIGHTS]
+    names = [each for each in method or [] if Path(each).suffix not in _WEIGHTS]
+    with workers(jobs, cluster) as executor, progress_bar("evaluating") as update:
+        if dataset is None:
+            found = run_stress(models, names=names, executor=executor, progress=update, log=note)
+        else:
+            found = run_evaluation(
+                dataset,
+                split=split,
+                hold_out=hold_out or [],
+                learners=learners(names) if train else [],
+                models=models,
+                names=names,
+                labels=labels,
+                speed=_TURN if chart else 0,
+                executor=executor,
+                progress=update,
+                log=note,
+            )
+    report = (stress_report if stress else evaluation_report)(found, command_line())
+    write_report(report, out, "stress" if stress else "evaluation", as_json=as_json)
+
+
+def _print_shipped(*, as_json: bool) -> None:
+    """List the shipped detectors, what each is meant for, and its balanced accuracy on its test split."""
+    from storage.models import PURPOSES, load_card, shipped
+
+    rows = list[dict[str, object]]()
+    for name, purpose in PURPOSES.items():
+        path = shipped(name)
+        card = load_card(path) if path else {}
+        balanced = card.get("scores", {}).get("test", {}).get("balanced")
+        where = None if path is None else str(path)
+        rows.append({"name": name, **purpose._asdict(), "balanced_test": balanced, "path": where})
+    if as_json:
+        typer.echo(json.dumps({"models": rows}))
+        return
+    width = max(map(len, PURPOSES))
+    typer.echo("\n".join(f"{row['name']:{width}}  {row['task']:7}  {row['text']}" for row in rows))

@@ -31,10 +31,6 @@ TABLE: Final = CommandTable(
         "train": Entry(_LEARN, "Train a slip detector.", "train"),
         "calibrate": Entry(_LEARN, "Tune the debounce for a stated rate of false alarms.", "calibrate"),
         "evaluate": Entry(_LEARN, "Compare detectors on a dataset.", "evaluate"),
-        "benchmark": Entry(_LEARN, "Evaluate detectors on real recordings of unseen surfaces.", "benchmark"),
-        "chart": Entry(_LEARN, "Chart speed against accuracy of every detector.", "chart"),
-        "stress": Entry(_LEARN, "Find the level of each stress at which each detector fails.", "stress"),
-        "models": Entry(_LEARN, "List the shipped detectors and what each is meant for.", "model_list"),
         "onnx": Entry(_LEARN, "Export a tcn as ONNX for other runtimes.", "onnx"),
         "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
         "experiment": Entry(

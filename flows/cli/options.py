@@ -10,14 +10,6 @@ if TYPE_CHECKING:
     from flows.graph import Flow
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result on stdout as one JSON object.")]
-Models = Annotated[
-    list[Path] | None,
-    typer.Option("--model", metavar="FILE", help="Trained model to include; repeatable."),
-]
-Methods = Annotated[
-    list[str] | None,
-    typer.Option("--method", metavar="NAME", help="Include this method only; repeatable (default: all)."),
-]
 Duration = Annotated[
     str | None,
     typer.Option(

@@ -123,9 +123,15 @@ def simulated_recordings(
 ) -> list[LabelledRecording]:
     """Simulate every recording of a plan, each scene altered by `change`."""
     return [
-        simulated_recording(change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]))
+        simulated_recording(
+            change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]), str(n)
+        )
         for n, scene in enumerate(plan.scenes(seed))
     ]
+
+
+def _drawn_seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
 def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:

@@ -1,18 +1,14 @@
 """Figures in one style, as SVG files that are identical for identical data."""
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
-from html import escape
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
 
 import numpy as np
 
-from flows.report.colours import light, with_variables
-from flows.report.markup import plain_text
 from operators.errors import InputError
 from operators.extras import install_command, missing_packages
 
@@ -20,21 +16,18 @@ Given = ParamSpec("Given")
 Figure: TypeAlias = Any  # matplotlib lacks many type annotations
 Axes: TypeAlias = Any
 
-INK: Final = light("ink")
-SOFT: Final = light("soft")  # of text
-FAINT: Final = light("faint")  # of lines
-SHADE: Final = light("shade")  # background of slip
-GROUND: Final = light("ground")
-MAIN: Final = light("main")
-SECOND: Final = light("second")
-# cells 0 to 5
-CELLS: Final = tuple(map(light, ("main", "amber", "green", "magenta", "violet", "brown")))
+INK: Final = "#22272e"
+SOFT: Final = "#5b6672"  # of text
+FAINT: Final = "#9aa4b0"  # of lines
+SHADE: Final = "#f3d9b1"  # background of slip
+GROUND: Final = "#ffffff"
+MAIN: Final = "#0b6e99"
+SECOND: Final = "#d1495b"
+CELLS: Final = (MAIN, "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # cells 0 to 5
+MORE: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)  # for many lines in a panel
+_GRID: Final = "#e6e9ed"
 WIDTH: Final = 11.0  # inches, the most that fits on a page
 _TEXT: Final = 9  # points, of all text in figures
-_TEXT_PX: Final = 13  # the same on a page
-_SMALLEST: Final = 0.8  # scale of a figure on a small screen, as in the style sheet; less is not readable
-_PHONE_PX: Final = 340  # width for a figure on a phone
-_SIDEWAYS: Final = "The figure is wider than this screen: scroll it sideways."
 _ROW_GAP: Final = 0.08  # inches above and below each panel
 _LINE: Final = 12.0  # points from one name of a point to the next
 _LETTER: Final = 5.4  # points, width
@@ -63,7 +56,7 @@ STYLE: Final[Any] = {
     "ytick.color": INK,
     "xtick.major.size": 3,
     "ytick.major.size": 3,
-    "grid.color": light("grid"),
+    "grid.color": _GRID,
     "legend.frameon": False,
     "lines.linewidth": 1.2,
     "figure.facecolor": GROUND,
@@ -169,30 +162,6 @@ def svg(figure: Figure) -> str:
     with _style():
         figure.savefig(drawn, format="svg", metadata={"Date": None}, dpi=_DPI)
     return drawn.getvalue()
-
-
-def inline(drawn: str, name: str, text: str) -> str:
-    """Return an SVG file as elements of an HTML page, without prolog and external references.
-
-    Its colours are variables of the page. Its text has the same size in all figures. On a phone it scrolls
-    sideways if it is wide, and a line says so.
-
-    Args:
-        drawn: Text of the file.
-        name: Letters and hyphens; prefix that makes the identifiers unique on a page with several figures.
-        text: Description for screen readers.
-    """
-    _, _, element = drawn.partition("<svg ")
-    head, _, body = element.partition(">")
-    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
-    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body.replace("xlink:href", "href"))
-    size = re.search(r'viewBox="0 0 ([0-9.]+) [^"]+"', head)
-    assert size, "matplotlib writes the size of a figure"
-    width = float(size[1]) * _TEXT_PX / _TEXT
-    label = escape(plain_text(text))
-    start = f'<svg {size[0]} style="--width: {width:.0f}px" role="img" aria-label="{label}">'
-    hint = f'<p class="sideways">{_SIDEWAYS}</p>\n' if _SMALLEST * width > _PHONE_PX else ""
-    return f'{hint}<div class="scroll" tabindex="0">{start}{with_variables(body)}</div>'
 
 
 def _style() -> AbstractContextManager[None]:

@@ -1,30 +1,31 @@
-"""Reports: findings with text, tables and figures, written as HTML, Markdown, JSON and terminal text."""
+"""Reports: short notes, tables and figures, as Markdown, and as HTML, JSON and text that come from it."""
 
 import json
+from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from html import escape
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any, Final
 
-from flows.report.colours import variables
-from flows.report.figures import Figure, inline, missing_matplotlib, svg
-from flows.report.markup import html_text, plain_text
+from jinja2 import Environment
+from markdown_it import MarkdownIt
+
+from flows.report.figures import Figure, missing_matplotlib, svg
 from flows.report.table import Table
 from operators.errors import EndpointError, os_error_reason
 
-_STYLE: Final = Path(__file__).with_suffix(".css")
+_TEMPLATE: Final = Path(__file__).with_suffix(".html.jinja")
 
 
 @dataclass(frozen=True)
 class Section:
-    """Finding with its evidence."""
+    """Tables and a figure with a heading and a note."""
 
     name: str  # letters, digits and hyphens; names the figure's file and the JSON key
-    finding: str  # one sentence with numbers
+    finding: str  # heading
     text: str  # how it was measured
     tables: Sequence[Table] = ()
     draw: Callable[[], Figure] | None = None  # called at most once, and only if matplotlib is installed
@@ -35,14 +36,6 @@ class Section:
         """Figure as the text of an SVG file; empty if there is none or matplotlib is not installed."""
         return "" if self.draw is None or missing_matplotlib() else svg(self.draw())
 
-    def html(self) -> str:
-        """Return the section as an HTML element."""
-        parts = [f"<h2>{html_text(self.finding)}</h2>", f"<p>{html_text(self.text)}</p>"]
-        if self.svg:
-            parts.append(inline(self.svg, self.name, self.finding))
-        body = "\n".join([*parts, *(table.html() for table in self.tables)])
-        return f'<section id="{self.name}">\n{body}\n</section>'
-
     def markdown(self, figure: str) -> str:
         """Return the section as Markdown; the file `figure` holds its figure."""
         shown = [f"![{self.finding}]({figure})"] if self.svg else []
@@ -51,7 +44,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Report:
-    """Findings of a study and the command that produced them."""
+    """Tables of a study and the command that produced them."""
 
     title: str
     text: str
@@ -59,47 +52,37 @@ class Report:
     command: str
     facts: Mapping[str, Any] = field(default_factory=dict[str, Any])  # subject of the study, for the JSON
 
-    def html(self) -> str:
-        """Return one self-contained HTML page."""
-        sections = "\n".join(section.html() for section in self.sections)
-        return (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(plain_text(self.title))}</title>\n"
-            f"<style>{variables()}\n{_STYLE.read_text()}</style>\n</head>\n<body>\n"
-            f"<h1>{html_text(self.title)}</h1>\n<p>{html_text(self.text)}</p>\n{self._contents()}\n{sections}\n"
-            f"<footer>Printed by<pre>{escape(self.command)}</pre></footer>\n</body>\n</html>\n"
-        )
-
     def markdown(self, name: str) -> str:
         """Return the page as Markdown; figures are files next to NAME.md."""
         parts = [section.markdown(_figure_file(name, section)) for section in self.sections]
-        return (
-            "\n\n".join([f"# {self.title}", self.text, *parts, "Printed by:", f"    {self.command}"]) + "\n"
-        )
+        head = filter(None, [f"# {self.title}", self.text])
+        return "\n\n".join([*head, *parts, "Printed by:", f"    {self.command}"]) + "\n"
+
+    def html(self) -> str:
+        """Return one self-contained HTML page; its figures are images in the page."""
+        body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.markdown("report"))
+        for section in self.sections:
+            if section.svg:
+                image = b64encode(section.svg.encode()).decode()
+                source = f'src="{_figure_file("report", section)}"'
+                body = body.replace(source, f'src="data:image/svg+xml;base64,{image}"')
+        page = Environment(autoescape=True).from_string(_TEMPLATE.read_text(encoding="utf-8"))
+        return page.render(title=self.title, body=body)
 
     def json(self) -> dict[str, Any]:
-        """Return facts, findings and tables as JSON data; unknown values are null."""
+        """Return facts and tables as JSON data; unknown values are null."""
         found = {
-            section.name: {
-                "finding": plain_text(section.finding),
-                "tables": [table.json() for table in section.tables],
-            }
+            section.name: {"finding": section.finding, "tables": [table.json() for table in section.tables]}
             for section in self.sections
         }
-        return {"title": plain_text(self.title), "command": self.command, **self.facts, "sections": found}
+        about = {"title": self.title, "notes": self.text, "command": self.command}
+        return {**about, **self.facts, "sections": found}
 
     def terminal(self) -> str:
-        """Return the findings and tables as text for a terminal."""
+        """Return the headings and tables as text for a terminal."""
         shown = [section for section in self.sections if section.terminal]
-        parts = [[plain_text(section.finding), *(t.markdown() for t in section.tables)] for section in shown]
+        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in shown]
         return "\n\n".join("\n\n".join(each) for each in parts)
-
-    def _contents(self) -> str:
-        """Return the table of contents, which lists the findings."""
-        links = [f'<li><a href="#{each.name}">{html_text(each.finding)}</a></li>' for each in self.sections]
-        lines = "\n".join(links)
-        return f'<nav aria-label="Contents"><p>Contents</p><ol>\n{lines}\n</ol></nav>'
 
     def write(self, folder: Path, name: str) -> list[Path]:
         """Write NAME.html, NAME.md, NAME.json and the figures (SVG) into a folder; return their paths.
@@ -109,18 +92,14 @@ class Report:
         """
         make_output_folder(folder)
         numbers = json.dumps(self.json(), indent=1, allow_nan=False) + "\n"
-        texts = {"html": self.html(), "md": self.markdown(name), "json": numbers}
-        paths = [folder / f"{name}.{ending}" for ending in texts]
+        texts = {f"{name}.html": self.html(), f"{name}.md": self.markdown(name), f"{name}.json": numbers}
+        texts |= {_figure_file(name, each): each.svg for each in self.sections if each.svg}
         try:
-            for path, text in zip(paths, texts.values(), strict=True):
-                path.write_text(text, encoding="utf-8")
-            for section in self.sections:
-                if section.svg:
-                    paths.append(folder / _figure_file(name, section))
-                    paths[-1].write_text(section.svg, encoding="utf-8")
+            for file, text in texts.items():
+                (folder / file).write_text(text, encoding="utf-8")
         except OSError as error:
             raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
-        return paths
+        return [folder / file for file in texts]
 
 
 def make_output_folder(folder: Path) -> None:

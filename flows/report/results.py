@@ -57,7 +57,7 @@ def result_rows(
     return frame.select(*(pl.lit(text).alias(name) for name, text in key.items()), "metric", "value")
 
 
-def joined(results: Iterable[pl.DataFrame]) -> pl.DataFrame:
+def joined(results: Iterable[pl.DataFrame] = ()) -> pl.DataFrame:
     """Return one table of several; an empty one if there are none."""
     return pl.concat([pl.DataFrame(schema=dict(COLUMNS)), *results])
 

@@ -19,13 +19,13 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.chart.windowed_runtimes import OnnxWindowed, TorchEager
 from operators import Debounce, Score, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Counts, Scores
 from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.operator import Operator
 from tests.benchmarks.machine import commit, machine
+from tests.benchmarks.windowed_runtimes import OnnxWindowed, TorchEager
 
 FILTERS = (4, 8, 12, 16, 24)
 FINGERS = (64, 1000)

@@ -6,11 +6,14 @@ method that it measures, and then in a commit of its own.
 
 import json
 import sys
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
 from unittest.mock import patch
+
+import polars as pl
 
 from connectors.sim.paper_plan import PaperPlan
 from flows.lab.experiments.lift_trial import LiftOutcome
@@ -18,17 +21,13 @@ from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.study import Trials, run_study
 from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.simulation import simulate
-from flows.learn.benchmark import folds
-from flows.learn.benchmark.benchmark_study import benchmark
-from flows.learn.benchmark.entrants import Course
-from flows.learn.chart.chart_study import chart
-from flows.learn.evaluation.evaluation_study import MethodResult, evaluate
-from flows.learn.evaluation.event_metrics import EventMetrics, Performance
-from flows.learn.evaluation.intervals import Figures
+from flows.learn.evaluation import evaluation_study, stress_study
+from flows.learn.evaluation.evaluation_study import evaluate
+from flows.learn.evaluation.measures import AGAINST_SLIDING, BALANCED, EVENTS, SAMPLES, SHARES, SLIDING
+from flows.learn.evaluation.stress_fields import FIELDS
+from flows.learn.hold_out_training import learners
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.stress import stress_study
-from flows.learn.stress.stress_fields import FIELDS
-from flows.learn.training.recipe import Recipe
+from flows.report.results import Statistic, estimates
 
 Numbers: TypeAlias = dict[str, Any]  # nested; leaves are numbers, strings and null
 FIELDS_OF = {
@@ -44,7 +43,7 @@ def every_value(folder: Path) -> Numbers:
     return {
         "evaluate": evaluated(dataset),
         "chart": charted(dataset),
-        "hold_out": held_out(dataset, folder),
+        "hold_out": held_out(dataset),
         "stress": stressed(),
         "tap": tried("tap"),
         "lift": tried("lift"),
@@ -53,104 +52,110 @@ def every_value(folder: Path) -> Numbers:
 
 def evaluated(dataset: Path) -> Numbers:
     found = evaluate(dataset, names=METHODS)
+    counts, judged = sums(found.results.filter(method="tcn")), [r for r in load(dataset) if r.split == "test"]
+    static = counts["static as static"] + counts["static as slip"]
+    samples = static + counts["slip as slip"] + counts["slip as static"]
     return {
-        "recordings": found.recordings,
-        "samples": found.samples,
-        "static": found.static,
-        "minutes": found.minutes,
-        "label": {target: _performance(each) for target, each in found.label.items()},
-        "methods": {each.method.name: _evaluated_method(each) for each in found.results},
-    }
-
-
-def _evaluated_method(result: MethodResult) -> Numbers:
-    confusion = result.confusion
-    return {
-        "confusion": confusion.counts.tolist(),
-        "accuracy": confusion.accuracy,
-        "balanced": confusion.balanced,
-        "precision": confusion.precision,
-        "f1": confusion.f1,
-        "auc": 100 * result.roc.area,
-        "ece": result.reliability.error,
-        "table_3": {
-            f"{kind.surface} {kind.kind} {kind.speed}": result.motions.at(kind).f1
-            for kind in dict.fromkeys(result.motions.kinds)
+        "recordings": found.results["recording"].n_unique(),
+        "samples": samples,
+        "static": 100 * static / samples,
+        "minutes": judged[0].sampling.minutes(sum(map(len, judged))),
+        "label": against_targets(found.label),
+        "methods": {
+            name: {
+                **evaluated_method(found.results.filter(method=name)),
+                "debounce": [
+                    getattr(method.debounce, each) for each in ("threshold", "consecutive", "release")
+                ],
+            }
+            for name, method in found.methods.items()
         },
-        "debounce": [result.debounce.threshold, result.debounce.consecutive, result.debounce.release],
-        "errors within 100 ms": result.changes.near(100),
-        "accuracy beyond 100 ms": result.changes.far(100),
-        "events": _events(result.events),
-        "paper_rule": _events(result.paper_rule),
-        "targets": {target: _performance(each) for target, each in result.performance.items()},
-        "figures": _figures(result.figures),
     }
 
 
-def _events(events: EventMetrics) -> Numbers:
+def evaluated_method(results: pl.DataFrame) -> Numbers:
+    counts, one = sums(results), values(results, {**SHARES, **SAMPLES, **EVENTS})
+    motions = {kind: results.filter(condition=kind) for kind in results["condition"].unique() if kind}
     return {
-        "false_alarms": events.false_alarms,
-        "false_alarms_per_min": events.false_alarms_per_min,
-        "missed_slips": events.missed_slips,
-        "slips": events.slips,
-        "missed": events.missed,
-        "delay": events.onset_ms,
-        "late": events.late_ms,
+        "confusion": [[counts[f"{a} as {b}"] for b in ("static", "slip")] for a in ("static", "slip")],
+        "accuracy": one["accuracy %"],
+        "balanced": one["balanced %"],
+        "precision": one["precision %"],
+        "f1": one["F1 %"],
+        "auc": one["AUC %"],
+        "ece": one["calibration error %"],
+        "table_3": {old_name(kind): values(part, SHARES)["F1 %"] for kind, part in motions.items()},
+        "events": {
+            "false_alarms": counts["false alarms"],
+            "false_alarms_per_min": one["false/min"],
+            "missed_slips": counts["missed slips"],
+            "slips": counts["slips"],
+            "missed": one["missed %"],
+            "delay": one["delay ms"],
+        },
+        "targets": against_targets(results),
+        "figures": figures(results),
     }
 
 
-def _performance(found: Performance) -> Numbers:
-    return {
-        "accuracy": found.accuracy,
-        "balanced": found.balanced,
-        "false_alarms_per_min": found.false_alarms_per_min,
-        "missed": found.missed,
-        "delay": found.onset_ms,
-        "lead": found.lead_ms,
-    }
+def old_name(kind: str) -> str:
+    """Return the name of a kind of motion in golden.json, such as "plane primary 0.05"."""
+    surface, motion, *speed = kind.split(", ")
+    return f"{surface} {motion} {float(speed[0].removesuffix(' cm/s')) / 100 if speed else None}"
 
 
-def _figures(found: Figures) -> Numbers:
-    named = {
-        "balanced": found.balanced,
-        "far": found.far,
-        "auc": found.area,
-        "ece": found.calibration,
-        "events_per_min": found.events_per_min,
-        "false_alarms_per_min": found.false_alarms_per_min,
-        "missed": found.missed,
-        "delay": found.delay,
+def against_targets(results: pl.DataFrame) -> Numbers:
+    one = values(results, {**SHARES, **BALANCED, **EVENTS, **AGAINST_SLIDING})
+    names = {
+        "balanced": "balanced %",
+        "false_alarms_per_min": "false/min",
+        "missed": "missed %",
+        "delay": "delay ms",
     }
-    return {name: [each.value, each.low, each.high] for name, each in named.items()}
+    found = {
+        target: {**{old: one[prefix + new] for old, new in names.items()}, "lead": one["lead ms"]}
+        for target, prefix in (("arm-speed", ""), ("sliding", SLIDING))
+    }
+    found["arm-speed"]["accuracy"] = one["accuracy %"]
+    return found
+
+
+def figures(results: pl.DataFrame) -> Numbers:
+    found = estimates(results, {**SAMPLES, **EVENTS}).select("value", "low", "high").rows()
+    names = ("balanced", "far", "auc", "ece", "events_per_min", "false_alarms_per_min", "missed", "delay")
+    return {name: list(each) for name, each in zip(names, found, strict=True)}
+
+
+def sums(results: pl.DataFrame) -> dict[str, float]:
+    return dict(results.group_by("metric").agg(pl.col("value").sum()).rows())
+
+
+def values(results: pl.DataFrame, statistics: Mapping[str, Statistic]) -> dict[str, float]:
+    return dict(estimates(results, statistics, draws=0).select("statistic", "value").rows())
 
 
 def charted(dataset: Path) -> Numbers:
     """Return the accuracy and events of each point of the chart, without its speed."""
-    found = chart(dataset, names=["tcn", "psd"], span=1e-4)
-    return {
-        point.name: {target: _performance(each) for target, each in point.performances.items()}
-        for point in found.points
-    }
+    found = evaluate(dataset, names=["tcn", "psd"], speed=1e-4)
+    assert found.speeds["value"].is_finite().all()
+    return {name: against_targets(part) for (name,), part in found.results.group_by("method")}
 
 
-def held_out(dataset: Path, folder: Path) -> Numbers:
-    """Return the results on each surface held out: of detectors as they are, and of a fitted baseline."""
+def held_out(dataset: Path) -> Numbers:
+    """Return the result of each surface held out: detectors as they are, and a fitted baseline."""
     recordings = [replace(each, group=each.surface) for each in load(dataset)]
 
-    def loaded(_dataset: Path, _rate: float | None = None) -> list[LabelledRecording]:
+    def loaded(*_args: object, **_named: object) -> list[LabelledRecording]:
         return recordings
 
-    with patch.object(folds, "load", loaded):
-        found = benchmark(
-            {"tiny": dataset},
-            Course(Recipe(), folder / "models"),
-            regimes=["zero-shot", "in-domain"],
-            names=METHODS[1:],
-            jobs=1,
-        )
+    with patch.object(evaluation_study, "load", loaded):
+        found = evaluate(dataset, hold_out=["all"], learners=learners(["logistic"]), names=["psd"])
     return {
-        each.entrant.title: {"figures": _figures(each.figures), "by_fold": dict(each.by_fold)}
-        for each in found.datasets[0].results
+        {"psd": "zero-shot psd", "logistic": "in-domain logistic"}[name]: {
+            "figures": figures(part),
+            "by_fold": dict(estimates(part, BALANCED, ("fold",)).select("fold", "value").rows()),
+        }
+        for (name,), part in found.results.group_by("method")
     }
 
 
@@ -158,11 +163,11 @@ def stressed() -> Numbers:
     """Return the performance along one stress field."""
     plan = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
     with patch.object(stress_study, "FIELDS", {"noise": FIELDS["noise"]}):
-        found = stress_study.stress(names=["tcn", "psd"], seed=7, plan=plan, training=plan, jobs=1)
+        found = stress_study.stress(names=["tcn", "psd"], seed=7, plan=plan, training=plan)
     return {
-        f"noise {value:g} {name} {target}": _performance(each)
-        for (_, value), outcome in found.outcomes.items()
-        for (name, target), each in outcome.performance.items()
+        f"{condition.replace('nominal', 'noise 0.6')} {name} {target}": each
+        for (condition, name), part in found.results.group_by("condition", "method")
+        for target, each in against_targets(part).items()
     }
 
 

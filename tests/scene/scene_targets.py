@@ -12,13 +12,13 @@ from connectors.files.column_map import ColumnMap
 from connectors.sim.barometers import DECADES
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Parameters
-from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionGroup
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import windows
 from operators.batch import UNKNOWN, Reals
 from operators.detectors import Detector
 from operators.errors import InputError
+from tests.scene.scene_confusions import MotionConfusions, MotionGroup
 from tests.scene.scene_statistics import FREQUENCIES, TABLE, measure
 
 PLAN: Final = PaperPlan(repeats=2, rotations=2)  # that the constants are fitted on

@@ -1,150 +1,178 @@
-"""Figures of an evaluation."""
+"""Figures of an evaluation: accuracy and events of all methods, speed against accuracy, and stress."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from math import isfinite
+from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
+import polars as pl
+from numpy.typing import NDArray
 
-from flows.learn.evaluation.evaluation_study import MethodResult
-from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
-from flows.learn.evaluation.published import SPEEDS, SURFACES, TABLE_3
-from flows.learn.evaluation.sample_metrics import EDGES
-from flows.report.figures import CELLS, FAINT, MAIN, SECOND, WIDTH, Axes, Figure, grid, name_points, styled
+from flows.learn.evaluation.measures import BALANCED, EVENTS
+from flows.learn.evaluation.published import TABLE_1
+from flows.learn.evaluation.stress_fields import FIELDS
+from flows.learn.evaluation.stress_study import condition_name
+from flows.report.figures import (
+    FAINT,
+    GROUND,
+    INK,
+    MAIN,
+    MORE,
+    SOFT,
+    WIDTH,
+    Axes,
+    Figure,
+    grid,
+    name_points,
+    styled,
+)
+from flows.report.results import estimates
 
-_LINES: Final = ("-", "--", ":")
-_COLUMNS: Final = 5  # confusion matrices in a row
-_LATEST: Final = 300  # ms, delays that are shown
+_ROW: Final = 0.24  # inches
+_COLUMNS: Final = 4  # panels in a row
+_MARKS: Final = "osD^vP*X"
+_TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
+_ALARMS: Final = (0, 0.5, 1, 2, 5, 10, 20, 50, 100)  # false alarms per static minute
 
 
 @styled
-def confusions(results: Sequence[MethodResult]) -> Figure:
-    """Draw the confusion matrices."""
-    columns = min(len(results), _COLUMNS)
-    rows = -(-len(results) // columns)
-    figure, axes = grid(rows, columns, (WIDTH / _COLUMNS * columns, 0.4 + 2.3 * rows))
-    for axis, result in zip(axes, results, strict=False):
-        counts = result.confusion.counts
-        share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)  # of each truth
-        for truth in range(2):
-            for prediction in range(2):
-                number = f"{100 * share[truth, prediction]:.1f} %\n{int(counts[truth, prediction])}"
-                axis.axhspan(truth - 0.5, truth + 0.5, prediction / 2, (prediction + 1) / 2, color=MAIN,
-                             alpha=0.06 + 0.34 * share[truth, prediction], linewidth=0)  # fmt: skip
-                axis.text(prediction, truth, number, ha="center", va="center")
-        axis.set(title=result.method.name, xlim=(-0.5, 1.5), ylim=(1.5, -0.5), aspect="equal")
-        axis.set_xticks([0, 1], ["static", "slip"])
-        axis.set_yticks([0, 1], ["static", "slip"])
-        axis.tick_params(length=0)
-        for spine in axis.spines.values():
-            spine.set_visible(False)
-    for axis in axes[len(results) :]:
-        axis.set_axis_off()
-    axes[0].set_ylabel("label")
-    figure.supxlabel("prediction")
+def overview(results: pl.DataFrame) -> Figure:
+    """Draw balanced accuracy with its interval, and delay against false alarms, of each method."""
+    found = list(estimates(results, BALANCED).iter_rows(named=True))[::-1]
+    groups = estimates(results, BALANCED, ("method", "fold"), draws=0)
+    figure, (axis, cost) = grid(1, 2, (WIDTH, max(3.6, 1.2 + _ROW * len(found))), widths=[1.3, 1])
+    for place, row in enumerate(found):
+        own = groups.filter(method=row["method"])["value"].drop_nulls().to_list()
+        if len(own) > 1:
+            axis.plot(own, np.full(len(own), place), "|", color=MAIN, markersize=7, alpha=0.7)
+        if row["low"] is not None:
+            axis.plot([row["low"], row["high"]], [place, place], color=MAIN, linewidth=3, alpha=0.35)
+        if row["value"] is not None:
+            axis.plot(row["value"], place, "o", color=MAIN, markersize=5)
+    axis.set_yticks(range(len(found)), [row["method"] for row in found])
+    label = "%, with its interval; ticks: groups held out"
+    axis.set(title="Balanced accuracy", xlabel=label, xlim=(None, 100))
+    axis.xaxis.grid(visible=True)
+    _events(cost, results)
+    return figure
+
+
+def _events(axis: Axes, results: pl.DataFrame) -> None:
+    events = estimates(results, EVENTS, draws=0).pivot("statistic", index="method", values="value")
+    points = events.select("method", "false/min", "delay ms").drop_nulls().rows()
+    for _, alarms, delay in points:
+        axis.plot(alarms, delay, "o", color=MAIN, markersize=5)
+    axis.set_xscale("symlog", linthresh=1)
+    axis.set_xticks(_ALARMS, [f"{tick:g}" for tick in _ALARMS])
+    axis.minorticks_off()
+    most = max([1.0, *(alarms for _, alarms, _ in points)])
+    axis.set(
+        title="Delay against false alarms",
+        xlabel="false alarms per static minute; logarithmic above 1",
+        ylabel="median delay, ms",
+        xlim=(-0.15, 4 * most),
+    )
+    axis.yaxis.grid(visible=True)
+    name_points(axis, points, (4.0, 3.2))
+
+
+def pareto_front(points: pl.DataFrame) -> list[str]:
+    """Return the methods that no other one beats in both speed and accuracy, from fast to slow.
+
+    Args:
+        points: Columns ``method``, ``us/sample`` and ``accuracy %``.
+    """
+    front, best = list[str](), -np.inf
+    ordered = points.sort("us/sample", "accuracy %", descending=[False, True])
+    for name, accuracy in ordered.select("method", "accuracy %").iter_rows():
+        if accuracy is not None and accuracy > best:
+            front.append(name)
+            best = accuracy
+    return front
+
+
+@styled
+def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
+    """Draw accuracy over CPU time, with the Pareto front and the paper's accuracy.
+
+    Args:
+        points: Columns ``method``, ``us/sample`` and ``accuracy %``, from fast to slow.
+        front: Methods on the Pareto front.
+    """
+    figure, (axis,) = grid(1, 1, (WIDTH, 5.6))
+    rows = points.select("method", "us/sample", "accuracy %").drop_nulls().rows()
+    low, high = min(us for _, us, _ in rows) / 2, max(us for _, us, _ in rows) * 8
+    paper = {name: row[0] for name, row in TABLE_1.items()}
+    values = [*paper.values(), *(accuracy for *_, accuracy in rows)]
+    bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.set_yscale("function", functions=(_stretch, _shrink))
+    axis.set_yticks([tick for tick in _TICKS if bottom <= _stretch([tick])[0] <= top])
+    axis.set(
+        xlim=(low, high),
+        ylim=_shrink([bottom, top]),
+        xlabel="CPU us per sample, batch 1, one core",
+        ylabel="accuracy, % (logarithmic scale of the error)",
+        title="Speed against accuracy",
+    )
+    best = [(us, accuracy) for name, us, accuracy in rows if name in front]
+    steps = [*best, (high, best[-1][1])]
+    axis.plot(*zip(*steps, strict=True), color=MAIN, drawstyle="steps-post", alpha=0.5, label="Pareto front")
+    for name, accuracy in paper.items():
+        axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
+        axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=SOFT,
+                      xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
+    axis.grid(visible=True)
+    axis.set_axisbelow(True)
+    for name, us, accuracy in rows:
+        colour = MAIN if name in front else INK
+        axis.plot(us, accuracy, "o", color=colour, markerfacecolor=colour if name in front else GROUND)
+    name_points(axis, rows, (10.0, 4.6))
+    axis.legend(loc="lower right")
     return figure
 
 
 @styled
-def curves(results: Sequence[MethodResult]) -> Figure:
-    """Draw ROC and reliability."""
-    figure, (roc, reliability) = grid(1, 2, (WIDTH, 4.6))
-    for result, look in _styles(results):
-        curve = result.roc
-        label = f"{result.method.name}  {100 * curve.area:.1f}"
-        roc.plot(100 * curve.false, 100 * curve.true, label=label, **look)
-        predicted, slip = 100 * result.reliability.probability, 100 * result.reliability.slip
-        label = f"{result.method.name}  {result.reliability.error:.1f}"
-        reliability.plot(predicted, slip, marker="o", markersize=3, label=label, **look)
-    for axis in (roc, reliability):
-        axis.plot([0, 100], [0, 100], color=FAINT, linewidth=0.8, zorder=0)
-        axis.set(xlim=(0, 100), ylim=(0, 100))
-    roc.set(title="ROC", xlabel="static predicted as slip, %", ylabel="slip predicted as slip, %")
-    roc.legend(title="area under the curve, %", loc="lower right")
-    reliability.set(title="Reliability", xlabel="probability of slip, %", ylabel="share of slip, %")
-    reliability.legend(title="calibration error, %", loc="upper left")
-    return figure
+def stress_panels(balanced: pl.DataFrame) -> Figure:
+    """Draw the balanced accuracy of each method along each stress field, from nominal to the last level.
 
-
-@styled
-def delays(results: Sequence[MethodResult]) -> Figure:
-    """Draw the share of detected slips by delay, and delay against false alarms."""
-    figure, (found, cost) = grid(1, 2, (WIDTH, 4.4), widths=[1.6, 1])
-    for result, look in _styles(results):
-        events = result.events
-        late = np.sort(events.delays)  # (caught,) ms
-        late = late[late <= _LATEST]
-        share = 100 * np.arange(len(late) + 1) / max(events.slips, 1)
-        found.step([-50, *late, _LATEST], [*share, share[-1]], where="post", label=result.method.name, **look)
-        cost.plot(events.false_alarms_per_min, events.onset_ms, "o", color=look["color"], markersize=6)
-    costs = {each.method.name: (each.events.false_alarms_per_min, each.events.onset_ms) for each in results}
-    most = max([1.0, *(alarms for alarms, _ in costs.values() if isfinite(alarms))])
-    found.axvline(0, color=FAINT, linewidth=0.8)
-    found.set(title="Slips with an onset", xlabel="ms after the label changes to slip", ylabel="slips, %",
-              xlim=(-50, _LATEST), ylim=(0, 100))  # fmt: skip
-    found.yaxis.grid(visible=True)
-    found.legend(loc="lower right")
-    cost.set(title="Delay against false alarms", xlabel="false alarms per static minute",
-             ylabel="median delay, ms", xlim=(-0.03 * most, 1.5 * most),
-             ylim=(min(0, cost.get_ylim()[0]), None))  # fmt: skip
-    name_points(cost, [(name, *at) for name, at in costs.items() if isfinite(at[1])], (3.6, 3.6))
-    cost.yaxis.grid(visible=True)
-    return figure
-
-
-@styled
-def changes(results: Sequence[MethodResult]) -> Figure:
-    """Draw accuracy and errors by distance from the nearest change of the label."""
-    figure, (axis, errors) = grid(2, 1, (8, 6.4))
-    places = np.arange(len(EDGES))
-    for result, look in _styles(results):
-        axis.plot(places, result.changes.accuracy, marker="o", markersize=3, label=result.method.name, **look)
-        wrong = result.changes.errors
-        share = 100 * wrong.cumsum() / max(wrong.sum(), 1)
-        errors.plot(places, share, label=result.method.name, **look)
-    names = [*results[0].changes.spans, f"{EDGES[-1]}-"]
-    for each in (axis, errors):
-        each.set_xticks(places, names)
-        each.set(xlabel="ms to the nearest change of the label")
-        each.yaxis.grid(visible=True)
-    axis.set(title="Accuracy", ylabel="%", ylim=(None, 100))
-    errors.set(title="Cumulative errors", ylabel="% of all errors", ylim=(0, 100))
-    errors.legend(loc="lower right")
-    return figure
-
-
-@styled
-def motion(found: Mapping[str, MotionConfusions]) -> Figure:
-    """Draw the F1 of the paper's Table III for up to two detectors."""
-    figure, axes = grid(1, len(SURFACES), (WIDTH, 3.4), sharey=True)
-    rotation = len(SPEEDS)  # place of rotation
-    styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
-    for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):
-        for kind, line in (("primary", "-"), ("oblique", ":")):
-            paper = [TABLE_3[kind, speed][column] for speed in SPEEDS]
-            axis.plot(range(rotation), paper, line, color=FAINT, label=f"paper, {kind}")
-            for name, cells in found.items():
-                colour, mark = styles[name]
-                values = [cells.at(MotionKind(kind, speed, surface)).f1 for speed in SPEEDS]
-                label = f"{name}, {kind}"
-                axis.plot(range(rotation), values, line, marker=mark, markersize=4, color=colour, label=label)
-        axis.plot(rotation, TABLE_3["rotation", None][column], "D", color=FAINT, markersize=5)
-        for name, cells in found.items():
-            colour, mark = styles[name]
+    Args:
+        balanced: Estimates by condition and method.
+    """
+    names = balanced["method"].unique(maintain_order=True).to_list()
+    heights = {(row[0], row[1]): row[2] for row in balanced.select("condition", "method", "value").rows()}
+    rows = -(-len(FIELDS) // _COLUMNS)
+    figure, axes = grid(rows, _COLUMNS, (WIDTH, 2.1 * rows), sharey=True)
+    for axis, (field, values) in zip(axes, FIELDS.items(), strict=False):
+        shown = sorted(values.values) if min(values.values) < values.nominal else list(values.values)
+        for place, name in enumerate(names):
+            line = [(at, heights.get((condition_name(field, each), name))) for at, each in enumerate(shown)]
             axis.plot(
-                rotation, cells.at(MotionKind("rotation", None, surface)).f1, mark, color=colour, markersize=5
+                *zip(*((at, height) for at, height in line if height is not None), strict=True),
+                marker=_MARKS[place // len(MORE) % len(_MARKS)],
+                markersize=3,
+                color=MORE[place % len(MORE)],
+                linewidth=2 if place == 0 else 1,
+                label=name,
+                zorder=len(names) - place + 2,
             )
-        axis.set(title=surface.replace("_", " "), xlabel="cm/s, or rotation")
-        axis.set_xticks(range(rotation + 1), [*(f"{100 * speed:g}" for speed in SPEEDS), "rot."])
+        axis.axvline(shown.index(values.nominal), color=FAINT, linewidth=0.8, zorder=0)
+        axis.set_xticks(range(len(shown)), [values.number(value) for value in shown])
+        axis.set(xlim=(-0.4, len(shown) - 0.6), ylim=(45, 100))
+        axis.set_title(f"{values.text}, {values.unit}" if values.unit else values.text)
         axis.yaxis.grid(visible=True)
-    axes[0].set_ylabel("F1, %")
-    handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower left", ncols=3)
+    for axis in axes[len(FIELDS) :]:
+        axis.set_axis_off()
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(len(names), 6))
+    figure.supylabel("balanced accuracy, %")
     return figure
 
 
-def _styles(results: Sequence[MethodResult]) -> Iterator[tuple[MethodResult, dict[str, Axes]]]:
-    """Yield each result with a colour and a line style of its own."""
-    for number, result in enumerate(results):
-        colour, line = CELLS[number % len(CELLS)], _LINES[number // len(CELLS) % len(_LINES)]
-        yield result, {"color": colour, "linestyle": line}
+def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convert accuracy, %, to minus the logarithm of the error, %."""
+    return -np.log(np.maximum(100 - np.asarray(accuracy, np.float64), 0.1))
+
+
+def _shrink(stretched: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Convert back to accuracy, %; the inverse of `_stretch`."""
+    return 100 - np.exp(-np.asarray(stretched, np.float64))

@@ -1,244 +1,254 @@
-"""`slipflow evaluate`: detectors compared on a split that none of them was fitted to."""
+"""`slipflow evaluate`: detectors compared on recordings that none of them was fitted to."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
+import polars as pl
 
-from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
-from flows.learn.evaluation.event_metrics import (
-    DECISION,
-    PAUSE,
-    EventMetrics,
-    Performance,
-    Slips,
-    performances,
+from flows.learn.evaluation.detector_speed import speed_results
+from flows.learn.evaluation.event_metrics import DECISION, PAUSE
+from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
+from flows.learn.evaluation.measures import SHARES, judged
+from flows.learn.evaluation.methods import (
+    Candidate,
+    Method,
+    baselines,
+    choose_debounce,
+    default_psd,
+    ready,
+    trained_methods,
 )
-from flows.learn.evaluation.intervals import Figures, Judged, figures
-from flows.learn.evaluation.methods import Method, for_fingertip, trained_methods, with_baselines
-from flows.learn.evaluation.motion_metrics import MotionConfusions
-from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
 from flows.learn.labelled_recordings import (
     LABELS,
     LabelledRecording,
-    Target,
-    by_split,
     common_fingertip,
     hand_label_summary,
     load,
+    targets,
 )
-from flows.learn.leaks.leak import (
-    Leak,
-    card_leaks,
-    constant_leaks,
-    lists_recordings,
-    overlapping,
-    split_leaks,
-)
-from flows.learn.provenance import dataset_digest
-from flows.learn.sampling import Sampling
+from flows.learn.provenance import learned_from
 from flows.learn.scoring import probabilities
-from flows.run.executor import one_thread
+from flows.report.results import estimates, joined
+from flows.run.executor import map_tasks, one_thread
 from operators import Debounce
-from operators.batch import SLIP, STATIC, UNKNOWN, Reals
-from operators.errors import InputError
+from operators.batch import SLIP, UNKNOWN, Reals
+from operators.errors import InputError, SlipflowError
 from operators.extras import require_extra
 
-PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
+LABEL: Final = "the label"  # as a method, against true sliding
+DEFAULT: Final = "tcn"
+_RATE: Final = 100.0  # Hz, of recordings that are judged by groups
+_LEARNED: Final = ("train", "validation")  # splits that training uses
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MethodResult:
-    """Results of one method."""
-
-    method: Method
-    confusion: Confusion  # against the label
-    roc: Roc
-    reliability: Reliability
-    changes: LabelChanges
-    motions: MotionConfusions
-    debounce: Debounce
-    chosen_on: str  # origin of the debounce settings
-    events: EventMetrics  # against the label
-    paper_rule: EventMetrics  # the same with the debounce of the paper's robot tests
-    performance: Mapping[Target, Performance]  # against each target that the recordings have
-    figures: Figures  # against the label, with intervals over recordings
+Log: TypeAlias = Callable[[str], object]
+Progress: TypeAlias = Callable[[int, int], object]  # tasks done, all tasks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """Results of all methods on one split of a dataset."""
+    """Results of methods on recordings."""
 
-    dataset: str
-    split: str
-    recordings: int
-    samples: int  # evaluated
-    static: float  # share of static samples, %
-    minutes: float  # of all recordings
-    sampling: Sampling  # of all recordings
-    budget: float  # false alarms per static minute that the debounce was tuned for
-    results: tuple[MethodResult, ...]  # the most accurate first
+    subject: str  # what was judged
+    results: pl.DataFrame  # long table; methods in the order of their accuracy
+    methods: Mapping[str, Method]  # with the debounce that was used, in the same order
+    chosen_on: Mapping[str, str]  # origin of the debounce, by method
     missing: Mapping[str, str]  # reasons by method
-    label: Mapping[Target, Performance]  # of the arm-speed label itself, against each target
-    leaks: tuple[Leak, ...]  # what inflates the results
-    unchecked: tuple[str, ...]  # methods whose card does not list the recordings of their training
-    by_hand: str = ""  # line with the labels by hand; empty: none
+    notes: Sequence[str] = ()  # what a reader must know to judge the numbers
+    label: pl.DataFrame = field(default_factory=joined)  # the arm-speed label as a method
+    speeds: pl.DataFrame = field(default_factory=joined)  # CPU time of each method
 
     @property
-    def leader(self) -> MethodResult:
-        """Method that the findings are about: the default detector, or the most accurate one."""
-        return next((each for each in self.results if each.method.name == "tcn"), self.results[0])
+    def leader(self) -> str:
+        """Name of the default detector, or of the most accurate one."""
+        return DEFAULT if DEFAULT in self.methods else next(iter(self.methods))
 
 
 def evaluate(
     dataset: Path,
     *,
     split: str = "test",
+    hold_out: Collection[str] = (),
+    learners: Sequence[Candidate] = (),
     models: Sequence[Path] = (),
     names: Collection[str] = (),
-    budget: float = BUDGET,
     labels: str = LABELS[0],
-    log: Callable[[str], object] = lambda _: None,
+    speed: float = 0.0,
+    executor: Executor | None = None,
+    progress: Progress = lambda _done, _all: None,
+    log: Log = lambda _: None,
 ) -> Evaluation:
-    """Evaluate methods on a split.
+    """Judge methods on a split of a dataset, or on groups of its recordings that are held out.
 
-    Baselines are fitted to the train split, and the validation split tunes the debounce of methods without
-    a card. Recordings that are judged, or share rows with judged ones, take no part in either.
+    On a split, baselines are fitted to the train split, and the validation split tunes the debounce of
+    methods without a card. With `hold_out`, recordings are converted to 100 Hz.
 
     Args:
         dataset: Folder of the dataset.
         split: One of train, validation, test and all.
-        models: Files of weights to evaluate as well.
+        hold_out: Groups (surfaces or objects) to hold out, one after the other; ``all``: each of them.
+        learners: Methods to fit to the groups that are not held out.
+        models: Files of weights to judge as well.
         names: Only these methods, and those of `models`; empty: all.
-        budget: False alarms per static minute that the debounce is tuned for.
         labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
+        speed: CPU time of each turn of timing the methods, s; 0: they are not timed.
+        executor: Executor of `workers`; None: this process.
+        progress: Called with the number of fits and judgements done, and of all.
         log: Receives progress messages.
 
     Raises:
-        InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
+        InputError: if the train extra is missing, or the dataset, split, group, method or model does not
+            exist, or no method can be judged.
         FingertipError: if the recordings have different fingertips.
+        SlipflowError: if a worker died.
     """
     require_extra("train", "evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
-    everything = load(dataset, labels=labels)
-    recordings = _of_split(dataset, everything, split)
-    if by_hand := hand_label_summary(recordings):
-        log(by_hand)
-    fingertip = common_fingertip(everything)
-    trained, misfits = for_fingertip(trained, fingertip, log)
-    bad = overlapping(everything, recordings)
-    parts = by_split(each for place, each in enumerate(everything) if place not in bad)
-    leaks, unchecked = _card_leaks(dataset, trained, recordings)
-    with one_thread():
-        chosen, missing = with_baselines(trained, parts["train"], names, log, misfits)
-        if not chosen:
-            raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
-        evaluator = _Evaluator(recordings, parts["validation"], budget)
-        results = list[MethodResult]()
-        for method in chosen:
-            log(f"evaluating {method.name}")
-            results.append(evaluator.result(method))
-    if split != "all":  # else nothing was fitted
-        leaks = [*split_leaks([everything]), *leaks]
-    for result in results:
-        leaks += constant_leaks(result.method.name, result.confusion.counts)
-    for leak in leaks:
-        log(f"leak: {leak.finding}")
-    slip = [each.slip[at] for each, at in zip(recordings, evaluator.known, strict=True)]
-    slips, sampling = np.concatenate(slip), recordings[0].sampling
-    label_rule = Debounce(DECISION, 1, sampling.samples(PAUSE))  # slips as in `Slips`
+    recordings = _distinct(load(dataset, _RATE if hold_out else None, labels=labels))
+    common_fingertip(recordings)
+    if hold_out:
+        folds = group_folds(recordings, hold_out, str(dataset))
+        as_they_are = [*ready(trained), *default_psd(names)]
+        tasks = [(each, replace(fold, train=(), validation=())) for fold in folds for each in as_they_are]
+        tasks += [(each, fold) for fold in folds for each in learners]
+        subject, parts = f"{dataset.resolve().name}, held out: {', '.join(hold_out)}", "group"
+    else:
+        folds = [split_fold(recordings, split, str(dataset))]
+        tasks = [(each, fold) for fold in folds for each in [*ready(trained), *baselines(names)]]
+        subject, parts = f"{dataset.resolve().name}, split: {split}", "split"
+    chosen = [each for fold in folds for each in fold.judged]
+    notes = repeated(recordings, [getattr(each, parts) for each in recordings]) if split != EVERY else []
+    found = judge_all(subject, tasks, chosen, executor=executor, progress=progress, log=log)
+    notes += _trained_on(found.methods.values(), dataset, chosen)
+    notes += filter(None, [hand_label_summary(chosen)])
+    for note in notes:
+        log(note)
+    if speed:
+        log("timing the detectors in turns")
+        detectors = {name: method.detector for name, method in found.methods.items()}
+        found = replace(found, speeds=speed_results(detectors, chosen, span=speed))
+    label = joined(map(_label_results, chosen)) if len(targets(chosen)) > 1 else joined()
+    return replace(found, notes=notes, label=label)
+
+
+class _Answer(NamedTuple):
+    """A fitted method with its results on each judged recording of a fold; or why there are none."""
+
+    method: Method | None = None
+    chosen_on: str = ""
+    results: Sequence[pl.DataFrame] = ()
+    reason: str = ""
+
+
+def judge_all(
+    subject: str,
+    tasks: Sequence[tuple[Candidate, Fold]],
+    judged_ones: Sequence[LabelledRecording],
+    *,
+    executor: Executor | None = None,
+    progress: Progress = lambda _done, _all: None,
+    log: Log = lambda _: None,
+) -> Evaluation:
+    """Fit candidates to folds and judge them.
+
+    Args:
+        subject: What is judged.
+        tasks: Candidates and folds; a candidate that fails on one of its folds has no results.
+        judged_ones: Judged recordings of all folds, in the order of the dataset.
+        executor: Executor of `workers`; None: this process.
+        progress: Called with the number of tasks done, and of all.
+        log: Receives the reasons why methods are missing.
+
+    Raises:
+        InputError: if no method can be judged.
+        SlipflowError: if a worker died.
+    """
+    methods, chosen_on, missing = dict[str, Method](), dict[str, str](), dict[str, str]()
+    results = dict[tuple[str, str], pl.DataFrame]()  # by method and recording
+    answers = map_tasks(_judge, tasks, executor, progress=progress)
+    for (candidate, fold), answer in zip(tasks, answers, strict=True):
+        if answer.method is None:
+            missing[candidate.name] = answer.reason
+            log(f"not evaluated: {candidate.name}: {answer.reason}")
+            continue
+        methods[candidate.name], chosen_on[candidate.name] = answer.method, answer.chosen_on
+        keys = [(candidate.name, recording.name) for recording in fold.judged]
+        results |= dict(zip(keys, answer.results, strict=True))
+    names = [name for name in methods if name not in missing]
+    if not names:
+        raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
+    table = joined(results[name, recording.name] for name in names for recording in judged_ones)
+    accuracy = estimates(table, {"accuracy %": SHARES["accuracy %"]}, draws=0).sort("value", descending=True)
+    order = accuracy["method"].to_list() or names  # nothing is judged
     return Evaluation(
-        dataset.resolve().name,
-        split,
-        len(recordings),
-        len(slips),
-        100 * float((~slips).mean()) if len(slips) else float("nan"),
-        sampling.minutes(sum(map(len, recordings))),
-        sampling,
-        budget,
-        tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
+        subject,
+        joined(table.filter(method=name) for name in order),
+        {name: methods[name] for name in order},
+        {name: chosen_on[name] for name in order},
         missing,
-        performances(recordings, [_certain(each) for each in recordings], label_rule),
-        tuple(leaks),
-        unchecked,
-        by_hand,
     )
 
 
-def _card_leaks(
-    dataset: Path, methods: Sequence[Method], judged: Sequence[LabelledRecording]
-) -> tuple[list[Leak], tuple[str, ...]]:
-    """Return the leaks from judged recordings to models, and the methods whose cards list no recordings."""
-    digest = dataset_digest(dataset)
-    leaks = [leak for each in methods for leak in card_leaks(each.name, each.card, judged, digest)]
-    return leaks, tuple(each.name for each in methods if not lists_recordings(each.card))
+@one_thread()
+def _judge(task: tuple[Candidate, Fold]) -> _Answer:
+    candidate, fold = task
+    try:
+        method = candidate.fit(fold)
+        debounce, chosen_on = choose_debounce(method, fold)
+        method = replace(method, debounce=debounce)
+        results = method_results(method, fold.judged, fold=fold.name)
+    except SlipflowError as error:  # such as a detector for another fingertip
+        return _Answer(reason=error.reason if isinstance(error, InputError) else str(error))
+    return _Answer(method, chosen_on, results)
 
 
-def _of_split(dataset: Path, recordings: Sequence[LabelledRecording], split: str) -> list[LabelledRecording]:
-    chosen = [recording for recording in recordings if split in {recording.split, "all"}]
-    if not chosen:
-        there = ", ".join(sorted({recording.split for recording in recordings} - {""})) or "none"
-        raise InputError(
-            str(dataset), f"has no split {split!r}; it has {there}; `--split all` takes everything"
+def _distinct(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording]:
+    """Return the recordings with names of their own: fingertips of a session have the same name."""
+    seen, found = Counter[str](), list[LabelledRecording]()
+    for each in recordings:
+        seen[each.name] += 1
+        number = seen[each.name]
+        found.append(each if number == 1 else replace(each, name=f"{each.name}, fingertip {number}"))
+    return found
+
+
+def method_results(
+    method: Method, recordings: Sequence[LabelledRecording], *, condition: str = "", fold: str = ""
+) -> list[pl.DataFrame]:
+    """Judge a method, whose debounce was chosen, on each recording; see `judged`."""
+    assert method.debounce is not None, "it was chosen"
+    return [
+        judged(
+            each,
+            probabilities(method.detector, each),
+            method.debounce,
+            method=method.name,
+            condition=condition,
+            fold=fold,
         )
-    for code, name in ((SLIP, "slip"), (STATIC, "static")):
-        if not any((recording.label == code).any() for recording in chosen):
-            raise InputError(str(dataset), f"has no {name} in its {split} split; choose another split")
-    return chosen
+        for each in recordings
+    ]
 
 
-class _Evaluator:
-    """Evaluator of methods on the same recordings."""
-
-    def __init__(
-        self,
-        recordings: Sequence[LabelledRecording],
-        validation: Sequence[LabelledRecording],
-        budget: float,
-    ) -> None:
-        self.recordings, self.validation, self.budget = recordings, validation, budget
-        self.sampling = recordings[0].sampling
-        self.paper_rule = self.sampling.rule(PAPER_RULE)
-        self.known = [recording.known(1) for recording in recordings]
-        self.slips = [Slips.labelled(recording) for recording in recordings]
-
-    def result(self, method: Method) -> MethodResult:
-        scores = [probabilities(method.detector, recording) for recording in self.recordings]
-        at = [known[np.isfinite(score[known])] for known, score in zip(self.known, scores, strict=True)]
-        probability = [score[each] for score, each in zip(scores, at, strict=True)]
-        predicted = [each >= DECISION for each in probability]
-        truth = [recording.slip[each] for recording, each in zip(self.recordings, at, strict=True)]
-        wrong = [one != other for one, other in zip(predicted, truth, strict=True)]
-        slip = np.concatenate(truth)
-        debounce, chosen_on = self._debounce(method)
-        return MethodResult(
-            method,
-            Confusion.of(np.concatenate(predicted), slip),
-            Roc.of(np.concatenate(probability), slip),
-            Reliability.of(np.concatenate(probability), slip),
-            LabelChanges.of([each.label for each in self.recordings], at, wrong, self.sampling),
-            MotionConfusions.of(self.recordings, at, predicted),
-            debounce,
-            chosen_on,
-            EventMetrics.of(scores, self.slips, debounce),
-            EventMetrics.of(scores, self.slips, self.paper_rule),
-            performances(self.recordings, scores, debounce),
-            figures([[Judged.of(*own, debounce)] for own in zip(self.recordings, scores, strict=True)]),
-        )
-
-    def _debounce(self, method: Method) -> tuple[Debounce, str]:
-        if method.debounce is not None:
-            return method.debounce, "its card"
-        if not self.validation:
-            return self.paper_rule, "the paper, as no validation split is left to tune it on"
-        return tuned_on(self.validation, method.detector, self.budget), "validation"
+def _trained_on(
+    methods: Iterable[Method], dataset: Path, recordings: Sequence[LabelledRecording]
+) -> list[str]:
+    """Return a line for each method that learned from judged recordings, by its card."""
+    if not any(each.split in _LEARNED for each in recordings):
+        return []
+    return [
+        f"{each.name} was trained on this dataset" for each in methods if learned_from(each.card, dataset)
+    ]
 
 
-def _certain(recording: LabelledRecording) -> Reals:
-    """Return the label as probabilities (n,); NaN: not evaluated or unknown."""
-    probability = np.where(recording.label == UNKNOWN, np.nan, recording.label == SLIP)
+def _label_results(recording: LabelledRecording) -> pl.DataFrame:
+    """Judge the arm-speed label as if it were a detector; events are its slips as in `Slips`."""
+    probability: Reals = np.where(recording.label == UNKNOWN, np.nan, recording.label == SLIP)
     probability[: recording.sampling.warm_up] = np.nan
-    return probability
+    rule = Debounce(DECISION, 1, recording.sampling.samples(PAUSE))
+    return judged(recording, probability, rule, method=LABEL)

@@ -1,4 +1,4 @@
-"""Metrics of slip events (false alarms, missed slips, onset delay), and the performance of a detector."""
+"""Metrics of slip events: false alarms, missed slips and onset delay."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,8 +7,8 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.sample_metrics import Confusion, percent
-from flows.learn.labelled_recordings import LabelledRecording, Target, labelled_by, targets
+from flows.learn.evaluation.sample_metrics import percent
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.onsets import match_onsets, runs
 from flows.learn.sampling import Sampling
 from operators import Debounce, ms, s
@@ -16,7 +16,6 @@ from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
 
 PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches of the label
 BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
-AHEAD: Final = 150 * ms  # ns, largest lead over the arm-speed label; the arm's velocity is later than touch
 DECISION: Final = 0.5  # probability from which on a sample counts as slip
 
 
@@ -135,17 +134,8 @@ class EventMetrics:
 
     @property
     def onset_ms(self) -> float:
-        """Median onset delay, ms."""
-        return self.quantile(0.5)
-
-    @property
-    def late_ms(self) -> float:
-        """90th percentile of the onset delay, ms."""
-        return self.quantile(0.9)
-
-    def quantile(self, share: float) -> float:
-        """Return a quantile of the onset delay, ms; NaN if no slip was detected."""
-        return float(np.quantile(self.delays, share)) if len(self.delays) else float("nan")
+        """Median onset delay, ms; NaN if no slip was detected."""
+        return float(np.median(self.delays)) if len(self.delays) else float("nan")
 
 
 def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:
@@ -154,62 +144,3 @@ def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:
     slips = debounce.reset_copy().push(scores[sampling.warm_up :])
     raised: Times = slips.time[slips.state == SLIP]
     return raised
-
-
-def lead_ms(onsets: Sequence[Times], slips: Sequence[Slips]) -> float:
-    """Return the median time by which onsets precede the slips of the arm-speed label, ms; NaN if none do.
-
-    Args:
-        onsets: Onsets (k,) of each recording, ns.
-        slips: Slips of each recording by arm speed. Of each, the first onset counts, from `AHEAD` before it.
-    """
-    matched = [match_onsets(own, true.found, before=AHEAD) for own, true in zip(onsets, slips, strict=True)]
-    delays = np.concatenate([np.empty(0), *(each.delays for each in matched)])
-    return 0.0 - float(np.median(delays)) / ms if len(delays) else float("nan")
-
-
-@dataclass(frozen=True, slots=True)
-class Performance:
-    """Performance of one detector against one target.
-
-    Samples without a score do not count. Every slip without an onset is missed.
-    """
-
-    accuracy: float  # %, of the samples that have a score
-    balanced: float  # balanced accuracy, %
-    false_alarms_per_min: float  # per static minute
-    missed: float  # % of slips
-    onset_ms: float  # median delay
-    lead_ms: float  # median lead of the onsets over the arm-speed label, whatever the target
-
-
-def performances(
-    recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals], debounce: Debounce
-) -> dict[Target, Performance]:
-    """Compare the probabilities (n,) of each recording with each target that is known."""
-    raised = [
-        onsets(probability, debounce, each.sampling)
-        for each, probability in zip(recordings, probabilities, strict=True)
-    ]
-    lead = lead_ms(raised, [Slips.labelled(each) for each in recordings])
-    return {
-        target: _performance(labelled_by(target, recordings), probabilities, raised, lead)
-        for target in targets(recordings)
-    }
-
-
-def _performance(
-    recordings: Sequence[LabelledRecording],
-    probabilities: Sequence[Reals],
-    raised: Sequence[Times],
-    lead: float,
-) -> Performance:
-    """Compare the probabilities (n,) and onsets (k,) of each recording with its label."""
-    counts = np.zeros((2, 2))
-    for recording, probability in zip(recordings, probabilities, strict=True):
-        known = np.isfinite(probability) & (recording.label != UNKNOWN)  # (n,)
-        counts += Confusion.of(probability[known] >= DECISION, recording.slip[known]).counts
-    samples = Confusion(counts)
-    events = EventMetrics.of_onsets(raised, [Slips.labelled(each) for each in recordings])
-    alarms = events.false_alarms_per_min
-    return Performance(samples.accuracy, samples.balanced, alarms, events.missed, events.onset_ms, lead)

@@ -1,10 +1,10 @@
-"""Methods to compare: shipped detectors, model files, and baselines fitted to a training split."""
+"""Methods to compare: shipped detectors, model files, and baselines that are fitted to a fold."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,21 +15,27 @@ from flows.learn.evaluation.baselines import (
     GradientBoosting,
     Logistic,
 )
-from flows.learn.labelled_recordings import TARGETS, LabelledRecording
+from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.evaluation.folds import Fold
+from flows.learn.labelled_recordings import TARGETS
 from flows.learn.sampling import Sampling
 from flows.learn.scoring import labels, windows
-from operators import Debounce, Score
+from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts
 from operators.detectors import TRAINED, Detector, Psd
-from operators.errors import FingertipError, InputError, ParameterError
-from operators.fingertip import Fingertip
+from operators.errors import InputError
 from storage import load_debounce, load_detector
 from storage.models import load_card, shipped, shipped_names
 
 SHIPPED: Final = "ships"  # origin
+PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
 _HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
-
-Log: TypeAlias = Callable[[str], object]
+_PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
+_FITTED: Final[Mapping[str, tuple[type[Logistic | GradientBoosting], Features]]] = {
+    "gradient_boosting": (GradientBoosting, ACTIVITY_AND_STEPS),
+    "logistic": (Logistic, ACTIVITY),
+}
+BASELINES: Final = (*_FITTED, *_PSD)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +45,17 @@ class Method:
     name: str
     detector: Detector
     origin: str
-    debounce: Debounce | None = None  # from its model card
+    debounce: Debounce | None = None  # None: its card has none
     target: str | None = TARGETS[0]  # that it was trained on, by its model card; None: the card does not say
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its model; empty: it has none
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Method that may have to be fitted first."""
+
+    name: str
+    fit: Callable[[Fold], Method]  # a function of a module, or a partial of one: it is pickled
 
 
 def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) -> list[Method]:
@@ -60,87 +74,65 @@ def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) ->
         method = _of_file(path, found)
         found[method.name] = method
         given.append(method.name)
-    unknown = sorted(set(names) - {*found, *_BASELINES, *TRAINED})
+    unknown = sorted({*names} - {*found, *BASELINES, *TRAINED})
     if unknown:
-        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join([*found, *_BASELINES])}")
+        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join([*found, *BASELINES])}")
     return [method for name, method in found.items() if not names or name in {*names, *given}]
 
 
-def for_fingertip(
-    methods: Sequence[Method], fingertip: Fingertip, log: Log = lambda _: None
-) -> tuple[list[Method], dict[str, str]]:
-    """Return the methods that were made for a fingertip, and the reasons why others were not, by name.
+def ready(methods: Sequence[Method]) -> list[Candidate]:
+    """Return methods as candidates that learn nothing from a fold."""
+    return [Candidate(method.name, partial(_as_it_is, method)) for method in methods]
+
+
+def baselines(names: Collection[str] = ()) -> list[Candidate]:
+    """Return the baselines, which are fitted to the train split; `names`: only these."""
+    return [
+        Candidate(name, partial(fitted_baseline, name)) for name in BASELINES if not names or name in names
+    ]
+
+
+def default_psd(names: Collection[str] = ()) -> list[Candidate]:
+    """Return the spectral detector with its default threshold, which learns nothing from a fold."""
+    psd = Method("psd", Psd(), "default threshold")
+    return ready([psd]) if not names or psd.name in names else []
+
+
+def choose_debounce(method: Method, fold: Fold) -> tuple[Debounce, str]:
+    """Choose the debounce of a method: of its card, tuned on validation recordings, or that of the paper.
+
+    Returns:
+        The debounce, and where it comes from.
+    """
+    if method.debounce is not None:
+        return method.debounce, "its card"
+    if fold.validation:
+        return tuned_on(fold.validation, method.detector), "validation"
+    return fold.judged[0].sampling.rule(PAPER_RULE), "the paper"
+
+
+def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, hop: int = _HOP) -> Method:
+    """Fit a baseline to the training of a fold.
 
     Args:
-        methods: Methods with weights.
-        fingertip: Fingertip of the data.
-        log: Receives the reasons.
+        name: One of `BASELINES`.
+        fold: Its training recordings are learned from.
+        features: Features of the windows; None: those of the baseline.
+        hop: Samples at 100 Hz from one window to the next.
+
+    Raises:
+        InputError: if the training has no slip or no static.
+        ParameterError: if the rate is too low for the frequencies of a spectral detector.
     """
-    found, missing = list[Method](), dict[str, str]()
-    for method in methods:
-        try:
-            Score(method.detector).output_fingertip(fingertip)
-            found.append(method)
-        except FingertipError as error:
-            missing[method.name] = str(error)
-            log(f"not evaluated: {method.name}: {error}")
-    return found, missing
-
-
-def with_baselines(
-    trained: Sequence[Method],
-    training: Sequence[LabelledRecording],
-    names: Collection[str] = (),
-    log: Log = lambda _: None,
-    misfits: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[list[Method], dict[str, str]]:
-    """Return the methods with weights and the baselines, and the reasons why others are missing, by name.
-
-    Args:
-        trained: Methods that `trained_methods` returned for `names`.
-        training: Recordings that the baselines are fitted to.
-        names: Only these methods; empty: all.
-        log: Receives progress messages, and the reasons.
-        misfits: Methods for other fingertips, as `for_fingertip` returned them.
-    """
-    found, loaded = list(trained), {method.name for method in trained}
-    wanted = names or {*TRAINED, *_BASELINES}
-    reason = "no model ships: give one as --model FILE"
-    missing = {name: reason for name in TRAINED if name in wanted and name not in {*loaded, *misfits}}
-    for name in _BASELINES:
-        if name in wanted:
-            log(f"fitting {name}")
-            try:
-                found.append(_fitted(name, training))
-            except InputError as error:
-                missing[name] = error.reason
-            except ParameterError as error:  # such as a rate that is too low for the frequencies of psd
-                missing[name] = str(error)
-    for name, reason in missing.items():
-        log(f"not evaluated: {name}: {reason}")
-    return found, {**misfits, **missing}
-
-
-_MODELS: Final[Mapping[str, tuple[type[Logistic | GradientBoosting], Features]]] = {
-    "gradient_boosting": (GradientBoosting, ACTIVITY_AND_STEPS),
-    "logistic": (Logistic, ACTIVITY),
-}
-_PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
-_BASELINES: Final = (*_MODELS, *_PSD)
-
-
-def _fitted(name: str, training: Sequence[LabelledRecording]) -> Method:
+    training = fold.train
     sampling = training[0].sampling if training else Sampling()
-    hop = sampling.scaled(_HOP)
-    slip = labels(training, hop) if training else np.empty(0, np.bool_)
+    every = sampling.scaled(hop)
+    slip = labels(training, every) if training else np.empty(0, np.bool_)
     if slip.all() or not slip.any():
-        raise InputError(
-            name,
-            "no train split with slip and static is left to fit it to: evaluated recordings do not count",
-        )
+        raise InputError(name, "no training with slip and static is left to fit it to")
 
     def seen(length: int) -> Counts:
-        return np.concatenate([windows(recording, length, hop) for recording in training])
+        return np.concatenate([windows(recording, length, every) for recording in training])
 
     detector: Detector
     if name in _PSD:
@@ -148,10 +140,14 @@ def _fitted(name: str, training: Sequence[LabelledRecording]) -> Method:
         psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
         detector = psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
     else:
-        model, features = _MODELS[name]
-        own = features.at(sampling)
+        model, usual = _FITTED[name]
+        own = (features or usual).at(sampling)
         detector = model.fitted(seen(own.length), slip, own)
     return Method(name, detector, f"fitted to {len(slip)} windows")
+
+
+def _as_it_is(method: Method, _fold: Fold) -> Method:
+    return method
 
 
 def _shipped(name: str) -> Method:
@@ -165,6 +161,6 @@ def _of_file(path: Path, taken: Collection[str]) -> Method:
     """Load a model under the name of its detector, or of its file if that name is taken."""
     detector = load_detector(path)
     names = (detector.name, path.stem, *(f"{path.stem}_{number}" for number in range(2, 100)))
-    name = next(name for name in names if name not in {*taken, *_BASELINES})
+    name = next(name for name in names if name not in {*taken, *BASELINES})
     card = load_card(path)
     return Method(name, detector, path.name, load_debounce(path), card.get("target"), card)

@@ -1,21 +1,16 @@
-"""Metrics of decisions sample by sample: confusion, ROC, reliability, errors near changes of the label."""
+"""Metrics of samples: confusion of slip and static, calibration, and distance from a change of the label."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flows.learn.sampling import Sampling
-from flows.learn.train_extra import sklearn
+from flows.report.results import ratio
 from operators import ms
 from operators.batch import Codes, Flags, Reals
 
-BINS: Final = 10  # of the reliability curve
-_POINTS: Final = 201  # of a stored ROC curve
-EDGES: Final = (0, 20, 40, 60, 80, 100, 150, 200, 300, 400)  # ms, of the bins; the last has no end
+BINS: Final = 10  # of the probability, for the calibration error
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,134 +32,72 @@ class Confusion:
     @property
     def accuracy(self) -> float:
         """Share of correct predictions, %."""
-        return percent(np.trace(self.counts), self.counts.sum())
+        return float(accuracy(self.counts))
 
     @property
     def recalls(self) -> tuple[float, float]:
         """Recall of static and of slip, %."""
-        static, slip = self.counts
-        return percent(static[0], static.sum()), percent(slip[1], slip.sum())
+        static, slip = recalls(self.counts).tolist()
+        return static, slip
 
     @property
     def balanced(self) -> float:
         """Balanced accuracy: mean of the two recalls, %."""
-        return sum(self.recalls) / 2
-
-    @property
-    def precision(self) -> float:
-        """Precision averaged over the classes by their share, as in the paper's tables; %.
-
-        The recall averaged in this way equals the accuracy.
-        """
-        return self._weighted()[0]
+        return float(balanced(self.counts))
 
     @property
     def f1(self) -> float:
         """F1 averaged over the classes by their share, as in the paper's tables; %."""
-        return self._weighted()[1]
-
-    def _weighted(self) -> tuple[float, float]:
-        if not self.counts.any():
-            return np.nan, np.nan
-        precision, _, f1, _ = sklearn("metrics").precision_recall_fscore_support(
-            [0, 0, 1, 1], [0, 1, 0, 1],
-            sample_weight=self.counts.ravel(), average="weighted", zero_division=0,
-        )  # fmt: skip
-        return 100 * float(precision), 100 * float(f1)
+        return float(f1(self.counts))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Roc:
-    """Receiver operating characteristic."""
-
-    false: Reals  # (201,) false positive rate, 0 to 1
-    true: Reals  # (201,) true positive rate, 0 to 1
-    area: float  # under the curve through all its points; NaN if a class is missing
-
-    @classmethod
-    def of(cls, probability: Reals, truth: Flags) -> Self:
-        """Compute the curve of probabilities (k,), none of them NaN, against the truth (k,)."""
-        grid = np.linspace(0, 1, _POINTS)
-        if not truth.any() or truth.all():
-            return cls(grid, np.full(_POINTS, np.nan), np.nan)
-        metrics = sklearn("metrics")
-        false, true, _ = metrics.roc_curve(truth, probability)
-        curve: Reals = np.interp(grid, np.asarray(false), np.asarray(true))
-        return cls(grid, curve, float(metrics.auc(false, true)))
+def accuracy(counts: Reals) -> Reals:
+    """Compute the share of correct predictions of `Confusion.counts` (..., 2, 2); (...) %."""
+    return 100 * ratio(np.trace(counts, axis1=-2, axis2=-1), counts.sum(axis=(-2, -1)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reliability:
-    """Share of slip among samples of similar probability, in ten bins of equal width.
+def recalls(counts: Reals) -> Reals:
+    """Compute the recall of static and of slip of `Confusion.counts` (..., 2, 2); (..., 2) %."""
+    return 100 * ratio(np.diagonal(counts, axis1=-2, axis2=-1), counts.sum(axis=-1))
 
-    scikit-learn's `calibration_curve` gives no number of samples, which the calibration error needs.
+
+def balanced(counts: Reals) -> Reals:
+    """Compute the mean of the two recalls of `Confusion.counts` (..., 2, 2); (...) %."""
+    found: Reals = recalls(counts).sum(axis=-1) / 2
+    return found
+
+
+def precision(counts: Reals) -> Reals:
+    """Compute the precision averaged over the classes by their share, as in the paper's tables; (...) %.
+
+    The recall averaged in this way equals the accuracy. A class that is never predicted has precision 0.
     """
-
-    number: NDArray[np.intp]  # (10,) samples in each bin
-    probability: Reals  # (10,) their mean probability; NaN in empty bins
-    slip: Reals  # (10,) the share of slip among them
-
-    @classmethod
-    def of(cls, probability: Reals, truth: Flags) -> Self:
-        """Sort probabilities (k,), none of them NaN, into bins."""
-        bins = np.minimum((probability * BINS).astype(np.intp), BINS - 1)
-        number = np.bincount(bins, minlength=BINS)
-        some = np.where(number, number, np.nan)
-        sums = [np.bincount(bins, weights=values, minlength=BINS) for values in (probability, truth)]
-        return cls(number, sums[0] / some, sums[1] / some)
-
-    @property
-    def error(self) -> float:
-        """Expected calibration error: mean distance of a bin's share from its probability, by samples; %."""
-        distance = np.where(self.number, np.abs(self.probability - self.slip), 0)
-        return percent(float(distance @ self.number), self.number.sum())
+    right = np.diagonal(counts, axis1=-2, axis2=-1)
+    return _weighted(counts, np.nan_to_num(ratio(right, counts.sum(axis=-2))))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LabelChanges:
-    """Samples and errors by distance from the nearest change of the label."""
+def f1(counts: Reals) -> Reals:
+    """Compute F1 averaged over the classes by their share, as in the paper's tables; (...) %."""
+    right = np.diagonal(counts, axis1=-2, axis2=-1)
+    return _weighted(counts, np.nan_to_num(ratio(2 * right, counts.sum(axis=-1) + counts.sum(axis=-2))))
 
-    samples: NDArray[np.intp]  # (10,) in each bin of `EDGES`
-    errors: NDArray[np.intp]  # (10,) number of these that are wrong
-    sampling: Sampling
 
-    @classmethod
-    def of(
-        cls,
-        labels: Sequence[Codes],
-        evaluated: Sequence[NDArray[np.intp]],
-        wrong: Sequence[Flags],
-        sampling: Sampling,
-    ) -> Self:
-        """Count errors (j,) at the evaluated samples (j,) of each recording with labels (n,)."""
-        samples, errors = np.zeros((2, len(EDGES)), np.intp)
-        for label, at, error in zip(labels, evaluated, wrong, strict=True):
-            bins = np.searchsorted(EDGES, distance(label, sampling)[at], "right") - 1
-            samples += np.bincount(bins, minlength=len(EDGES))
-            errors += np.bincount(bins[error], minlength=len(EDGES))
-        return cls(samples, errors, sampling)
+def _weighted(counts: Reals, of_class: Reals) -> Reals:
+    """Average a share of each class (..., 2) by the number of its samples; (...) %."""
+    samples = counts.sum(axis=-1)
+    return 100 * ratio((samples * of_class).sum(axis=-1), samples.sum(axis=-1))
 
-    @property
-    def spans(self) -> list[str]:
-        """Distance of the first and of the last sample in each bin but the last, ms, as text."""
-        step = self.sampling.period / ms
-        return [f"{low}-{max(high - step, low):.0f}" for low, high in pairwise(EDGES)]
 
-    @property
-    def accuracy(self) -> Reals:
-        """Share of correct predictions in each bin, %; (10,), NaN where there are no samples."""
-        right = self.samples - self.errors
-        return np.array([percent(*counts) for counts in zip(right, self.samples, strict=True)])
+def calibration_gaps(probability: Reals, truth: Flags) -> Reals:
+    """Sum probability minus slip over the samples (k,) in each of ten bins of the probability; (10,)."""
+    bins = np.minimum((probability * BINS).astype(np.intp), BINS - 1)
+    return np.bincount(bins, probability - truth, BINS).astype(np.float64)
 
-    def near(self, within: int) -> float:
-        """Return the share of all errors within `within` ms (one of `EDGES`) of a change; %."""
-        return percent(self.errors[: EDGES.index(within)].sum(), self.errors.sum())
 
-    def far(self, beyond: int) -> float:
-        """Return the accuracy at `beyond` ms (one of `EDGES`) or more from any change; %."""
-        part = slice(EDGES.index(beyond), None)
-        samples = self.samples[part].sum()
-        return percent(samples - self.errors[part].sum(), samples)
+def calibration_error(probability: Reals, truth: Flags) -> float:
+    """Compute the mean distance between the probability and the share of slip in ten bins, by samples; %."""
+    gaps = calibration_gaps(probability, truth)
+    return percent(float(np.abs(gaps).sum()), len(probability))
 
 
 def distance(label: Codes, sampling: Sampling) -> Reals:

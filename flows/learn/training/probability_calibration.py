@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import expit, logit
 
-from flows.learn.evaluation.sample_metrics import Reliability
+from flows.learn.evaluation.sample_metrics import calibration_error
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import Arrays
@@ -82,8 +82,8 @@ def calibration_of(
     found = Calibration.fitted(*judged["validation"])
     errors = {
         split: {
-            "before": Reliability.of(probability, slip).error,
-            "after": Reliability.of(found.apply(probability), slip).error,
+            "before": calibration_error(probability, slip),
+            "after": calibration_error(found.apply(probability), slip),
         }
         for split, (probability, slip) in judged.items()
         if slip.size

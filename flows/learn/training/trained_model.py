@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from flows.learn.evaluation.event_metrics import DECISION
-from flows.learn.evaluation.intervals import balanced_accuracy
+from flows.learn.evaluation.measures import BALANCED, confusion_counts
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
+from flows.report.results import estimates, joined, result_rows
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector
 from storage import save_weights
@@ -62,16 +64,18 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
     ``balanced_low`` and ``balanced_high`` are the 95 % interval over recordings, of which three are needed.
     """
-    confusions = list[Confusion]()
-    for recording in recordings:
+    results, counts = list[pl.DataFrame](), np.zeros((2, 2))
+    for number, recording in enumerate(recordings):
         probability, label = probabilities(detector, recording), recording.label
         known = (label != UNKNOWN) & ~np.isnan(probability)
-        confusions.append(Confusion.of(probability[known] > DECISION, label[known] == SLIP))
-    total = Confusion(np.sum([each.counts for each in confusions], axis=0))
+        confusion = Confusion.of(probability[known] > DECISION, label[known] == SLIP)
+        counts += confusion.counts
+        results.append(result_rows(confusion_counts(confusion), method="", recording=str(number)))
+    total = Confusion(counts)
     found = {"accuracy": total.accuracy, "balanced": total.balanced, "f1": total.f1}
-    balanced = balanced_accuracy(confusions)
-    if np.isfinite(balanced.low):
-        found |= {"balanced_low": balanced.low, "balanced_high": balanced.high}
+    [balanced] = estimates(joined(results), BALANCED).rows(named=True)
+    if balanced["low"] is not None:
+        found |= {"balanced_low": balanced["low"], "balanced_high": balanced["high"]}
     return found
 
 

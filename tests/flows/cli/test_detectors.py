@@ -12,10 +12,11 @@ from flows.cli.report_output import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn.training import training_loop
 from operators.batch import s
+from operators.detectors import DETECTORS
 from operators.errors import EndpointError, InputError
 from operators.extras import require_extra
 from storage import LabelSpan, Session
-from storage.models import shipped
+from storage.models import PURPOSES, shipped, shipped_names
 from tests.command import slipflow
 
 
@@ -23,56 +24,41 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
     done = slipflow("evaluate", str(tiny), "--method", "psd", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
-    [row] = found["sections"]["accuracy"]["tables"][0]["rows"]
+    [row] = found["sections"]["samples"]["tables"][0]["rows"]
     assert row["method"] == "psd"
-    assert 50 < row["accuracy"] < 100
-    assert "evaluating psd" in done.stderr
+    assert 50 < row["accuracy %"] < 100
     names = {path.name for path in (tmp_path / "evaluation").iterdir()}
-    assert {"evaluation.html", "evaluation.json", "evaluation.md", "evaluation-motions.svg"} < names
+    assert names == {"evaluation.html", "evaluation.json", "evaluation.md", "evaluation-samples.svg"}
     markdown = (tmp_path / "evaluation" / "evaluation.md").read_text()
-    assert markdown.endswith("    slipflow evaluate tiny --split test --method psd --budget 2\n")
-
-
-def test_benchmark_prints_one_object_and_writes_page_and_figures(tiny: Path, tmp_path: Path) -> None:
-    options = ("--regime", "zero-shot", "--method", "psd", "--jobs", "1", "--json")
-    done = slipflow("benchmark", str(tiny), *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
-    [result] = found["datasets"]["tiny"]["results"]
-    assert result["detector"] == "psd"
-    assert result["balanced"]["low"] < result["balanced"]["value"] < result["balanced"]["high"]
-    assert "min left" in done.stderr
-    names = {path.name for path in (tmp_path / "benchmark").iterdir()}
-    assert {"benchmark.html", "benchmark.json", "benchmark.md", "benchmark-tiny.svg"} < names
-    command = f"slipflow benchmark {tiny} --regime zero-shot --method psd --steps 400 --seed 0"
-    assert found["command"] == command
-
-
-def test_benchmark_names_the_command_that_fetches_a_recipe(tmp_path: Path) -> None:
-    for arguments in (("--to", "."), ("strokes", "--to", ".")):
-        done = slipflow("benchmark", *arguments, cwd=tmp_path)
-        assert done.returncode == 2
-        assert done.stderr.startswith("error: ")
-        assert "slipflow fetch strokes" in done.stderr
+    assert markdown.endswith(f"    slipflow evaluate {tiny} --method psd --json\n")
 
 
 def test_mistakes_are_one_line_each(tiny: Path, tmp_path: Path) -> None:
-    for arguments in (
-        ("evaluate", "nowhere"),
-        ("evaluate", str(tiny), "--split", "holdout"),
-        ("evaluate", str(tiny), "--method", "oracle"),
-        ("evaluate", str(tiny), "--model", "missing.safetensors"),
+    for arguments, reason in (
+        (["nowhere"], "there is no such folder"),
+        ([str(tiny), "--split", "holdout"], "has no split 'holdout'"),
+        ([str(tiny), "--hold-out", "steel"], "states fewer than two groups"),
+        ([str(tiny), "--train"], "needs --hold-out"),
+        ([], "needs a dataset, or --stress without one"),
+        ([str(tiny), "--stress"], "needs a dataset, or --stress without one"),
+        ([str(tiny), "--method", "oracle"], "oracle: is not a method"),
+        (["nowhere", "--method", "missing.safetensors"], "missing.safetensors: cannot be read"),
     ):
-        done = slipflow(*arguments, cwd=tmp_path)
+        done = slipflow("evaluate", *arguments, cwd=tmp_path)
         assert done.returncode == 2
         assert done.stderr.splitlines()[-1].startswith("error: ")
+        assert reason in done.stderr
         assert "Traceback" not in done.stderr
 
 
-def test_a_missing_model_is_reported_before_the_dataset_is_read(tmp_path: Path) -> None:
-    for command in ("evaluate", "chart"):
-        done = slipflow(command, "nowhere", "--model", "missing.safetensors", cwd=tmp_path)
-        assert done.stderr == "error: missing.safetensors: cannot be read: No such file or directory\n"
+def test_evaluate_lists_what_each_detector_is_meant_for() -> None:
+    assert set(PURPOSES) == {*DETECTORS, *shipped_names()}
+    lines = slipflow("evaluate", "--list").stdout.splitlines()
+    assert [line.split()[:2] for line in lines] == [[name, each.task] for name, each in PURPOSES.items()]
+    listed = json.loads(slipflow("evaluate", "--list", "--json").stdout)["models"]
+    scores = {each["name"]: each["balanced_test"] for each in listed}
+    assert 50 < scores["tcn"] < 100
+    assert scores["psd"] is None
 
 
 def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
@@ -90,13 +76,13 @@ def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
 
 def test_evaluate_prints_tables_of_given_models_and_named_methods(tiny: Path, tmp_path: Path) -> None:
     model = str(shipped("tcn"))
-    options = ("--method", "psd", "--model", model, "--out", "here")
+    options = ("--method", "psd", "--method", model, "--out", "here")
     done = slipflow("evaluate", str(tiny), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     table, _, _ = done.stdout[done.stdout.index("| method") :].partition("\n\n")
     assert {row.split()[1] for row in table.splitlines()[2:]} == {"psd", "tcn_2"}
     assert "| rotation" in done.stdout
-    assert f" --model {model} --method psd" in (tmp_path / "here" / "evaluation.html").read_text()
+    assert f" --method psd --method {model}" in (tmp_path / "here" / "evaluation.html").read_text()
 
 
 def test_only_a_tcn_can_be_exported_and_only_to_an_existing_folder(tmp_path: Path) -> None:
@@ -142,7 +128,7 @@ def test_evaluate_notes_beforehand_that_figures_need_matplotlib_and_leaves_no_em
     )
 
 
-@pytest.mark.parametrize("command", ["evaluate", "chart", "stress", "train"])
+@pytest.mark.parametrize("command", ["evaluate", "train"])
 def test_a_missing_train_extra_is_an_error_with_the_command_that_installs_it(
     command: str, hide_packages: Callable[..., None]
 ) -> None:

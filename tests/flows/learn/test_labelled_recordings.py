@@ -14,6 +14,7 @@ from connectors.sim.scene import Faults, Move, Moves, Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
+from flows.learn.evaluation.stress_fields import stressed
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
@@ -25,7 +26,6 @@ from flows.learn.labelled_recordings import (
     targets,
 )
 from flows.learn.splits import SPLITS, TURNS
-from flows.learn.stress.stress_fields import stressed
 from flows.learn.training.trained_model import provenance
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner

@@ -3,16 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.alarms.alarm_calibration import PATH, try_settings
 from flows.learn.evaluation.debounce_tuning import joined, tuned
-from flows.learn.evaluation.evaluation_study import PAPER_RULE
-from flows.learn.evaluation.event_metrics import EventMetrics, Slips, lead_ms, onsets, performances
-from flows.learn.evaluation.intervals import Judged
-from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges
+from flows.learn.evaluation.event_metrics import Slips
+from flows.learn.evaluation.measures import judged
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
 from operators import Debounce
@@ -50,8 +49,8 @@ def repeated(one: Scored, times: int) -> Scored:
     return found, probability[rows]
 
 
-def counted(events: EventMetrics) -> tuple[int, ...]:
-    return events.missed_slips, events.false_alarms, events.repeats, len(events.delays)
+def values(results: pl.DataFrame, metric: str) -> list[float]:
+    return results.filter(metric=metric)["value"].to_list()
 
 
 @settings(max_examples=25, deadline=None)
@@ -62,18 +61,18 @@ def counted(events: EventMetrics) -> tuple[int, ...]:
 )
 def test_a_recording_at_another_rate_has_the_same_figures(seed: int, times: int, rule: Debounce) -> None:
     (slow, probability), (fast, repeats) = scored(seed), repeated(scored(seed), times)
-    period = 10.0  # ms, of the slow one
-    one = Judged.of(slow, probability, rule)
-    other = Judged.of(fast, repeats, fast.sampling.rule(rule))
-    assert counted(other.events) == counted(one.events)
-    np.testing.assert_allclose(other.events.delays, one.events.delays, atol=period)
-    assert other.onsets == one.onsets
-    assert other.minutes == pytest.approx(one.minutes, abs=period / 60_000)
-    assert other.events.minutes == pytest.approx(one.events.minutes, abs=period / 60_000)
-    assert Confusion.of(other.probability >= 0.5, other.slip).balanced == pytest.approx(
-        Confusion.of(one.probability >= 0.5, one.slip).balanced, abs=0.2
-    )
-    assert other.far.sum() == pytest.approx(times * one.far.sum(), abs=2 * times)
+    one = judged(slow, probability, rule, method="")
+    other = judged(fast, repeats, fast.sampling.rule(rule), method="")
+    for metric in ("events", "false alarms", "missed slips", "slips", "sliding: false alarms"):
+        assert values(other, metric) == values(one, metric)
+    for metric in ("delay ms", "lead ms", "sliding: delay ms"):
+        assert values(other, metric) == pytest.approx(values(one, metric), abs=10)
+    for metric in ("minutes", "static minutes"):
+        assert values(other, metric) == pytest.approx(values(one, metric), abs=10 / 60_000)
+    for part in ("", "far: ", "sliding: "):
+        for metric in ("static as static", "static as slip", "slip as static", "slip as slip"):
+            [few], [many] = values(one, part + metric), values(other, part + metric)
+            assert many == pytest.approx(times * few, abs=2 * times)
 
 
 @pytest.mark.parametrize("times", [2, 10])
@@ -99,30 +98,6 @@ def test_recordings_are_joined_sample_by_sample_where_their_rates_differ_a_littl
     _, found = joined([score for _, score in mixed], [Slips.labelled(each) for each, _ in mixed])
     np.testing.assert_array_equal(found.found, alike.found)
     np.testing.assert_array_equal(found.tolerated, alike.tolerated)
-
-
-def test_times_of_other_rates_are_in_ms() -> None:
-    fast, probability = repeated(scored(3), 2)
-    slow, score = scored(3)
-    rule = fast.sampling.rule(PAPER_RULE)
-    leads = [
-        lead_ms([onsets(values, each_rule, each.sampling)], [Slips.labelled(each)])
-        for each, values, each_rule in ((slow, score, PAPER_RULE), (fast, probability, rule))
-    ]
-    assert leads[1] == pytest.approx(leads[0], abs=10)
-    delays = [
-        performances([each], [values], each_rule)["sliding"].onset_ms
-        for each, values, each_rule in ((slow, score, PAPER_RULE), (fast, probability, rule))
-    ]
-    assert delays[1] == pytest.approx(delays[0], abs=10)
-    every = [np.arange(len(each)) for each in (slow, fast)]
-    bins = [
-        LabelChanges.of([each.label], [at], [at < 0], each.sampling)
-        for each, at in zip((slow, fast), every, strict=True)
-    ]
-    np.testing.assert_array_equal(bins[1].samples, 2 * bins[0].samples)
-    assert bins[0].spans[:2] == ["0-10", "20-30"]
-    assert bins[1].spans[:2] == ["0-15", "20-35"]
 
 
 def test_the_warm_up_is_a_second_or_a_hundred_samples() -> None:

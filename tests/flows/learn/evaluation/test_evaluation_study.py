@@ -4,93 +4,66 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.learn.evaluation import evaluation_study as module
-from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult, evaluate
-from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
+from flows.learn.evaluation.measures import BALANCED
+from flows.learn.hold_out_training import learners
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trainer import train
+from flows.report.results import estimates
+from flows.run.executor import workers
 from operators import Debounce
-from operators.batch import Codes, Reals
-from operators.detectors import Detector
 from operators.errors import InputError
+from operators.fingertip import TAKKTILE
+from tests.flows.learn.evaluation.conftest import Having
+
+SMALL = Recipe(filters=4, units=4, steps=40, batch=8, checks=2, rate=2e-2)
 
 
-def psd(found: Evaluation) -> MethodResult:
-    [result] = [result for result in found.results if result.method.name == "psd"]
-    return result
+def sums(found: Evaluation, method: str = "psd") -> dict[str, float]:
+    parts = found.results.filter(method=method).group_by("metric")
+    return {str(name): float(part["value"].sum()) for (name,), part in parts}
 
 
 def test_the_scores_are_those_of_the_test_split(found: Evaluation, tiny: Path) -> None:
     recordings = [recording for recording in load(tiny) if recording.split == "test"]
-    result = psd(found)
-    called = [probabilities(result.method.detector, recording)[99:] >= 0.5 for recording in recordings]
-    truth = [recording.slip[99:] for recording in recordings]
-    expected = Confusion.of(np.concatenate(called), np.concatenate(truth))
-    assert result.confusion.counts.tolist() == expected.counts.tolist()
-    assert result.motions.confusion().counts.tolist() == expected.counts.tolist()
-    assert result.changes.errors.sum() == expected.counts[0, 1] + expected.counts[1, 0]
-    assert result.reliability.number.sum() == found.samples == expected.counts.sum()
-    assert found.recordings == len(recordings)
+    detector = found.methods["psd"].detector
+    called = np.concatenate([probabilities(detector, each)[99:] >= 0.5 for each in recordings])
+    truth = np.concatenate([each.slip[99:] for each in recordings])
+    counts = sums(found)
+    assert counts["slip as slip"] == (called & truth).sum()
+    assert counts["static as slip"] == (called & ~truth).sum()
+    assert found.results["recording"].n_unique() == len(recordings)
 
 
 def test_the_most_accurate_comes_first(found: Evaluation) -> None:
-    accuracy = [result.confusion.accuracy for result in found.results]
-    assert accuracy == sorted(accuracy, reverse=True)
-    assert {result.method.name for result in found.results} == {"psd", "logistic", "tcn"}
+    assert list(found.methods) == ["tcn", "logistic", "psd"]
+    assert found.results["method"].unique(maintain_order=True).to_list() == [*found.methods]
+    assert found.leader == "tcn"
 
 
-def test_a_simulated_dataset_is_compared_with_the_truth_too(found: Evaluation) -> None:
-    itself = found.label
-    assert (itself["arm-speed"].balanced, itself["arm-speed"].onset_ms) == (100, 0)
-    assert 70 < itself["sliding"].balanced < 99
-    assert itself["sliding"].lead_ms == 0
-    for result in found.results:
-        by_speed, by_sliding = result.performance["arm-speed"], result.performance["sliding"]
-        assert (by_speed.balanced, by_speed.onset_ms) == (result.confusion.balanced, result.events.onset_ms)
-        assert by_speed != by_sliding
-        assert by_speed.lead_ms == by_sliding.lead_ms
+def test_the_label_itself_is_compared_with_the_truth(found: Evaluation) -> None:
+    counts = found.label.filter(metric="slip as static")["value"].sum()
+    assert counts == 0
+    assert found.label.filter(metric="sliding: slip as static")["value"].sum() > 0
 
 
-def test_true_sliding_is_unknown_if_the_dataset_does_not_have_it(
-    tiny: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def unknown(dataset: Path, **_: object) -> list[LabelledRecording]:
-        return [replace(each, sliding=None) for each in load(dataset)]
-
-    monkeypatch.setattr(module, "load", unknown)
-    found = evaluate(tiny, names=["psd"])
-    assert found.label.keys() == psd(found).performance.keys() == {"arm-speed"}
+def test_tasks_on_processes_give_the_same_results(found: Evaluation, tiny: Path) -> None:
+    with workers(2) as executor:
+        again = evaluate(tiny, names=["psd", "logistic", "tcn"], executor=executor)
+    assert again.results.equals(found.results)
 
 
-def test_without_a_validation_split_the_papers_debounce_is_used(
-    tiny: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def some(dataset: Path, **_: object) -> list[LabelledRecording]:
-        return [
-            replace(each, split="train") if each.split == "validation" else each for each in load(dataset)
-        ]
-
-    monkeypatch.setattr(module, "load", some)
-    result = psd(evaluate(tiny, names=["psd"]))
-    assert result.debounce == Debounce(0.5, 2, 2)
-    assert result.chosen_on.startswith("the paper")
-    assert result.events.false_alarms == result.paper_rule.false_alarms
-
-
-def _doubtful(label: Codes) -> Codes:
-    return np.where(np.arange(len(label)) // 100 == 5, -1, label).astype(np.int8)
-
-
-def test_samples_with_unknown_labels_are_not_evaluated(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def doubtful(dataset: Path, **_: object) -> list[LabelledRecording]:
-        return [replace(each, label=_doubtful(each.label)) for each in load(dataset)]
-
-    monkeypatch.setattr(module, "load", doubtful)
-    found = evaluate(tiny, names=["tcn"], split="all")
-    lengths = [len(recording) for recording in load(tiny)]
-    assert found.samples == sum(length - 99 - 100 for length in lengths)
+def test_without_a_validation_split_the_papers_debounce_is_used(tiny: Path, having: Having) -> None:
+    everything = load(tiny)
+    assert evaluate(tiny, names=["psd"], split="validation").chosen_on == {"psd": "the paper"}
+    dataset = having(
+        [replace(each, split="train") if each.split == "validation" else each for each in everything]
+    )
+    found = evaluate(dataset, names=["psd"])
+    assert found.methods["psd"].debounce == Debounce(0.5, 2, 2)
+    assert found.chosen_on == {"psd": "the paper"}
 
 
 def test_a_missing_split_dataset_or_method_is_refused(tiny: Path, tmp_path: Path) -> None:
@@ -103,52 +76,95 @@ def test_a_missing_split_dataset_or_method_is_refused(tiny: Path, tmp_path: Path
 
 
 def test_with_all_recordings_judged_nothing_is_fitted_or_tuned(tiny: Path) -> None:
-    logged: list[str] = []
-    found = evaluate(tiny, names=["psd", "logistic", "tcn"], split="all", log=logged.append)
-    assert [result.method.name for result in found.results] == ["tcn"]
+    log: list[str] = []
+    found = evaluate(tiny, names=["psd", "logistic", "tcn"], split="all", log=log.append)
+    assert list(found.methods) == ["tcn"]
     assert set(found.missing) == {"psd", "logistic"}
-    assert "evaluated recordings do not count" in found.missing["psd"]
+    assert "no training with slip and static is left" in found.missing["psd"]
+    assert f"not evaluated: psd: {found.missing['psd']}" in log
 
 
-def test_a_judged_split_does_not_tune_the_debounce(tiny: Path) -> None:
-    found = evaluate(tiny, names=["psd"], split="validation")
-    assert psd(found).chosen_on.startswith("the paper")
+def test_methods_for_other_fingertips_are_missing_with_the_remedy(tiny: Path, having: Having) -> None:
+    dataset = having([replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in load(tiny)])
+    found = evaluate(dataset, names=["tcn", "psd"], speed=1e-4)
+    assert list(found.methods) == ["psd"]
+    assert "Resample(rate=100)" in found.missing["tcn"]
+    us, core = (found.speeds.filter(metric=name)["value"].item() for name in ("us/sample", "% of a core"))
+    assert 0 < us < 1e6 / 200 * core
+    with pytest.raises(InputError, match="tcn needs 100 Hz"):
+        evaluate(dataset, names=["tcn"])
 
 
-def test_a_copy_of_a_judged_recording_is_named_and_not_fitted_to(
-    tiny: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    clean = evaluate(tiny, names=["psd"])
-
-    def copied(dataset: Path, **_: object) -> list[LabelledRecording]:
-        everything = load(dataset)
-        test = [each for each in everything if each.split == "test"]
-        return [*everything, *(replace(each, name=f"copy of {each.name}", split="train") for each in test)]
-
-    monkeypatch.setattr(module, "load", copied)
-    logged: list[str] = []
-    found = evaluate(tiny, names=["psd"], log=logged.append)
-    [leak] = found.leaks
-    assert leak.kind == "shared rows"
-    assert f"leak: {leak.finding}" in logged
-    assert psd(found).confusion.counts.tolist() == psd(clean).confusion.counts.tolist()
+def test_a_recording_in_two_splits_is_named_and_not_fitted_to(tiny: Path, having: Having) -> None:
+    clean, everything = evaluate(tiny, names=["psd"]), load(tiny)
+    copies = [replace(each, name="copy", split="train") for each in everything if each.split == "test"]
+    log: list[str] = []
+    found = evaluate(having([*everything, copies[0]]), names=["psd"], log=log.append)
+    [note] = found.notes
+    assert note.startswith("copy (train) is the same recording as ")
+    assert note in log
+    assert sums(found) == sums(clean)
 
 
 def test_a_model_that_was_trained_on_judged_recordings_is_named(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "small.safetensors"
     train([tiny], out, recipe=Recipe(filters=4, units=4, steps=2, batch=4))
-    kinds = dict[str, list[str]]()
-    for split in ("train", "validation", "test"):
-        leaks = evaluate(tiny, names=["psd"], models=[out], split=split).leaks
-        kinds[split] = [leak.kind for leak in leaks if leak.kind != "constant answer"]  # hardly trained
-    assert kinds == {"train": ["trained on"], "validation": ["chosen on"], "test": []}
+    notes = {
+        split: evaluate(tiny, names=["psd"], models=[out], split=split).notes
+        for split in ("train", "validation", "test")
+    }
+    line = ["small was trained on this dataset"]
+    assert {split: [*each] for split, each in notes.items()} == {
+        "train": line,
+        "validation": line,
+        "test": [],
+    }
 
 
-def test_a_constant_answer_is_named(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def unmoved(_detector: Detector, recording: LabelledRecording) -> Reals:
-        return np.full(len(recording), 0.2)
+def test_detectors_are_judged_on_groups_that_they_did_not_see(
+    surfaces: list[LabelledRecording], having: Having
+) -> None:
+    dataset, done = having(surfaces), list[tuple[int, int]]()
+    found = evaluate(
+        dataset,
+        hold_out=["all"],
+        learners=learners(recipe=SMALL),
+        names=["psd"],
+        progress=lambda number, of: done.append((number, of)),
+    )
+    assert done[-1] == (12, 12)
+    assert set(found.methods) == {"psd", "logistic", "gradient_boosting", "tcn, trained"}
+    balanced = estimates(found.results, BALANCED, ("method", "fold"))
+    assert balanced.filter(method="logistic")["fold"].to_list() == ["steel", "wood", "wool"]
+    for method in ("logistic", "gradient_boosting", "tcn, trained"):
+        assert min(balanced.filter(method=method)["value"]) > 90
+    one = evaluate(dataset, hold_out=["wood"], learners=learners(["logistic"]), names=["psd"])
+    assert sums(one, "logistic")["slip as slip"] < sums(found, "logistic")["slip as slip"]
 
-    monkeypatch.setattr(module, "probabilities", unmoved)
-    [leak] = evaluate(tiny, names=["psd"]).leaks
-    assert leak.kind == "constant answer"
-    assert leak.finding.startswith("psd answers static for every sample")
+
+def test_a_learner_that_fails_on_one_group_is_missing(
+    surfaces: list[LabelledRecording], having: Having
+) -> None:
+    still = [
+        each if each.group == "steel" else replace(each, label=np.zeros_like(each.label)) for each in surfaces
+    ]
+    found = evaluate(having(still), hold_out=["all"], learners=learners(["tcn"], SMALL), names=["psd"])
+    assert list(found.methods) == ["psd"]
+    assert found.missing["tcn, trained"] == "none of the recordings to learn from has slip"
+
+
+def test_fingertips_of_a_session_are_recordings_of_their_own(
+    surfaces: list[LabelledRecording], having: Having
+) -> None:
+    two = [replace(each, name="session", split="test") for each in surfaces[:2]]
+    found = evaluate(having(two), names=["tcn"])
+    assert found.results["recording"].unique(maintain_order=True).to_list() == [
+        "session",
+        "session, fingertip 2",
+    ]
+
+
+def test_labels_by_hand_are_noted(surfaces: list[LabelledRecording], having: Having) -> None:
+    by_hand = replace(surfaces[0], split="test", by_hand=np.arange(700) < 5, hand_version=2)
+    [note] = evaluate(having([by_hand]), names=["tcn"]).notes
+    assert note == "labels by hand: 5 of 700 samples of steel-0 version 2"

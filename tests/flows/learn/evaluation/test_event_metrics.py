@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,9 +8,7 @@ from flows.learn.evaluation.event_metrics import (
     Slips,
     bridged,
     filled,
-    lead_ms,
     onsets,
-    performances,
 )
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP, Sampling
@@ -97,32 +93,13 @@ def test_what_is_felt_is_counted_and_timed() -> None:
     assert metrics.repeated == pytest.approx(100 / 3)
     assert metrics.minutes == pytest.approx((1200 - WARM_UP - 150) / 6000)
     assert metrics.false_alarms_per_min == pytest.approx(1 / metrics.minutes)
-    assert (metrics.onset_ms, metrics.quantile(1)) == (25, 60)
+    assert metrics.onset_ms == 25
 
 
 def test_a_detector_that_always_says_slip_misses_all_but_what_it_began_in() -> None:
     true = slips(label(1200, (200, 250), (400, 450)))
     metrics = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
     assert (metrics.missed, metrics.false_alarms) == (100, 1)
-
-
-def test_the_lead_is_the_time_from_the_first_onset_to_the_change_of_the_label() -> None:
-    true = slips(label(1200, (200, 250), (400, 450), (600, 650), (800, 850)))
-    early = np.array([190, 210, 385, 605, 780]) * PERIOD  # 100 and 150 ms before, 50 ms late; too early
-    assert lead_ms([early], [true]) == 100
-    assert lead_ms([early + 5 * PERIOD], [true]) == 75
-    assert np.isnan(lead_ms([np.array([700 * PERIOD])], [true]))
-
-
-def test_performance_is_given_for_each_known_target() -> None:
-    by_speed, by_sliding = label(1200, (204, 250), (404, 450)), label(1200, (200, 250), (400, 450))
-    recording = LabelledRecording(np.zeros((1200, 6), np.int16), by_speed, "plane", sliding=by_sliding)
-    found = performances([recording], [sure(1200, (200, 250), (400, 450))], TWICE)
-    assert [each.onset_ms for each in found.values()] == [-30, 10]
-    assert found["sliding"].balanced == 100 > found["arm-speed"].balanced
-    assert {each.lead_ms for each in found.values()} == {30}
-    unknown = replace(recording, sliding=None)
-    assert list(performances([unknown], [sure(1200)], TWICE)) == ["arm-speed"]
 
 
 def test_no_recordings_are_felt_as_nothing() -> None:

@@ -1,5 +1,5 @@
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.learn.evaluation.methods import Method, for_fingertip, trained_methods, with_baselines
+from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.evaluation.folds import Fold
+from flows.learn.evaluation.methods import PAPER_RULE, Method, baselines, choose_debounce, trained_methods
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from operators import Debounce
-from operators.detectors import TRAINED, Psd
+from operators.detectors import Detector, Psd
 from operators.detectors.paper_tcn import shapes
-from operators.errors import FingertipError, InputError
+from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE
 from storage import save_weights
 from storage.models import shipped_names
@@ -40,24 +42,15 @@ def model(path: Path, **about: object) -> Path:
     return path
 
 
-def methods(
-    training: Sequence[LabelledRecording],
-    models: Sequence[Path] = (),
-    names: Collection[str] = (),
-    log: Callable[[str], object] = lambda _: None,
-) -> tuple[list[Method], dict[str, str]]:
-    return with_baselines(trained_methods(models, names), training, names, log)
+def fitted(training: Sequence[LabelledRecording], *names: str) -> dict[str, Detector]:
+    fold = Fold("", training, [], training)
+    return {each.name: each.fit(fold).detector for each in baselines(names)}
 
 
-def test_baselines_are_fitted_to_the_training_split(training: list[LabelledRecording]) -> None:
-    found, missing = methods(training, names=["psd", "psd_1s", "logistic"])
-    assert {method.name: method.detector.length for method in found} == {
-        "logistic": 41,
-        "psd": 25,
-        "psd_1s": 100,
-    }
-    assert not missing
-    psd = next(method.detector for method in found if method.name == "psd")
+def test_baselines_are_fitted_to_the_training_of_a_fold(training: list[LabelledRecording]) -> None:
+    found = fitted(training, "psd", "psd_1s", "logistic")
+    assert {name: each.length for name, each in found.items()} == {"logistic": 41, "psd": 25, "psd_1s": 100}
+    psd = found["psd"]
     assert isinstance(psd, Psd)
     assert psd.threshold != Psd().threshold
 
@@ -67,46 +60,33 @@ def test_baselines_are_fitted_at_the_rate_and_in_the_unit_of_their_data(
 ) -> None:
     fingertip = replace(TAKKTILE, rate=200.0, unit="kPa", resolution=0.01)
     fast = [replace(each, fingertip=fingertip) for each in training]
-    found, missing = methods(fast, names=["psd", "psd_1s", "logistic"])
-    assert not missing
-    assert {method.name: method.detector.length for method in found} == {
-        "logistic": 81,
-        "psd": 50,
-        "psd_1s": 200,
-    }
-    for method in found:
-        assert np.isfinite(probabilities(method.detector, fast[0])[-1])
+    found = fitted(fast, "psd", "psd_1s", "logistic")
+    assert {name: each.length for name, each in found.items()} == {"logistic": 81, "psd": 50, "psd_1s": 200}
+    for detector in found.values():
+        assert np.isfinite(probabilities(detector, fast[0])[-1])
     with pytest.raises(FingertipError, match=r"psd needs steps of 0\.01 kPa, 200 Hz; the data has count"):
-        probabilities(found[1].detector, training[0])
+        probabilities(found["psd"], training[0])
 
 
 def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(
     training: list[LabelledRecording],
 ) -> None:
     slow = [replace(each, fingertip=replace(TAKKTILE, rate=16.0)) for each in training]
-    found, missing = methods(slow, names=["psd", "logistic"])
-    assert [method.name for method in found] == ["logistic"]
-    assert "below 7.68 Hz" in missing["psd"]
+    with pytest.raises(ParameterError, match=r"below 7\.68 Hz"):
+        fitted(slow, "psd")
 
 
-def test_methods_for_other_fingertips_are_missing_before_anything_is_fitted(
-    training: list[LabelledRecording],
-) -> None:
-    log = list[str]()
-    fast = [replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in training]
-    trained = trained_methods(names=["tcn", "psd"])
-    left, misfits = for_fingertip(trained, fast[0].fingertip, log.append)
-    found, missing = with_baselines(left, fast, ["tcn", "psd"], log.append, misfits)
-    assert [method.name for method in found] == ["psd"]
-    assert "tcn needs 100 Hz; the data has 200 Hz: Resample(rate=100)" in missing["tcn"]
-    assert log == [f"not evaluated: tcn: {missing['tcn']}", "fitting psd"]
+def test_without_training_a_baseline_is_refused() -> None:
+    with pytest.raises(InputError, match="no training with slip and static is left"):
+        fitted([], "gradient_boosting")
 
 
-def test_without_a_training_split_baselines_are_missing_with_a_reason() -> None:
-    found, missing = methods([], names=["psd", "gradient_boosting"])
-    assert found == []
-    assert set(missing) == {"psd", "gradient_boosting"}
-    assert "no train split" in missing["psd"]
+def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[LabelledRecording]) -> None:
+    own, psd = Debounce(0.8, 3, 8), Method("psd", fitted(training, "psd")["psd"], "fitted")
+    fold = Fold("", training, training, training)
+    assert choose_debounce(replace(psd, debounce=own), fold) == (own, "its card")
+    assert choose_debounce(psd, fold) == (tuned_on(training, psd.detector), "validation")
+    assert choose_debounce(psd, replace(fold, validation=[])) == (PAPER_RULE, "the paper")
 
 
 def test_a_model_is_named_as_its_detector_and_the_next_of_its_kind_as_its_file(tmp_path: Path) -> None:
@@ -114,35 +94,24 @@ def test_a_model_is_named_as_its_detector_and_the_next_of_its_kind_as_its_file(t
     folder = tmp_path / "again"
     folder.mkdir()
     files.append(model(folder / "two.safetensors"))
-    names = [method.name for method in methods([], files)[0]]
+    names = [method.name for method in trained_methods(files)]
     assert names == [*shipped_names(), "one", "two", "two_2"]  # the paper's network ships: its name is taken
 
 
-def test_every_trained_method_is_found_or_missing(training: list[LabelledRecording]) -> None:
-    found, missing = methods(training[:1], names=[*TRAINED, "psd"])
-    assert {method.name for method in found} | set(missing) == {*TRAINED, "psd"}
-
-
-def test_only_requested_baselines_are_fitted(training: list[LabelledRecording]) -> None:
-    log = list[str]()
-    methods(training, names=["psd"], log=log.append)
-    assert log == ["fitting psd"]
-
-
-def test_an_unknown_method_is_refused(training: list[LabelledRecording]) -> None:
+def test_an_unknown_method_is_refused() -> None:
     with pytest.raises(InputError, match="oracle: is not a method; known are"):
-        methods(training, names=["psd", "oracle"])
+        trained_methods(names=["psd", "oracle"])
 
 
 def test_the_debounce_of_a_model_is_that_of_its_card(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"threshold": 0.8, "consecutive": 3, "release": 8}
     path = model(tmp_path / "slow.safetensors", debounce=settings)
-    [method] = [each for each in methods([], [path])[0] if each.origin == path.name]
+    [method] = [each for each in trained_methods([path]) if each.origin == path.name]
     assert method.debounce == Debounce(**settings)
 
 
 def test_a_card_with_invalid_debounce_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"odd\.json: debounce"):
-        methods([], [model(tmp_path / "odd.safetensors", debounce={"speed": 1})])
+        trained_methods([model(tmp_path / "odd.safetensors", debounce={"speed": 1})])
     with pytest.raises(InputError, match=r"odd\.json: debounce"):
-        methods([], [model(tmp_path / "odd.safetensors", debounce={"consecutive": 0})])
+        trained_methods([model(tmp_path / "odd.safetensors", debounce={"consecutive": 0})])

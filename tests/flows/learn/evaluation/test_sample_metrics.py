@@ -4,13 +4,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.learn.evaluation.sample_metrics import (
-    EDGES,
     Confusion,
-    LabelChanges,
-    Reliability,
-    Roc,
+    calibration_error,
     distance,
     percent,
+    precision,
 )
 from flows.learn.sampling import Sampling
 from flows.learn.train_extra import sklearn
@@ -31,15 +29,14 @@ def test_known_predictions_have_the_known_scores() -> None:
     assert found.accuracy == pytest.approx(100 * 4 / 6)
     assert found.recalls == pytest.approx((50, 75))
     assert found.balanced == 62.5
-    assert found.precision == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
+    assert precision(found.counts) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
     assert found.f1 == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
 
 
 def test_no_samples_have_no_score() -> None:
     found = Confusion.of(np.empty(0, np.bool_), np.empty(0, np.bool_))
-    assert np.isnan([found.accuracy, found.balanced, found.precision, found.f1]).all()
-    assert np.isnan(Roc.of(np.empty(0), np.empty(0, np.bool_)).area)
-    assert np.isnan(Reliability.of(np.empty(0), np.empty(0, np.bool_)).error)
+    assert np.isnan([found.accuracy, found.balanced, float(precision(found.counts)), found.f1]).all()
+    assert np.isnan(calibration_error(np.empty(0), np.empty(0, np.bool_)))
     assert np.isnan(percent(0, 0))
 
 
@@ -50,36 +47,18 @@ def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[int, bool]]
     found = Confusion.of(predicted, truth)
     metrics = sklearn("metrics")
     expected = metrics.precision_recall_fscore_support(truth, predicted, average="weighted", zero_division=0)
-    assert (found.precision, found.accuracy, found.f1) == pytest.approx(100 * np.array(expected[:3]))
+    assert (precision(found.counts), found.accuracy, found.f1) == pytest.approx(100 * np.array(expected[:3]))
     assert found.accuracy == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
     if truth.any() and not truth.all():
         assert found.balanced == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
 
 
-@given(PAIRS)
-def test_the_area_is_that_of_scikit_learn_ties_included(pairs: list[tuple[int, bool]]) -> None:
-    probability, truth = split(pairs)
-    area = Roc.of(probability, truth).area
-    if truth.all() or not truth.any():
-        assert np.isnan(area)
-    else:
-        assert area == pytest.approx(sklearn("metrics").roc_auc_score(truth, probability))
-
-
-def test_a_perfect_detector_has_the_whole_area() -> None:
-    curve = Roc.of(np.array([0.1, 0.2, 0.8, 0.9]), np.array([False, False, True, True]))
-    assert curve.area == 1
-    assert curve.true[1:].min() == 1
-
-
 def test_a_calibrated_detector_has_no_error_and_an_overconfident_one_has() -> None:
     truth = np.arange(100) % 4 == 0
-    calibrated = Reliability.of(np.full(100, 0.25), truth)
-    assert calibrated.error == pytest.approx(0)
-    assert calibrated.number.tolist() == [0, 0, 100, 0, 0, 0, 0, 0, 0, 0]
-    sure = Reliability.of(np.append(np.full(50, 0.05), np.full(50, 1.0)), truth)
-    assert sure.error == pytest.approx(100 * (0.5 * (13 / 50 - 0.05) + 0.5 * (1 - 12 / 50)))
-    assert np.isnan(sure.slip[1:9]).all()
+    assert calibration_error(np.full(100, 0.25), truth) == pytest.approx(0)
+    sure = np.append(np.full(50, 0.05), np.full(50, 1.0))
+    expected = 100 * (0.5 * (13 / 50 - 0.05) + 0.5 * (1 - 12 / 50))
+    assert calibration_error(sure, truth) == pytest.approx(expected)
 
 
 def test_the_nearest_change_counts_whether_before_or_after() -> None:
@@ -90,16 +69,3 @@ def test_the_nearest_change_counts_whether_before_or_after() -> None:
 
 def test_a_label_that_never_changes_is_infinitely_far() -> None:
     assert np.isinf(distance(np.ones(4, np.int8), Sampling())).all()
-
-
-def test_errors_are_counted_where_they_are() -> None:
-    label = np.array([0] * 100 + [1] * 100, np.int8)
-    at = np.arange(50, 200)
-    wrong = np.zeros(150, np.bool_)
-    wrong[[49, 50, 149]] = True  # two at the change, one a second from it
-    found = LabelChanges.of([label], [at], [wrong], Sampling())
-    assert found.samples.sum() == 150
-    assert found.errors.tolist() == [2, *[0] * (len(EDGES) - 2), 1]
-    assert found.accuracy[0] == 50
-    assert found.near(20) == 100 * 2 / 3
-    assert found.far(400) == 100 * 69 / 70

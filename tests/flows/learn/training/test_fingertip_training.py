@@ -104,8 +104,8 @@ def test_a_detector_is_not_evaluated_on_another_rate(tmp_path: Path, monkeypatch
         evaluate(tmp_path, names=["tcn"])
     log = list[str]()
     found = evaluate(tmp_path, names=["tcn", "psd"], log=log.append)
-    assert [each.method.name for each in found.results] == ["psd"]
+    assert list(found.methods) == ["psd"]
     assert re.search(misfit, found.missing["tcn"])
-    assert log.index(f"not evaluated: tcn: {found.missing['tcn']}") < log.index("fitting psd")
+    assert f"not evaluated: tcn: {found.missing['tcn']}" in log
     with pytest.raises(FingertipError, match="psd needs 100 Hz"):
         probabilities(Psd(), recordings(replace(TAKKTILE, rate=50.0))[0])

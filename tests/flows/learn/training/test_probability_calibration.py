@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expit
 
-from flows.learn.evaluation.sample_metrics import Reliability
+from flows.learn.evaluation.sample_metrics import calibration_error
 from flows.learn.labelled_recordings import by_split, labelled_by, load
 from flows.learn.training.probability_calibration import Calibration, calibration_of
 from flows.learn.training.recipe import Recipe
@@ -25,7 +25,7 @@ def test_a_known_temperature_and_bias_are_found_again(temperature: float, bias: 
     found = Calibration.fitted(expit(logits), slip)
     assert found.temperature == pytest.approx(temperature, rel=0.15)
     assert found.bias == pytest.approx(bias, abs=0.15)
-    assert Reliability.of(found.apply(expit(logits)), slip).error < 2
+    assert calibration_error(found.apply(expit(logits)), slip) < 2
 
 
 @pytest.mark.parametrize(

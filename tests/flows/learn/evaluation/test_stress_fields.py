@@ -1,5 +1,3 @@
-from math import nan
-
 import numpy as np
 import pytest
 
@@ -8,14 +6,7 @@ from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Moves, Parameters, Scene
-from flows.learn.stress.stress_fields import (
-    FIELDS,
-    GOALS,
-    StressField,
-    breaking_point,
-    plan_of,
-    stressed,
-)
+from flows.learn.evaluation.stress_fields import FIELDS, plan_of, stressed
 from operators.batch import Reals, columns
 
 PLAN = Moves((Move("hold", 0.4, force=2.0), Move("translation", 0.5, 0.1, 30.0, 0.1)))
@@ -93,24 +84,9 @@ def test_without_stick_slip_a_moving_surface_holds_as_well_as_one_at_rest() -> N
 
 
 @pytest.mark.parametrize("field", FIELDS)
-def test_a_grid_begins_at_nominal_and_each_side_goes_on_from_there(field: str) -> None:
-    grid = FIELDS[field]
-    assert sum(len(side) - 1 for side in grid.sides.values()) == len(grid.values) - 1
-    for side in grid.sides.values():
-        distances = [abs(value - grid.values[0]) for value in side]
-        assert distances == sorted(set(distances)), "ever harder"
-        assert len(side) > 2
-
-
-@pytest.mark.parametrize("field", FIELDS)
 def test_every_value_is_one_that_the_field_can_have(field: str) -> None:
     for value in FIELDS[field].values[1:]:
         assert stressed(Scene(), field, value) != Scene()
-
-
-def test_the_goals_are_on_the_grids() -> None:
-    for goal in GOALS:
-        assert goal.value in FIELDS[goal.field].values, goal.text
 
 
 def test_slip_speed_is_one_speed_and_no_rotation() -> None:
@@ -125,36 +101,6 @@ def test_slip_speed_is_one_speed_and_no_rotation() -> None:
     assert {round(move.speed, 6) for move in strokes} == {0.01}
     assert FIELDS["slip_speed"].show(0.2) == "10 mm/s"
     assert plan_of("noise", PaperPlan(repeats=1)) == PaperPlan(repeats=1)
-
-
-@pytest.mark.parametrize(
-    ("scores", "expected"),
-    [
-        ([90, 85, 75, 60], 1.5),  # 80 lies half way
-        ([90, 80, 75, 60], 1),
-        ([90, 89, 88, 81], None),
-        ([90, 95, 70, 95], 1.6),  # the first time counts
-        ([90, 85, nan, 85], 2),
-        ([50, 50, 50, 50], None),
-        ([90, 60, 60, 60], 1 / 3),
-    ],
-)
-def test_a_breaking_point_is_interpolated(scores: list[float], expected: float | None) -> None:
-    assert breaking_point([0, 1, 2, 3], scores) == (None if expected is None else pytest.approx(expected))
-
-
-def test_values_may_fall_towards_what_is_broken() -> None:
-    assert breaking_point([1, 0.5, 0.25], [90, 85, 75]) == pytest.approx(0.375)
-
-
-def test_a_grid_of_two_sides_begins_each_at_nominal() -> None:
-    assert StressField(_unchanged, (1, 2, 4, 0.5), "any").sides == {"up": (1, 2, 4), "down": (1, 0.5)}
-    assert StressField(_unchanged, (1, 0.5), "any").sides == {"down": (1, 0.5)}
-
-
-def _unchanged(scene: Scene, value: float) -> Scene:
-    del value
-    return scene
 
 
 class _Unpaid:

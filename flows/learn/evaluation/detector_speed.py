@@ -4,18 +4,61 @@ CPU time excludes other work on the machine and includes all threads of a librar
 turns, and the median turn counts, so that a temporary load of the machine has no effect.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle, islice
 from statistics import median
 from time import process_time_ns
 from typing import Final
 
+import polars as pl
+
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.report.results import Statistic, joined, result_rows, share
+from flows.run.executor import one_thread
 from operators.batch import Counts
 from operators.detectors.detector import Detector, Streaming
 
+MANY: Final = 64  # fingertips
+SPEED: Final[Mapping[str, Statistic]] = {
+    "us/sample": share("us/sample", "timings"),
+    "64 fingertips, % of a core": share("% of a core", "timings"),
+}
+SPEED_DECIMALS: Final[Mapping[str, int | None]] = dict.fromkeys(SPEED)
+
 _LEAST: Final = 1_000  # ns, resolution
 _WINDOWS: Final = 100  # number of different windows in a cycle
+_TIMED: Final = 500  # samples of a recording that the timing repeats
+_ROUNDS: Final = 15, 5  # of timing: one fingertip, many
 Step = Callable[[int], object]
+
+
+def speed_results(
+    detectors: Mapping[str, Detector], recordings: Sequence[LabelledRecording], *, span: float
+) -> pl.DataFrame:
+    """Time detectors on a recording, for one fingertip and for many, on one thread.
+
+    Args:
+        detectors: Detectors by name.
+        recordings: The end of the longest one is repeated.
+        span: Approximate CPU time of each turn of timing, s.
+
+    Returns:
+        Rows of the results table: CPU time of a sample, and the share of one core that many fingertips take.
+    """
+    longest = max(recordings, key=len)
+    counts = longest.counts[-_TIMED:]
+    with one_thread():
+        one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
+        many = costs(detectors, counts, fingers=MANY, rounds=_ROUNDS[1], span=span)
+    load = {name: 100 * us * 1e-6 * longest.sampling.rate for name, us in many.items()}
+    return joined(
+        result_rows(
+            {"us/sample": one[name], "% of a core": load[name], "timings": 1},
+            method=name,
+            recording=longest.name,
+        )
+        for name in detectors
+    )
 
 
 def costs(

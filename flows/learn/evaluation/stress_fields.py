@@ -1,13 +1,11 @@
-"""Stress fields: what each changes in a scene, its values, goals, and the breaking point of a score.
+"""Stress fields: what each changes in a scene, and its values.
 
 >>> stressed(Scene(), "noise", 14.0).parameters.noise
 14.0
 """
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
@@ -17,7 +15,6 @@ from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Plan, Scene, Vibration
 from operators.batch import BAROMETERS
 
-FALL: Final = 10.0  # percentage points below nominal balanced accuracy: broken
 Change: TypeAlias = Callable[[Scene, float], Scene]
 
 
@@ -47,13 +44,6 @@ class StressField:
     def nominal(self) -> float:
         """Value without effect."""
         return self.values[0]
-
-    @property
-    def sides(self) -> dict[str, tuple[float, ...]]:
-        """Values from nominal outwards, on each existing side."""
-        up = tuple(value for value in self.values if value > self.nominal)
-        down = tuple(value for value in self.values if value < self.nominal)
-        return {name: (self.nominal, *side) for name, side in (("up", up), ("down", down)) if side}
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,47 +158,3 @@ def plan_of(field: str, plan: PaperPlan) -> PaperPlan:
     if field != "slip_speed":
         return plan
     return replace(plan, speeds=(0.05,) * len(plan.speeds), rotations=0)
-
-
-@dataclass(frozen=True, slots=True)
-class StressGoal:
-    """Balanced accuracy that the default detector should reach under one stress."""
-
-    text: str
-    field: str
-    value: float
-    least: float  # %
-
-
-GOALS: Final = (
-    StressGoal("slip at 10 mm/s", "slip_speed", 0.2, 95),
-    StressGoal("slip at 4 mm/s", "slip_speed", 0.08, 92),
-    StressGoal("noise of 14 counts", "noise", 14, 88),
-    StressGoal("no stick-slip", "stick_slip", 0, 88),
-    StressGoal("low friction, x 0.3", "friction", 0.3, 87),
-    StressGoal("one dead barometer", "dead", 1, 92),
-    StressGoal("two dead barometers", "dead", 2, 88),
-)
-
-
-def breaking_point(values: Sequence[float], scores: Sequence[float], fall: float = FALL) -> float | None:
-    """Return the value at which the score lies `fall` below the first one.
-
-    Args:
-        values: Values of the field, from nominal outwards.
-        scores: Score at each value; NaN counts as broken.
-        fall: Fall of the score, in its unit.
-
-    Returns:
-        Value interpolated between the last above the limit and the first below; None if all are above.
-
-    >>> breaking_point([0, 1, 2], [90, 85, 75])
-    1.5
-    """
-    least = scores[0] - fall
-    for (held, above), (value, score) in pairwise(zip(values, scores, strict=True)):
-        if math.isnan(score):
-            return value
-        if score <= least:
-            return held + (value - held) * (above - least) / (above - score)
-    return None

@@ -3,8 +3,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from flows.learn.chart import detector_speed as speed
-from flows.learn.chart.detector_speed import costs
+from flows.learn.evaluation import detector_speed as speed
+from flows.learn.evaluation.detector_speed import costs
 from operators.batch import Counts, Reals
 
 COUNTS = np.arange(300 * 6, dtype=np.int16).reshape(300, 6)

@@ -1,1 +1,0 @@
-"""Benchmark of slip detectors on real recordings, split by surface, object or recording."""

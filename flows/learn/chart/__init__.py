@@ -1,1 +1,0 @@
-"""Comparison of detectors by speed and accuracy."""

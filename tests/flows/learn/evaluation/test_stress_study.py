@@ -1,0 +1,112 @@
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from connectors.sim.paper_plan import PaperPlan
+from flows.learn.evaluation import evaluation_figures, stress_study
+from flows.learn.evaluation.evaluation_report import stress_report
+from flows.learn.evaluation.evaluation_study import Evaluation
+from flows.learn.evaluation.measures import BALANCED, judged
+from flows.learn.evaluation.stress_fields import FIELDS, stressed
+from flows.learn.evaluation.stress_study import NOMINAL, condition_name, every_condition, stress
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
+from flows.learn.scoring import probabilities
+from flows.report.results import estimates, joined
+from flows.run.executor import workers
+
+TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
+SEED = 7
+
+
+@pytest.fixture(scope="module")
+def found() -> Evaluation:
+    return stress(names=["psd"], seed=SEED, plan=TINY, training=TINY)
+
+
+def under(found: Evaluation, field: str, value: float) -> pl.DataFrame:
+    return found.results.filter(condition=condition_name(field, value))
+
+
+def values(results: pl.DataFrame, metric: str) -> list[float]:
+    return results.filter(metric=metric)["value"].to_list()
+
+
+def test_every_value_of_every_field_is_judged(found: Evaluation) -> None:
+    names = [condition_name(field, value) for field, value in every_condition()]
+    assert found.results["condition"].unique(maintain_order=True).to_list() == list(dict.fromkeys(names))
+    assert names.count(NOMINAL) == len(FIELDS) - 1, "slip speed has a plan of its own"
+    assert found.chosen_on == {"psd": "validation"}
+
+
+def test_with_more_than_three_dead_cells_there_is_no_answer(found: Evaluation) -> None:
+    balanced = dict(estimates(found.results, BALANCED, ("condition",)).select("condition", "value").rows())
+    assert balanced["dead 3"] is not None
+    assert balanced["dead 4"] is None
+    assert values(under(found, "dead", 4), "missed slips") == values(under(found, "dead", 4), "slips")
+
+
+def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: Evaluation) -> None:
+    nominal, off = (under(found, "motion_clock_offset", value) for value in (0, 0.1))
+    for metric in ("sliding: slip as slip", "sliding: static as static", "sliding: delay ms"):
+        assert values(nominal, metric) == values(off, metric)
+    assert values(nominal, "slip as slip") != values(off, "slip as slip")
+
+
+def test_the_numbers_are_those_of_the_stressed_recordings(found: Evaluation) -> None:
+    recordings = simulated_recordings(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
+    psd = found.methods["psd"]
+    assert psd.debounce
+    expected = joined(
+        judged(each, probabilities(psd.detector, each), psd.debounce, method="psd", condition="friction 0.3")
+        for each in recordings
+    )
+    assert under(found, "friction", 0.3).equals(expected)
+
+
+def test_two_processes_find_what_one_finds(found: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stress_study, "FIELDS", {"dead": replace(FIELDS["dead"], values=(0, 1))})
+    done = list[tuple[int, int]]()
+    with workers(2) as executor:
+        again = stress(
+            names=["psd"],
+            seed=SEED,
+            plan=TINY,
+            training=TINY,
+            executor=executor,
+            progress=lambda number, of: done.append((number, of)),
+        )
+    assert done == [(number, 2) for number in range(3)]
+    assert again.results.equals(pl.concat([under(found, "dead", 0), under(found, "dead", 1)]))
+
+
+def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stress_study, "FIELDS", {"noise": FIELDS["noise"]})
+    seeds = list[int]()
+
+    def noted(plan: PaperPlan, seed: int, *_: object) -> list[LabelledRecording]:
+        seeds.append(seed)
+        return simulated_recordings(plan, seed)
+
+    monkeypatch.setattr(stress_study, "simulated_recordings", noted)
+    stress(names=["psd"], seed=SEED, plan=TINY, training=TINY)
+    assert len(set(seeds[:2])) == 2
+    assert SEED not in seeds[:2]
+    assert set(seeds[2:]) == {SEED}
+
+
+def test_the_report_has_a_row_for_each_level_and_a_panel_for_each_field(
+    found: Evaluation, tmp_path: Path
+) -> None:
+    report = stress_report(found, "slipflow evaluate --stress")
+    paths = report.write(tmp_path, "stress")
+    assert [path.name for path in paths] == ["stress.html", "stress.md", "stress.json", "stress.svg"]
+    levels, events = (section.tables[0] for section in report.sections)
+    assert levels.head == ["stress", "level", "psd"]
+    assert events.head[2:4] == ["balanced %", "events/min"]
+    assert len(levels.rows) == len(events.rows) == len({*map(str, every_condition())}) - len(FIELDS) + 2
+    assert ["slip speed", "10 mm/s"] in [row[:2] for row in levels.rows]
+    figure = evaluation_figures.stress_panels(estimates(found.results, BALANCED, ("condition", "method")))
+    titles = [axis.get_title("left").partition(",")[0] for axis in figure.axes]
+    assert [title for title in titles if title] == [field.text for field in FIELDS.values()]
