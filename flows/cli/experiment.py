@@ -1,14 +1,12 @@
 """The command `slipflow experiment`."""
 
-import shlex
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from flows.cli.options import AsJson, Cluster, Jobs
-from flows.cli.report_output import ReportFolder, prepare_report, write_report
+from flows.cli.report_output import ReportFolder, command_line, prepare_report, write_report
 from flows.cli.terminal import progress_bar
 
 
@@ -79,6 +77,6 @@ def experiment(
                 methods = list(tuned(methods, tune, executor=executor, progress=update))
         with progress_bar(name) as update:
             results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
-    command = shlex.join(["slipflow", *sys.argv[1:]])
+    command = command_line()
     report = experiment_report(name, results, methods, chosen, command)
     write_report(report, out, name, as_json=as_json)

@@ -109,7 +109,7 @@ def evaluate(
     require_extra("train", "evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
-    recordings = _distinct(load(dataset, _RATE if hold_out else None, labels=labels))
+    recordings = _distinct(load(dataset, rate=_RATE if hold_out else None, labels=labels))
     common_fingertip(recordings)
     if hold_out:
         folds = group_folds(recordings, hold_out, str(dataset))

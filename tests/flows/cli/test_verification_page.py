@@ -67,7 +67,7 @@ def test_the_page_is_one_file_with_its_command(tmp_path: Path) -> None:
     out = tmp_path / "my page.html"
     write(verified(LOST, whole=False), tmp_path / "data", out)
     text = out.read_text()
-    assert f"slipflow verify {tmp_path / 'data'} --report &#x27;{out}&#x27;" in text
+    assert f"slipflow verify {tmp_path / 'data'} --report '{out}'" in text
     assert "&lt;gone&gt;" in text
     assert not re.search(r'(?:src|href)="(?!#)', text)
 
