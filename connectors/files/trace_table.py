@@ -196,7 +196,7 @@ def _plain(column: pl.Series) -> pl.Series:
 def _nanoseconds(column: pl.Series, unit: str) -> pl.Series:
     """Return times as whole ns; null for other values."""
     if column.dtype == pl.String and column.filter(column != "").head(1).str.contains(_DATE).any():
-        column = column.str.to_datetime(time_unit="ns", strict=False)
+        column = _dates(column)
     kind = column.dtype
     if kind == pl.Duration:
         return column.cast(pl.Duration("ns"), strict=False).to_physical()
@@ -208,6 +208,15 @@ def _nanoseconds(column: pl.Series, unit: str) -> pl.Series:
         return column.cast(pl.Int64, strict=False)
     decimals = column.cast(pl.Decimal(38, _DIGITS[unit]), strict=False)
     return decimals.to_physical().cast(pl.Int64, strict=False)
+
+
+def _dates(column: pl.Series) -> pl.Series:
+    """Return ISO dates, with a decimal point or comma, as times; null for other values."""
+    texts = column.str.replace(",", ".", literal=True)
+    try:
+        return texts.str.to_datetime(time_unit="ns", strict=False)
+    except pl.exceptions.PolarsError:  # of no value could the format be told
+        return pl.Series([None] * len(column), dtype=pl.Datetime("ns"))
 
 
 def _rounded(column: pl.Series, unit: str) -> pl.Series:

@@ -180,11 +180,19 @@ def test_a_separator_is_one_ascii_character(write: Write, separator: str) -> Non
 
 
 def test_times_may_be_dates(write: Write) -> None:
-    table = read_csv(write("t;p0\n2026-11-23 15:00:00.25;1\n2026-11-23 15:00:01,5;2\n"), "semicolon")
-    with pytest.raises(InputError, match="line 3, column t"):
-        table.times("t", "s")
-    trace = Trace(write("t,p0,p1\n2026-11-23T15:00:00.25Z,1,2\n2026-11-23T15:00:00.26Z,1,2\n"))
-    assert trace.touch.time.tolist() == [1795446000250000000, 1795446000260000000]
+    for sign in "T", " ":
+        for point in ".", ",":
+            rows = (f'"2026-11-23{sign}15:00:00{point}{digits}",1,2\n' for digits in ("250", "260"))
+            trace = Trace(write("t,p0,p1\n" + "".join(rows)))
+            assert trace.touch.time.tolist() == [1795446000250000000, 1795446000260000000]
+
+
+@pytest.mark.parametrize("date", ["2026-13-45 x", "2026-11-23 25:00:00", "2026-11-23 soon"])
+def test_an_invalid_date_is_named_by_line_and_column(write: Write, date: str) -> None:
+    for rows, line in (([date, date], 2), (["2026-11-23 15:00:00", date], 3)):
+        path = write("t,p0,p1\n" + "".join(f"{each},1,2\n" for each in rows))
+        with pytest.raises(InputError, match=f"line {line}, column t: is '{date}', must be a time in s"):
+            Trace(path)
 
 
 @given(st.binary(max_size=300))

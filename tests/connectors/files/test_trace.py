@@ -244,15 +244,6 @@ def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write)
         Trace(tmp_path / "binary.csv")
 
 
-@given(st.binary(max_size=200))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_file_is_read_or_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "any.csv").write_bytes(content)
-    with pytest.raises(InputError) as caught:
-        Trace(tmp_path / "any.csv")
-    assert len(str(caught.value).splitlines()) == 1
-
-
 @given(st.data())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_truncated_file_has_its_whole_lines_only(write: Write, data: st.DataObject) -> None:
