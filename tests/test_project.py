@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from operators import Operator, Scores, checks, concat, errors
+from tests.command import slipflow
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("operators", "connectors", "storage", "flows")
@@ -40,7 +41,9 @@ def test_the_architecture_page_states_the_import_contracts() -> None:
 
 
 def test_the_readme_and_the_architecture_page_are_short() -> None:
-    assert len((ROOT / "README.md").read_text().splitlines()) < 100
+    lines = (ROOT / "README.md").read_text().splitlines()
+    assert 45 <= len(lines) <= 70
+    assert max(map(len, lines)) <= 100
     assert len((ROOT / "ARCHITECTURE.md").read_text().splitlines()) <= 120
 
 
@@ -171,14 +174,13 @@ def test_check_imports_no_heavy_package() -> None:
     assert done.stdout.splitlines()[-1] == "set()"
 
 
-def test_the_code_blocks_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert blocks
-    for block in blocks:
-        done = subprocess.run([sys.executable, "-c", block], capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert "slips" in done.stdout
+def test_the_flow_of_the_readme_runs_and_prints_slip_events(tmp_path: Path) -> None:
+    [block] = re.findall(r"```python slip.py\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    (tmp_path / "slip.py").write_text(block)
+    assert slipflow("check", "slip.py", cwd=tmp_path).returncode == 0
+    done = slipflow("run", "slip.py", "--for", "8s", cwd=tmp_path)
+    assert done.returncode == 0
+    assert re.search(r"^\S+ \S+  finger 0  slip onset  p [01]\.\d\d ", done.stdout, re.MULTILINE)
 
 
 def test_the_operator_on_the_architecture_page_keeps_the_invariant() -> None:
