@@ -49,31 +49,33 @@ class Column:
         return tuple(cells if size == CELLS else max(size, 0) for size in self.shape)
 
 
-def column(
-    dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()
-) -> Mapping[str, Column]:
-    """Return the metadata of a batch field; checks, empty batches and Arrow schemas are derived from it."""
-    return MappingProxyType({"column": Column(np.dtype(dtype), shape, unit, names)})
+def column(dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()) -> Any:  # noqa: ANN401
+    """Declare a column of a batch type; checks, empty batches and Arrow schemas are derived from it.
+
+    >>> class Force(Batch):
+    ...     normal: Reals = column(np.float64, unit="N")  # (n,)
+    >>> Force.zeros(rows=2).normal
+    array([0., 0.])
+    """
+    return field(metadata={"column": Column(np.dtype(dtype), shape, unit, names)})
 
 
-Kind = TypeVar("Kind")
-
-
-@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
-def batch_type(kind: type[Kind]) -> type[Kind]:
-    """Make a dataclass of a batch's columns.
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(column, field))
+class _Declared:
+    """Base whose subclasses become dataclasses.
 
     Type checkers treat batches as frozen. At run time they are not: the constructor of a frozen dataclass
-    takes seven times as long, up to 2 us, which is much of the cost of a batch of one row.
+    takes several times as long, which is much of the cost of a batch of one row.
     """
-    return dataclass(slots=True, eq=False)(kind)
+
+    def __init_subclass__(cls) -> None:
+        dataclass(eq=False)(cls)
 
 
-@batch_type
-class Batch:
+class Batch(_Declared):
     """Rows of one type, ordered by event time."""
 
-    time: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) event time
+    time: Times = column(np.int64, unit="ns")  # (n,) event time
     finger: int = field(default=EVERY, kw_only=True)  # fingertip of all rows
 
     def __len__(self) -> int:
@@ -229,121 +231,108 @@ def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
     return kind(*map(np.concatenate, parts), finger=full[0].finger)
 
 
-@batch_type
 class Touch(Batch):
     """Raw readings of one fingertip's cells; `Fingertip` states their layout, rate, unit and range."""
 
-    counts: Counts = field(metadata=column(np.int16, CELLS, unit="count"))  # (n, cells)
-    temperature: Counts = field(metadata=column(np.int16, CELLS, unit="count"))  # (n, cells) raw ADC
+    counts: Counts = column(np.int16, CELLS, unit="count")  # (n, cells)
+    temperature: Counts = column(np.int16, CELLS, unit="count")  # (n, cells) raw ADC
     # (n, cells) False: the cell did not answer, or the value is implausible
-    valid: Flags = field(metadata=column(np.bool_, CELLS))
+    valid: Flags = column(np.bool_, CELLS)
 
 
-@batch_type
 class Zeroed(Touch):
     """Touch with counts relative to the unloaded fingertip; of a TakkTile, negative means more pressure."""
 
 
-@batch_type
 class Motion(Batch):
     """Motion of the arm's tool centre point (TCP), in the robot's base frame."""
 
-    device_time: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) stamp of the controller
-    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) linear, angular
-    pose: Reals = field(metadata=column(np.float64, 6, unit="m, rad"))  # (n, 6) rotation vector; NaN unknown
+    device_time: Times = column(np.int64, unit="ns")  # (n,) stamp of the controller
+    velocity: Reals = column(np.float64, 6, unit="m/s, rad/s")  # (n, 6) linear, angular
+    pose: Reals = column(np.float64, 6, unit="m, rad")  # (n, 6) rotation vector; NaN unknown
 
 
-@batch_type
 class Sample(Zeroed):
     """Zeroed touch with the arm's motion at the same time; NaN in unmatched rows."""
 
-    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) base frame
-    pose: Reals = field(metadata=column(np.float64, 6, unit="m, rad"))  # (n, 6) base frame
-    matched: Flags = field(metadata=column(np.bool_))  # (n,) False: no motion close enough in time
+    velocity: Reals = column(np.float64, 6, unit="m/s, rad/s")  # (n, 6) base frame
+    pose: Reals = column(np.float64, 6, unit="m, rad")  # (n, 6) base frame
+    matched: Flags = column(np.bool_)  # (n,) False: no motion close enough in time
 
 
-@batch_type
 class Labelled(Sample):
     """Sample with a label derived from the arm's motion."""
 
-    speed: Reals = field(metadata=column(np.float64, unit="m/s"))  # (n,) in the contact plane; NaN unknown
-    label: Codes = field(metadata=column(np.int8, unit="1 slip, 0 static, -1 unknown"))  # (n,)
+    speed: Reals = column(np.float64, unit="m/s")  # (n,) in the contact plane; NaN unknown
+    label: Codes = column(np.int8, unit="1 slip, 0 static, -1 unknown")  # (n,)
 
 
-@batch_type
 class Windows(Batch):
     """Window of samples that ends at each time, newest last; read-only views of one buffer."""
 
-    counts: Counts = field(metadata=column(np.int16, -1, CELLS, unit="count"))  # (n, length, cells)
-    valid: Flags = field(metadata=column(np.bool_, -1, CELLS))  # (n, length, cells)
+    counts: Counts = column(np.int16, -1, CELLS, unit="count")  # (n, length, cells)
+    valid: Flags = column(np.bool_, -1, CELLS)  # (n, length, cells)
 
 
-@batch_type
 class Scores(Batch):
     """Probability of slip at each time, from a detector."""
 
-    probability: Reals = field(metadata=column(np.float64))  # (n,) 0 to 1; NaN unknown
+    probability: Reals = column(np.float64)  # (n,) 0 to 1; NaN unknown
 
 
-@batch_type
 class Slips(Batch):
     """Slip events: one row per onset and one per end."""
 
-    state: Codes = field(metadata=column(np.int8, unit="1 onset, 0 end"))  # (n,)
-    start: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first decision of the onset or end
-    probability: Reals = field(metadata=column(np.float64))  # (n,) at `time`
+    state: Codes = column(np.int8, unit="1 onset, 0 end")  # (n,)
+    start: Times = column(np.int64, unit="ns")  # (n,) first decision of the onset or end
+    probability: Reals = column(np.float64)  # (n,) at `time`
 
 
-@batch_type
 class Faults(Batch):
     """Starts and ends of faults of single cells."""
 
-    barometer: Codes = field(metadata=column(np.int8))  # (n,) number of the cell
-    kind: Codes = field(metadata=column(np.int8))  # (n,) `FaultKind`
-    active: Flags = field(metadata=column(np.bool_))  # (n,) True: start, False: end
+    barometer: Codes = column(np.int8)  # (n,) number of the cell
+    kind: Codes = column(np.int8)  # (n,) `FaultKind`
+    active: Flags = column(np.bool_)  # (n,) True: start, False: end
 
 
-@batch_type
 class Commands(Batch):
     """Commands to the hand from `time` on; NaN leaves force or velocity unchanged."""
 
-    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal force, at least 0
-    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) TCP, base frame
+    force: Reals = column(np.float64, unit="N")  # (n,) normal force, at least 0
+    velocity: Reals = column(np.float64, 6, unit="m/s, rad/s")  # (n, 6) TCP, base frame
 
 
-@batch_type
 class Clocks(Batch):
     """Relation of a device's clock to the host's: host = device + offset + drift * (time since `time`)."""
 
-    offset: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) host minus device, at `time`
-    drift: Reals = field(metadata=column(np.float64, unit="s/s"))  # (n,) change of the offset
-    residual: Reals = field(metadata=column(np.float64, unit="s"))  # (n,) mean lateness of the rows
+    offset: Times = column(np.int64, unit="ns")  # (n,) host minus device, at `time`
+    drift: Reals = column(np.float64, unit="s/s")  # (n,) change of the offset
+    residual: Reals = column(np.float64, unit="s")  # (n,) mean lateness of the rows
 
 
-@batch_type
 class Episodes(Batch):
     """Motions of the arm, such as one stroke over a surface; `time` is the start."""
 
-    end: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first instant after it
-    motion: Codes = field(metadata=column(np.int8, names=MOTIONS))  # (n,)
-    surface: Codes = field(metadata=column(np.int8, names=SURFACES))  # (n,)
+    end: Times = column(np.int64, unit="ns")  # (n,) first instant after it
+    motion: Codes = column(np.int8, names=MOTIONS)  # (n,)
+    surface: Codes = column(np.int8, names=SURFACES)  # (n,)
     # (n,) of a translation or tap, in the fingertip's plane, anticlockwise from x
-    direction: Reals = field(metadata=column(np.float64, unit="rad"))
-    speed: Reals = field(metadata=column(np.float64, unit="m/s"))  # (n,) along the direction
-    angular_speed: Reals = field(metadata=column(np.float64, unit="rad/s"))  # (n,) anticlockwise
-    depth: Reals = field(metadata=column(np.float64, unit="m"))  # (n,) beyond first contact; NaN unknown
-    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal, at the start; NaN unknown
+    direction: Reals = column(np.float64, unit="rad")
+    speed: Reals = column(np.float64, unit="m/s")  # (n,) along the direction
+    angular_speed: Reals = column(np.float64, unit="rad/s")  # (n,) anticlockwise
+    depth: Reals = column(np.float64, unit="m")  # (n,) beyond first contact; NaN unknown
+    force: Reals = column(np.float64, unit="N")  # (n,) normal, at the start; NaN unknown
 
 
-@batch_type
 class Truth(Batch):
     """State of the simulated contact at the true instant of each touch sample, for tests and evaluation."""
 
     # (n,) mean over the pad since the last row
-    sliding: Reals = field(metadata=column(np.float64, unit="m/s"))
-    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal
+    sliding: Reals = column(np.float64, unit="m/s")
+    force: Reals = column(np.float64, unit="N")  # (n,) normal
     # (n, 3) arm at the pad's centre, with its vibration: x, y, about the normal
-    velocity: Reals = field(metadata=column(np.float64, 3, unit="m/s, rad/s"))
+    velocity: Reals = column(np.float64, 3, unit="m/s, rad/s")
 
 
 ANNOTATIONS: Final[tuple[type[Batch], ...]] = (Episodes, Truth)  # streams that a recording may lack

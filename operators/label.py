@@ -16,7 +16,6 @@ from operators.batch import (
     Reals,
     Sample,
     Times,
-    batch_type,
     column,
     ms,
 )
@@ -30,12 +29,11 @@ from operators.row_queues import END, Chain, Tail
 _AXES: Final = 3
 
 
-@batch_type
 class _Known(Batch):
     """Speed and label by the motion at `time`."""
 
-    speed: Reals = field(metadata=column(np.float64))  # (n,)
-    label: Codes = field(metadata=column(np.int8))  # (n,)
+    speed: Reals = column(np.float64)  # (n,)
+    label: Codes = column(np.int8)  # (n,)
 
 
 @dataclass

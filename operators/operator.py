@@ -63,7 +63,7 @@ class Step(ABC):
         kind, operator = type(self), repr(self)
         if kind.__module__.startswith("operators.") and operator not in _prepared:
             copy: Any = self.reset_copy()
-            copy.push(*(batch_type.zeros(cells=self._example_cells) for batch_type in input_types(kind)))
+            copy.push(*(each.zeros(cells=self._example_cells) for each in input_types(kind)))
             copy.flush()
             _prepared.add(operator)
 

@@ -12,7 +12,7 @@ from flows.graph.compiled_flow import CompiledFlow, Entry
 from flows.run.cluster.work_units import RecordingEnd, RowRange, WorkUnit
 from flows.run.cluster.worker import checked_type, event_nodes, result_nodes, with_inputs
 from flows.run.replay_runner import in_slices, replayed
-from operators.batch import EVERY, Batch, Times, batch_type, column
+from operators.batch import EVERY, Batch, Times, column
 from operators.errors import FlowError, InputError
 from operators.fingertip import Fingertip
 from operators.ports import Description, SomeBatch
@@ -20,12 +20,11 @@ from storage import Dataset, Session
 from storage.layout import TABLE_OF, inside
 
 
-@batch_type
 class _RowTimes(Batch):
     """Times of rows and their positions in the files: enough to split a recording."""
 
-    part: Times = field(metadata=column(np.int64))  # (n,) number of the file in its table
-    row: Times = field(metadata=column(np.int64))  # (n,) position among the file's rows of the fingertip
+    part: Times = column(np.int64)  # (n,) number of the file in its table
+    row: Times = column(np.int64)  # (n,) position among the file's rows of the fingertip
 
 
 class _IncompleteError(Exception):
