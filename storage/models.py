@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import zipfile
 from collections.abc import Mapping
-from io import BytesIO
 from math import isclose
 from pathlib import Path
 from types import MappingProxyType
@@ -24,9 +22,9 @@ from storage import files
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
 _DIGEST: Final = "slipflow.sha256"  # of the rest of a .safetensors file, whose format has no checksum
-_UNNAMED: Final = "paper_tcn"  # detector of weights that do not name one, such as .npz
+_SUFFIX: Final = ".safetensors"
 ALARMS: Final = "alarms"  # entry of a model card: debounce settings by rate of false alarms
-LIMIT: Final = 256 * files.MiB  # bytes of a file, and of its unpacked content
+LIMIT: Final = 256 * files.MiB  # bytes of a file
 
 
 class Purpose(NamedTuple):
@@ -55,21 +53,24 @@ PURPOSES: Final[Mapping[str, Purpose]] = MappingProxyType(
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the arrays of a model and its description, from .safetensors or .npz (without description).
+    """Return the arrays of a model and its description, from a .safetensors file.
 
     Raises:
         InputError: if the file is missing, too large or damaged, or an array has values that are not finite.
     """
     path = Path(path)
-    if path.suffix not in _READERS:
-        raise InputError(str(path), f"is not a model file: these end in {' or '.join(_READERS)}")
+    if path.suffix != _SUFFIX:
+        raise InputError(str(path), f"is not a model file: these end in {_SUFFIX}")
     data = files.read(path, LIMIT)
     try:
-        weights, about = _READERS[path.suffix](data)
-    except Exception as error:  # zipfile, zlib, json, numpy and safetensors each raise their own
+        weights, (header, arrays) = safetensors.load(data), _split(data)
+        about = header.get("__metadata__", {})
+        if (digest := about.pop(_DIGEST, None)) and digest != _digest(header, arrays):
+            raise ValueError("its sha256 differs from the one that it contains")  # noqa: TRY301
+    except Exception as error:  # json, numpy and safetensors each raise their own
         reason = str(error).partition("\n")[0]
         raise InputError(
-            str(path), f"is damaged or not a {path.suffix} file: {reason}; restore a copy"
+            str(path), f"is damaged or not a {_SUFFIX} file: {reason}; restore a copy"
         ) from error
     for name, array in weights.items():
         if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
@@ -89,8 +90,8 @@ def save_weights(
         OSError: if it cannot be written.
     """
     path = Path(path)
-    if path.suffix != ".safetensors":
-        raise ParameterError("save_weights", "path", str(path), "a path that ends in .safetensors")
+    if path.suffix != _SUFFIX:
+        raise ParameterError("save_weights", "path", str(path), f"a path that ends in {_SUFFIX}")
     native = {
         name: np.asarray(array, array.dtype.newbyteorder("="), order="C") for name, array in weights.items()
     }
@@ -122,31 +123,27 @@ def load_detector(name: str | Path) -> Detector:
     if make := DETECTORS.get(str(name)):
         return make()
     path = shipped(str(name)) or Path(name)
-    if path.suffix in _READERS:
-        weights, about = load_weights(path)
-        card = load_card(path)
-        expected = card.get("sha256")
-        if expected is not None and expected != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
-            reason = f"is damaged, or not the model of {path.with_suffix('.json').name}: copy both together"
-            raise InputError(str(path), reason)
-        kind = about.get("detector", _UNNAMED)
-        if kind not in TRAINED:
-            raise InputError(str(name), f"is for detector {kind!r}; known: {', '.join(sorted(TRAINED))}")
-        try:
-            detector = TRAINED[kind](weights)
-        except InputError as error:
-            raise InputError(str(name), error.reason) from error
-        if isinstance(detector, ForOneFingertip):
-            detector.model = Path(name).name
-            if purpose := PURPOSES.get(str(name)):
-                detector.purpose = f"{name}: {purpose.text}"
-            if "fingertip" in card:
-                detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
-        return detector
-    known = ", ".join(sorted([*DETECTORS, *shipped_names()]))
-    raise InputError(
-        str(name), f"is not a detector: give {known} or a {' or '.join(_READERS)} file of weights"
-    )
+    if path.suffix != _SUFFIX:
+        known = ", ".join(sorted([*DETECTORS, *shipped_names()]))
+        raise InputError(str(name), f"is not a detector: give {known} or a {_SUFFIX} file of weights")
+    weights, about = load_weights(path)
+    card, kind = load_card(path), about.get("detector")
+    if "sha256" in card and card["sha256"] != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
+        reason = f"is damaged, or not the model of {path.with_suffix('.json').name}: copy both together"
+        raise InputError(str(path), reason)
+    if kind not in TRAINED:
+        raise InputError(str(name), f"is for detector {kind!r}; known: {', '.join(sorted(TRAINED))}")
+    try:
+        detector = TRAINED[kind](weights)
+    except InputError as error:
+        raise InputError(str(name), error.reason) from error
+    if isinstance(detector, ForOneFingertip):
+        detector.model = Path(name).name
+        if purpose := PURPOSES.get(str(name)):
+            detector.purpose = f"{name}: {purpose.text}"
+        if "fingertip" in card:
+            detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
+    return detector
 
 
 def identify_detector(name: str | Path) -> dict[str, str]:
@@ -159,7 +156,7 @@ def identify_detector(name: str | Path) -> dict[str, str]:
         InputError: if the file of its weights cannot be read.
     """
     path = shipped(str(name)) or Path(name)
-    if str(name) in DETECTORS or path.suffix not in _READERS:
+    if str(name) in DETECTORS or path.suffix != _SUFFIX:
         return {"id": str(name)}
     return {"id": path.stem, "sha256": hashlib.sha256(files.read(path, LIMIT)).hexdigest()}
 
@@ -206,7 +203,7 @@ def load_debounce(name: str | Path, false_alarms: float | None = None) -> Deboun
         InputError: if the card is damaged, or the detector was not calibrated for this rate.
     """
     path = shipped(str(name)) or Path(name)
-    card = load_card(path) if path.suffix in _READERS else {}
+    card = load_card(path) if path.suffix == _SUFFIX else {}
     settings = card.get("debounce")
     if false_alarms is not None:
         settings = _alarm_settings(str(name), card, false_alarms * minute)
@@ -234,15 +231,6 @@ def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> An
     raise InputError(name, f"is {known}; run `{command}`")
 
 
-def _read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    weights = safetensors.load(data)
-    header, arrays = _split(data)
-    about = header.get("__metadata__", {})
-    if (digest := about.pop(_DIGEST, None)) and digest != _digest(header, arrays):
-        raise ValueError("its sha256 differs from the one that it contains")
-    return weights, about
-
-
 def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
     """Return the header of a .safetensors file and the bytes of its arrays."""
     start = 8  # bytes, with the length of the header
@@ -252,15 +240,3 @@ def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 def _digest(header: Mapping[str, Any], arrays: bytes) -> str:
     return files.hash_json({**header, "": hashlib.sha256(arrays).hexdigest()})
-
-
-def _read_npz(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    with zipfile.ZipFile(BytesIO(data)) as archive:
-        size = sum(info.file_size for info in archive.infolist())
-    if size > LIMIT:
-        raise ValueError(f"it unpacks to more than {LIMIT // files.MiB} MiB")
-    with np.load(BytesIO(data), allow_pickle=False) as arrays:
-        return dict(arrays), {}
-
-
-_READERS: Final = {".safetensors": _read_safetensors, ".npz": _read_npz}

@@ -23,7 +23,6 @@ from operators import Debounce, ParameterError, Run, Score, Slips, Touch, Zero, 
 from storage import Session, load_detector
 
 MAT = Path(__file__).parents[3] / "shared" / "real" / "mat_trace.csv"
-WEIGHTS = MAT.with_name("paper_tcn.npz")
 
 
 def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
@@ -97,7 +96,7 @@ def _events(detector: str, pace: float | None) -> Slips:
     return sink.rows(Slips, 0)
 
 
-@pytest.mark.parametrize("detector", ["psd", str(WEIGHTS)], ids=["psd", "paper_tcn"])
+@pytest.mark.parametrize("detector", ["psd", "paper_tcn"])
 def test_the_real_trace_gives_the_same_events_live_paced_and_at_full_speed(detector: str) -> None:
     if not MAT.exists():
         pytest.skip(f"the real trace is not there: {MAT}")

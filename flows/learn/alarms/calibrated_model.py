@@ -75,7 +75,7 @@ def calibrate_model(
     """
     source = shipped(model) or Path(model)
     detector = load_detector(model)
-    if source.suffix not in {".safetensors", ".npz"}:
+    if source.suffix != ".safetensors":
         raise InputError(model, "has no weights, so it has no card to write settings into")
     path = out or (Path(source.name) if shipped(model) else source)
     if path.suffix != source.suffix:
