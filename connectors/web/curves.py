@@ -66,9 +66,22 @@ def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> d
     return {"t": ((time - origin) / ms).round(3).tolist(), "v": values.astype(np.float64).round(3).tolist()}
 
 
-def score_quality(score: Scores, faults: Iterable[Fault]) -> list[Json]:
-    """Return the quality of a batch with one score, and the reason if it is not good."""
-    return [*quality(score.probability.item(), faults)]
+def quality_json(probability: float, faults: Iterable[Fault]) -> list[Json]:
+    """Return the quality of a score with the current faults of the fingertip, and the reason if not good."""
+    return [*quality(probability, sorted(faults, key=lambda fault: fault.barometer))]
+
+
+def faults_json(faults: Mapping[str, Iterable[Fault]]) -> dict[str, Json]:
+    """Return current faults, by fingertip, as kinds by cell.
+
+    >>> faults_json({"0": [Fault(4, "stuck")], "1": []})
+    {'0': {'4': 'stuck'}}
+    """
+    return {
+        finger: {str(fault.barometer): fault.kind for fault in found}
+        for finger, found in faults.items()
+        if found
+    }
 
 
 def event_json(
@@ -96,7 +109,7 @@ def event_json(
         "finger": finger,
         "onset": slip.onset,
         "p": round(slip.probability, 3),
-        "quality": [*quality(slip.probability, faults)],
+        "quality": quality_json(slip.probability, faults),
         "latency": None if latency is None else round(latency / ms, 3),
     }
 

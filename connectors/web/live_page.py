@@ -1,7 +1,7 @@
 """Sink that serves a live page of a running flow."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
@@ -13,7 +13,7 @@ from connectors.web.page_frames import Frames, Rows, Seen, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
 from operators.checks import check_between
 from operators.extras import software_version
-from operators.ports import Clock, Finding, Json, Run, Sink
+from operators.ports import Json, Run, Sink
 
 if TYPE_CHECKING:
     from aiohttp.web import WebSocketResponse
@@ -82,23 +82,6 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
     def login_url(self) -> str:
         """URL with the token, if there is one: keep it secret."""
         return self._server.login_url
-
-    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
-        """Check that the page can be served: its port is free, and it has a token if other machines reach it.
-
-        Raises:
-            EndpointError: if the server cannot listen on its address.
-            ParameterError: if the token is malformed or missing.
-            InputError: if the file with the token cannot be read.
-        """
-        from connectors.web.web_server import page_server  # noqa: PLC0415 - aiohttp is slow to import
-
-        server = page_server(self._host, self._port, self._token)
-        await server.open({})
-        await server.close()
-        other = self._port is None and not server.url.endswith(f":{PAGE_PORT}")
-        text = "is in use: a page uses a free port unless one is given" if other else "is free"
-        yield Finding(self.destination, f"its port {text}", "note" if other else "good")
 
     async def open(self, run: Run) -> None:
         """Start serving the page.

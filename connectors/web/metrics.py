@@ -1,15 +1,12 @@
 """Sink that serves metrics of a run to Prometheus."""
 
-from collections.abc import AsyncGenerator, Callable, Mapping
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping
+from typing import Final
 
 from connectors.web.access import METRICS_PORT, Access, http_url, is_loopback
 from operators.batch import Clocks, Faults, Scores, Slips
 from operators.checks import check_between
-from operators.ports import Clock, Finding, Run, Sink
-
-if TYPE_CHECKING:
-    from connectors.web.web_server import WebServer
+from operators.ports import Run, Sink
 
 PATH: Final = "/metrics"
 
@@ -58,19 +55,6 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
         """URL of the metrics on this machine, once they are served."""
         return self._server.url + PATH
 
-    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
-        """Check that the metrics can be served: the port is free, and a token is set if it is needed.
-
-        Raises:
-            EndpointError: if the server cannot listen on its address.
-            ParameterError: if the token is malformed or missing.
-            InputError: if the file with the token cannot be read.
-        """
-        server = self._new_server()
-        await server.open({})
-        await server.close()
-        yield Finding(self.destination, "its port is free")
-
     async def open(self, run: Run) -> None:
         """Start serving the metrics.
 
@@ -80,10 +64,11 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
             InputError: if the file with the token cannot be read.
         """
         from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - prometheus_client is slow to import
-        from connectors.web.web_server import HEALTH, READY  # noqa: PLC0415 - aiohttp too
+        from connectors.web.web_server import HEALTH, READY, WebServer  # noqa: PLC0415 - aiohttp too
 
         self._run, self._metrics = run, RunMetrics(run)
-        self._server = self._new_server()
+        access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
+        self._server = WebServer(self._host, self._port, access, "metrics")
         await self._server.open({PATH: self._respond, HEALTH: self._healthy, READY: self._ready})
         if self._opened:
             self._opened(self.url)
@@ -96,12 +81,6 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
     async def close(self) -> None:
         """Stop serving, so that Prometheus marks the run as down."""
         await self._server.close()
-
-    def _new_server(self) -> "WebServer":
-        from connectors.web.web_server import WebServer  # noqa: PLC0415 - slow to import
-
-        access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
-        return WebServer(self._host, self._port, access, "metrics")
 
     async def _respond(self, query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG002 - no parameters
         from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - slow to import

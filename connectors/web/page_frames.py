@@ -20,9 +20,16 @@ from typing import Any, Final, Generic, TypeAlias
 
 import numpy as np
 
-from connectors.events import finger_name, slips
-from connectors.web.cell_faults import NO_FAULTS, CellFaults, changes, fault_list
-from connectors.web.curves import curve_json, event_json, nested, plotted_values, score_quality, stream_name
+from connectors.events import Fault, faults, finger_name, slips
+from connectors.web.curves import (
+    curve_json,
+    event_json,
+    faults_json,
+    nested,
+    plotted_values,
+    quality_json,
+    stream_name,
+)
 from operators.batch import AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Truth, Zeroed, ms, s
 from operators.ports import Json, Run
 from operators.row_queues import Tail
@@ -85,10 +92,10 @@ class Frames:
     def __init__(self, run: Run) -> None:
         self._run = run
         self._tracks: dict[tuple[str, str], Track[Any]] = {}  # by stream and fingertip
-        self._scores: dict[str, Scores] = {}  # newest score by fingertip
+        self._scores: dict[str, float] = {}  # newest probability by fingertip
         self._zeroed = False
         self._slipping: set[str] = set()
-        self._faults: dict[str, CellFaults] = {}
+        self._faults: dict[str, set[Fault]] = {}  # active, by fingertip
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
         self._numbered = 0  # number of the newest event
 
@@ -98,9 +105,9 @@ class Frames:
         if isinstance(batch, Slips):
             self._add_slips(batch, finger)
         elif isinstance(batch, Faults):
-            if finger in self._faults or len(self._faults) < FINGERS_MAX:
-                for _, found in changes(batch, self._faults.get(finger, NO_FAULTS)):
-                    self._faults[finger] = found
+            active = self._faults.setdefault(finger, set())
+            for _, fault, begins in faults(batch):
+                (active.add if begins else active.discard)(fault)
         elif isinstance(batch, Zeroed) and not self._zeroed:
             self._zeroed = True
             self._tracks = {key: track for key, track in self._tracks.items() if key[0] != "raw"}
@@ -120,10 +127,10 @@ class Frames:
             "zeroed": self._zeroed,
             "events": events[newest:],
             "slipping": [*sorted(self._slipping)],
-            "faults": {finger: {**found} for finger, found in self._faults.items() if found},
+            "faults": faults_json(self._faults),
             "quality": {
-                finger: score_quality(score, fault_list(self._faults.get(finger, NO_FAULTS)))
-                for finger, score in self._scores.items()
+                finger: quality_json(probability, self._faults.get(finger, ()))
+                for finger, probability in self._scores.items()
             },
         }
 
@@ -137,7 +144,7 @@ class Frames:
             kind = next(each for each in kinds if isinstance(batch, each))  # drops further columns
             self._tracks[key] = Track[Any](kind)
         if isinstance(batch, Scores) and len(batch):
-            self._scores[finger] = batch[-1:]
+            self._scores[finger] = batch.probability.item(-1)
         self._tracks[key].add(batch)
 
     def _add_slips(self, batch: Slips, finger: str) -> None:
@@ -145,9 +152,9 @@ class Frames:
             (self._slipping.add if slip.onset else self._slipping.discard)(finger)
             self._numbered += 1
             latency = self._run.latency(slip.time)
-            faults = fault_list(self._faults.get(finger, NO_FAULTS))
+            active = self._faults.get(finger, ())
             self._events.append(
-                event_json(self._numbered, finger, slip, self._run.start, latency=latency, faults=faults)
+                event_json(self._numbered, finger, slip, self._run.start, latency=latency, faults=active)
             )
 
 

@@ -1,24 +1,26 @@
 """Curves, labels and events of a recorded session, kept in memory for its page."""
 
+from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import replace
 from math import isnan
+from operator import itemgetter
 from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.events import Slip, finger_name, slips
+from connectors.events import Fault, Slip, faults, finger_name, slips
 from connectors.sim.simulated_rig import true_slips
-from connectors.web.cell_faults import FaultHistory, fault_list
 from connectors.web.curves import (
     GAP,
     curve_json,
     event_json,
+    faults_json,
     nested,
     page_fingertip,
     plotted_values,
-    score_quality,
+    quality_json,
     stream_name,
     thin_curve,
 )
@@ -76,7 +78,7 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         self.scores: dict[str, Scores] = {}
         self._truth: dict[str, list[Truth]] = {}
         self.bands: dict[_Key, list[Json]] = {}
-        self._faults = FaultHistory()
+        self._faults: dict[str, list[tuple[int, frozenset[Fault]]]] = {}  # time (ns) and active ones
         self._events: list[_Event] = []
         self._falls, self._rows = True, 0
 
@@ -102,7 +104,10 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         if isinstance(batch, Slips):
             self._events.extend((finger, slip) for slip in slips(batch))
         elif isinstance(batch, Faults):
-            self._faults.add(batch)
+            known = self._faults.setdefault(finger, [])
+            for time, fault, begins in faults(batch):
+                active = known[-1][1] if known else frozenset[Fault]()
+                known.append((time, active | {fault} if begins else active - {fault}))
         elif isinstance(batch, Scores):
             self._scored.setdefault(finger, []).append(batch)
         elif isinstance(batch, Truth):
@@ -206,13 +211,18 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         scores = {finger: each[row(each.time)] for finger, each in self.scores.items()}
         return {
             "rows": self._cut(newest),
-            "faults": self._faults.json_at(at),
+            "faults": faults_json({finger: self._faults_at(finger, at) for finger in self._faults}),
             "quality": {
-                finger: score_quality(each, fault_list(self._faults.at(finger, at)))
+                finger: quality_json(each.probability.item(), self._faults_at(finger, at))
                 for finger, each in scores.items()
                 if len(each)
             },
         }
+
+    def _faults_at(self, finger: str, time: int) -> frozenset[Fault]:
+        known = self._faults.get(finger, [])
+        row = bisect_right(known, time, key=itemgetter(0))
+        return known[row - 1][1] if row else frozenset()
 
     def _cut(self, cut: Callable[[Times, Values], dict[str, Json]]) -> dict[str, Json]:
         """Return all curves, each cut by `cut`."""
@@ -222,9 +232,7 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         """Return events in order of time; fingertips are written one after the other."""
         ordered = sorted(events, key=lambda event: event[1].time)
         return [
-            event_json(
-                number, finger, slip, self.start, faults=fault_list(self._faults.at(finger, slip.time))
-            )
+            event_json(number, finger, slip, self.start, faults=self._faults_at(finger, slip.time))
             for number, (finger, slip) in enumerate(ordered, 1)
         ]
 

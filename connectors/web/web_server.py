@@ -39,8 +39,7 @@ _HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-_TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_LOCKED: Final = "/locked.html"  # page that asks for the token
+_LOCKED: Final = "locked.html"  # page that asks for the token
 _WRONG: Final = b'<p id="wrong" hidden>'  # element of that page, shown after a wrong token
 _PUBLIC: Final = frozenset({"/page.css", "/icon.svg"})  # used by that page
 HEALTH: Final = "/healthz"  # paths for probes, which have no token
@@ -119,18 +118,18 @@ class WebServer:
         """
         limit = min(STRANGERS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
         self._limit = max(2, limit)  # of connections without access
-        files = await asyncio.to_thread(_read_files, self._files) if self._files else {}
-        self._locked = files.pop(_LOCKED, (b"", ""))[0]
         app = web.Application(middlewares=[self._admit], client_max_size=_BODY_MAX)
         app.on_response_prepare.append(_set_headers)
-        for path, answer in files.items():
-            app.router.add_get(path, _responder(_constant(answer)))
         for path, handler in handlers.items():
             app.router.add_get(path, _responder(handler))
         for path, writer in writers.items():
             app.router.add_post(path, _write_responder(writer))
         for path, talker in sockets.items():
             app.router.add_get(path, _socket_responder(talker))
+        if self._files:
+            self._locked = (self._files / _LOCKED).read_bytes()
+            app.router.add_get("/", _file_responder(self._files / "index.html"))
+            app.router.add_static("/", self._files)
         self._runner = web.AppRunner(
             app,
             access_log=None,
@@ -229,23 +228,11 @@ async def _set_headers(request: web.Request, response: web.StreamResponse) -> No
     response.headers.update(_HEADERS)
 
 
-def _read_files(folder: Path) -> dict[str, Answer]:
-    """Read the files of a folder, by URL path."""
-    found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
-    return {
-        f"/{name if name != 'index.html' else ''}": (
-            path.read_bytes(),
-            f"{_TYPES.get(path.suffix, 'text/plain')}; charset=utf-8",
-        )
-        for name, path in found.items()
-    }
+def _file_responder(path: Path) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
+    async def respond(request: web.Request) -> web.StreamResponse:  # noqa: ARG001 - aiohttp's signature
+        return web.FileResponse(path)
 
-
-def _constant(answer: Answer) -> Handler:
-    async def handler(query: Mapping[str, str]) -> Answer:  # noqa: ARG001 - a constant
-        return answer
-
-    return handler
+    return respond
 
 
 def _responder(handler: Handler) -> Callable[[web.Request], Awaitable[web.Response]]:

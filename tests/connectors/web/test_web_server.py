@@ -185,8 +185,8 @@ def test_the_page_and_all_its_files_are_served() -> None:
             status, text, response = await get(session, f"{url}/{name}")
             assert status == 200
             assert text
-            kinds = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-            assert response.content_type == kinds[Path(name).suffix]
+            kinds = {".js": "javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+            assert kinds[Path(name).suffix] in response.content_type
         assert (await get(session, f"{url}/data"))[1] == "text"
         assert "Leon Sorokin" in (await get(session, f"{url}/uplot/LICENSE"))[1]
 
@@ -201,7 +201,7 @@ def test_nothing_else_is_served(path: str) -> None:
         port = int(url.rpartition(":")[2])
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
         writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
-        assert b" 404 " in await reader.readline()
+        assert (await reader.readline()).split()[1] in {b"403", b"404"}
         writer.close()
         await writer.wait_closed()
 
