@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +12,7 @@ from flows.cli.options import AsJson, Rows, Settings, load_flow, parse_rows
 
 if TYPE_CHECKING:
     from flows.run.diagnosis import Findings
-    from operators.ports import Endpoint, Finding
+    from operators.ports import Endpoint
 
 HOST = "machine"
 
@@ -105,25 +105,17 @@ def _devices(bus: str | None, rows: str, robot: str | None, gripper: str | None)
 
 async def _diagnose(parts: "dict[str, Endpoint]", out: Path) -> "Findings":
     """Check the machine and `parts`."""
-    from connectors import Metrics, Page
     from flows.run.clocks import LoopClock
     from flows.run.diagnosis import diagnose
     from flows.run.host_checks import host_findings
     from storage import Dataset
 
     clock = LoopClock()
-    unused: dict[str, Endpoint] = {"disk": Dataset(out), "page": Page(), "metrics": Metrics()}
-    taken = {type(part) for part in parts.values()}
-    unused = {name: part for name, part in unused.items() if type(part) not in taken}
-    machine = await diagnose(unused, clock)
-    for name in machine.keys() - {"disk"}:  # ports that a run need not use
-        machine[name] = [_at_most_a_note(finding) for finding in machine[name]]
-    host = [*host_findings(), *(finding for name in unused for finding in machine[name])]
+    recorded = any(isinstance(part, Dataset) for part in parts.values())
+    disk: dict[str, Endpoint] = {} if recorded else {"disk": Dataset(out)}
+    machine = await diagnose(disk, clock)
+    host = [*host_findings(), *(finding for name in disk for finding in machine[name])]
     return {HOST: host, **await diagnose(parts, clock)}
-
-
-def _at_most_a_note(finding: "Finding") -> "Finding":
-    return replace(finding, state="note") if finding.state == "bad" else finding
 
 
 def _as_text(found: "Findings", bad: int) -> str:
