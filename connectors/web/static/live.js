@@ -15,7 +15,7 @@ export function live(view) {
 
   view.scene = () => {
     const streams = paused?.streams ?? view.streams, end = paused?.end ?? view.newest;
-    return { streams, figures: streams, span: end === null ? null : [end - span, end], origin: end, until: end ?? Infinity };
+    return { streams, figures: streams, span: end === null ? null : [end - span, end], origin: end, until: Infinity };
   };
   $("window").addEventListener("change", ({ target }) => {
     span = 1000 * Number(target.value);
