@@ -6,12 +6,11 @@ demo:  ## run the demo without hardware: a simulated rig, slip events, a labelle
 	.venv/bin/slipflow demo --for 20s --out recordings
 
 test: check  ## run the static checks, then the tests
-	.venv/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not rerun and not cluster"
+	.venv/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not cluster"
 
-test-slow:  ## run the tests that take longer than a minute, or need half a gigabyte more
+test-slow:  ## run the tests that take longer than a minute
 	@deploy/prepare test
-	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[rerun]'
-	.venv/bin/python -m pytest -m "slow or rerun"
+	.venv/bin/python -m pytest -m slow
 
 test-lerobot: LEROBOT = $(CURDIR)/.venv/lerobot
 test-lerobot:  ## read an export with LeRobot's own loader: 180 MB more

@@ -29,7 +29,6 @@ EXTRAS: Final[Mapping[str, Extra]] = MappingProxyType(
         "report": Extra("figures in reports", {"matplotlib": "matplotlib"}),
         "mcap": Extra("export to MCAP files", {"mcap": "mcap"}),
         "fetch": Extra("download of public datasets", {"pooch": "pooch"}),
-        "rerun": Extra("export to Rerun", {"rerun-sdk": "rerun"}),
         "cluster": Extra("replays and studies on several machines", {"distributed": "distributed"}),
     }
 )

@@ -38,9 +38,7 @@ _PREFIX: Final = Struct("<4sI")
 _POSITION: Final = Struct("<QI")  # in this order the header does not cancel out in the first frame
 _CRC: Final = 4  # bytes
 _OVERHEAD: Final = _PREFIX.size + _CRC  # bytes of a frame without its record
-_WINDOW: Final = files.MiB  # bytes that are searched at once for frames after damage
-_SEARCHED: Final = 256 * files.MiB  # bytes; most that are hashed in that search
-_PER_CANDIDATE: Final = 4096  # bytes of that budget for each possible frame, besides its length
+_ZEROS: Final = 16 * files.MiB  # bytes of a tail that are compared with zeros
 
 
 class Record(NamedTuple):
@@ -56,7 +54,7 @@ class Damage:
 
     offset: int  # bytes, of the first frame that is not whole
     size: int  # bytes from there to the end
-    more: bool  # whole frames follow; False: a torn tail, as after a crash of the writer
+    torn: bool  # its frame reaches beyond the end, or only zeros follow: so a crash of the writer leaves it
 
 
 class LogReader:
@@ -109,8 +107,7 @@ class LogReader:
         while self.end < self._size:
             found = self._frame(self.end, self.crc)
             if found is None:
-                more = self._find_frame(self.end + 1)
-                self.damage = Damage(self.end, self._size - self.end, more)
+                self.damage = Damage(self.end, self._size - self.end, self._is_torn(self.end))
                 return
             record = Record(self.end, found[0])
             self.end, self.crc = self.end + _OVERHEAD + len(record.data), found[1]
@@ -143,7 +140,7 @@ class LogReader:
                     self.identity = rest[:length]
                     self._start = self.end = _HEAD.size + length + _CRC
                     return crc
-        self.damage = Damage(0, self._size, more=self._size > _HEAD.size)
+        self.damage = Damage(0, self._size, torn=self._size <= _HEAD.size)
         return 0
 
     def _frame(self, offset: int, before: int) -> tuple[bytes, int] | None:
@@ -159,30 +156,15 @@ class LogReader:
         crc = _checksum(prefix, record, _POSITION.pack(offset, before), self.seed)
         return (record, crc) if _to_int(rest[length:]) == crc and len(rest) == length + _CRC else None
 
-    def _find_frame(self, offset: int) -> bool:
-        """Return true if a whole frame begins at `offset` or later."""
-        budget = _SEARCHED
-        for found in self._find_magic(offset):
-            before = _to_int(files.read_at(self._file, _CRC, found - _CRC))
-            if self._frame(found, before) is not None:
-                return True
-            length = _to_int(files.read_at(self._file, 4, found + len(_FRAME_MAGIC)))
-            hashed = length <= min(LIMIT, self._size - found)
-            budget -= _PER_CANDIDATE + (length if hashed else 0)
-            if budget < 0:
-                break
-        return False
-
-    def _find_magic(self, offset: int) -> Iterator[int]:
-        """Yield the offsets at which a frame may begin; holes of a sparse file are skipped."""
-        while (offset := files.next_data(self._file, offset)) < self._size:
-            window = files.read_at(self._file, _WINDOW, offset)
-            if len(window) < _OVERHEAD:
-                return
-            place = -1
-            while (place := window.find(_FRAME_MAGIC, place + 1)) >= 0:
-                yield offset + place
-            offset += len(window) - len(_FRAME_MAGIC) + 1
+    def _is_torn(self, offset: int) -> bool:
+        """Return true if the frame at `offset` reaches beyond the end, or only zeros follow."""
+        left = self._size - offset
+        if left < _OVERHEAD:
+            return True
+        magic, length = _PREFIX.unpack(files.read_at(self._file, _PREFIX.size, offset))
+        if magic == _FRAME_MAGIC and left - _OVERHEAD < length <= LIMIT:
+            return True
+        return left <= _ZEROS and not any(files.read_at(self._file, left, offset))
 
 
 class AppendLog:
@@ -222,13 +204,13 @@ class AppendLog:
         """Open a log for appending at its end, and cut off a torn tail durably.
 
         Raises:
-            InputError: if the header is damaged or whole frames follow the damage.
+            InputError: if it is damaged otherwise.
             OSError: if it cannot be written.
         """
         for _ in reader.records(reader.end):
             pass
         damage = reader.damage
-        if damage and (damage.more or not damage.offset):
+        if damage and not (damage.torn and damage.offset):
             raise InputError(str(reader.path), f"is damaged at byte {damage.offset}: restore a copy")
         log = cls(reader.path, reader.end, reader.crc, reader.seed)
         log._synced = 0  # its writer may have been killed before its last sync

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from operators.batch import Batch, columns
 from operators.errors import InputError
-from operators.ports import Description
 from storage import append_log, files
 from storage.append_log import AppendLog, LogReader
 from storage.layout import (
@@ -34,8 +33,6 @@ from storage.layout import (
     TABLE_OF,
     Table,
     files_of,
-    may_exist,
-    missing_files,
     segment_file,
     segments,
     single_log,
@@ -258,18 +255,6 @@ def delete_journal(folder: Path) -> None:
         files.unlink(path)
     files.remove_folder(folder / JOURNAL)
     files.sync(folder)
-
-
-def missing_segments(folder: Path, about: Description) -> list[str]:
-    """Return a line for each segment that is missing, as `missing_files`; none if there is no journal."""
-    numbers = list(segments(folder))
-    if not numbers:
-        expected = (folder / JOURNAL).is_dir() and "end_ns" not in about
-        return [f"{JOURNAL}: has no segment: the newest rows are lost"] if expected else []
-    lost = missing_files(numbers, numbers[0], segment_file)
-    if not may_exist(single_log(folder)) and "end_ns" not in about:  # it is created before all others
-        lost.append(single_log(folder).relative_to(folder).as_posix())
-    return [f"{path}: is missing, with its rows" for path in lost]
 
 
 def identity(session: str, number: int) -> bytes:

@@ -16,18 +16,17 @@
     sessions/<session>/journal/single.wal           rows of single-file tables, until the session ends
     sessions/<session>/labels/000001.json           labels given by hand, one file per version; see
                                                     storage.hand_labels
-    sessions/<session>/exported.json                mark of the last export; see storage.retention
-    sessions/<session>/damaged/                     files that a recovery could not read
+    sessions/<session>/damaged/                     files that a recovery moved away
 """
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
 from functools import cached_property
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -47,7 +46,7 @@ from operators.batch import (
     columns,
 )
 from operators.errors import InputError, ParameterError
-from storage.files import read_error
+from storage.files import SCRATCH, read_error
 
 DATASET: Final = "dataset.json"
 SESSIONS: Final = "sessions"
@@ -56,9 +55,7 @@ MANIFEST: Final = "MANIFEST.json"
 JOURNAL: Final = "journal"
 DAMAGED: Final = "damaged"
 LABELS: Final = "labels"
-EXPORTED: Final = "exported.json"
 FINGER_MAX: Final = 2**15 - 1  # largest number of a fingertip, which is stored in 16 bits
-GAP_MAX: Final = 1000  # consecutive missing files that are named one by one
 
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
 _DIGITS: Final = 12  # of the number of a file at most
@@ -133,24 +130,6 @@ def part_number(path: str) -> int:
     return int(stem) if stem.isdecimal() and len(stem) <= _DIGITS else 0
 
 
-def missing_files(numbers: Iterable[int], first: int, file: Callable[[int], str]) -> list[str]:
-    """Return the files whose numbers are missing from `first` to the last of `numbers`.
-
-    More than `GAP_MAX` consecutive files are one text, as the number of a stray file may be huge.
-
-    >>> missing_files([2, 90_000], 1, segment_file)
-    ['journal/000001.wal', 'journal/000003.wal to journal/089999.wal']
-    """
-    missing = list[str]()
-    for before, after in pairwise(sorted({first - 1, *numbers})):
-        between = range(before + 1, after)
-        if len(between) > GAP_MAX:
-            missing.append(f"{file(between[0])} to {file(between[-1])}")
-        else:
-            missing += map(file, between)
-    return missing
-
-
 def table_files(folder: Path, table: Table) -> list[str]:
     """Return the paths of a table's files within the folder of a session, in order; others are ignored.
 
@@ -203,21 +182,24 @@ def session_names(root: Path) -> list[str]:
     return [path.name for path in _session_folders(root) if may_exist(path / SESSION)]
 
 
-def names_without_description(root: Path) -> list[str]:
-    """Return the names of the session folders that have data but no session.json, sorted.
+def session_folders(path: Path) -> list[Path]:
+    """Return the folder of a session, or those of all sessions of a dataset, sorted.
+
+    A folder without session.json counts if it has any other file: then session.json is lost.
 
     Raises:
-        SlipflowError: as `files_of`, or if the folder of the sessions is a file.
+        InputError: if the path is neither, or may not be read.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
-    return [path.name for path in _session_folders(root) if lacks_description(path)]
-
-
-def lacks_description(folder: Path) -> bool:
-    """Return true if a folder has the files of a session, but no session.json."""
-    if may_exist(folder / SESSION):
-        return False
-    patterns = MANIFEST, f"{JOURNAL}/*.wal"
-    return any(files_of(folder, each) for each in patterns) or any(table_files(folder, t) for t in TABLES)
+    if may_exist(path / SESSION) or may_exist(path / MANIFEST):
+        return [path]
+    if not path.is_dir():
+        reason = "is a file, must be the folder of a dataset or session"
+        raise InputError(str(path), reason if path.exists() else "there is no such folder")
+    if not may_exist(path / DATASET) and not may_exist(path / SESSIONS):
+        raise InputError(str(path), f"is not a session (no {SESSION}) and not a dataset (no {DATASET})")
+    found = _session_folders(path)
+    return [each for each in found if may_exist(each / SESSION) or (each.is_dir() and _has_files(each))]
 
 
 def may_exist(path: Path) -> bool:
@@ -252,6 +234,11 @@ def _session_folders(root: Path) -> list[Path]:
     if (root / SESSIONS).is_file():
         raise InputError(str(root / SESSIONS), "is a file, must be the folder of the sessions")
     return files_of(root, f"{SESSIONS}/*")
+
+
+def _has_files(folder: Path) -> bool:
+    """Return true if a folder has more than files that a killed process did not complete."""
+    return any(path.suffix != SCRATCH for path in files_of(folder, "*"))
 
 
 def segments(folder: Path) -> dict[int, Path]:

@@ -1,118 +1,150 @@
-"""Parquet files of a session: written atomically, verified when read."""
+"""Parquet files of a session, written atomically and verified when read, and the manifest that lists them."""
 
 from __future__ import annotations  # they name classes of pyarrow
 
 import hashlib
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
 
+from operators.batch import s
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.arrow import pa, pq
-from storage.layout import Table
-from storage.manifest import Part
-from storage.parquet_pages import Sizes, declared_sizes
-from storage.schema import fields_of, fitted, flat, schema
+from storage.layout import MANIFEST, TABLES, is_table_file, may_exist, table_files
+from storage.schema import fields_of, fitted, flat
 
+MANIFEST_VERSION: Final = 2
 UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
 
+_FIX: Final = "restore a copy; each part is a Parquet file, which other programs read without it"
+_SHA256: Final = re.compile("[0-9a-f]{64}")
+_TIME_LIMIT: Final = 2**63  # ns; every time is below
+_TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": str}
 
-def write_part(path: Path, table: pa.Table, put: files.Put = files.put) -> str:
-    """Write a table as one Parquet file and return its sha256.
+
+@dataclass(frozen=True)
+class Part:
+    """Entry of the manifest: one committed Parquet file."""
+
+    path: str  # within the folder of the session
+    rows: int
+    first: int  # ns, earliest event time; 0 without rows
+    last: int  # ns, latest event time; 0 without rows
+    sha256: str  # hex
+
+    @classmethod
+    def of(cls, path: str, rows: pa.Table, sha256: str) -> Part:
+        """Return the entry of a file with these rows."""
+        if not len(rows):
+            return cls(path, 0, 0, 0, sha256)
+        time = rows["time"].to_numpy()
+        return cls(path, len(rows), int(time.min()), int(time.max()), sha256)
+
+    @cached_property
+    def line(self) -> str:
+        """Line of the manifest; cached, since a manifest is rewritten with every part."""
+        return json.dumps(vars(self))  # `asdict` takes five times as long
+
+    @property
+    def extent(self) -> str:
+        """Rows and duration as text.
+
+        >>> Part("touch/part-000000.parquet", 6000, 0, 60 * s, "0" * 64).extent
+        '6,000 rows, 60.0 s'
+        """
+        return f"{self.rows:,} rows, {(self.last - self.first) / s:.1f} s"
+
+
+def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.put) -> None:
+    """Replace the manifest of a session: its parts, and a sha256 of the list.
+
+    Raises:
+        OSError: if it cannot be written; the old or the new manifest remains.
+    """
+    lines = ",\n".join(part.line for part in parts)
+    text = f'{{"version": {MANIFEST_VERSION}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
+    put(folder / MANIFEST, text.encode())
+
+
+def read_manifest(folder: Path) -> dict[str, Part]:
+    """Return the parts in the manifest of a session by path.
+
+    A recorder that was killed before it wrote the manifest has left no parts; then there are none.
+
+    Raises:
+        InputError: if the manifest is missing or damaged.
+    """
+    path = folder / MANIFEST
+    if not may_exist(path) and not any(table_files(folder, table) for table in TABLES):
+        return {}
+    content = files.read_json(path, files.LIST_LIMIT)
+    if content.get("version") != MANIFEST_VERSION or not isinstance(content.get("parts"), list):
+        raise InputError(str(path), f'must have "version": {MANIFEST_VERSION} and a list "parts"; {_FIX}')
+    parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
+    listed = {part.path: part for part in parts}
+    if len(listed) < len(parts):
+        raise InputError(str(path), f"lists a part twice; {_FIX}")
+    if content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
+        raise InputError(str(path), f"is damaged: its sha256 differs from that of its parts; {_FIX}")
+    return listed
+
+
+def write_part(folder: Path, path: str, rows: pa.Table, put: files.Put = files.put) -> Part:
+    """Write rows as a Parquet file of a session and return its manifest entry.
+
+    Args:
+        folder: Folder of the session.
+        path: Path within it.
+        rows: The rows.
+        put: Function that writes the file.
 
     Raises:
         OSError: if it cannot be written; the file is then missing or complete.
     """
     sink = pa.BufferOutputStream()
     cast("Any", pq).write_table(
-        table,
+        rows,
         sink,
         compression="zstd",
         use_dictionary=False,
-        column_encoding=_encodings(table.schema),
+        column_encoding=_encodings(rows.schema),
         write_page_checksum=True,
     )
     data = sink.getvalue().to_pybytes()
-    put(path, data)
-    return hashlib.sha256(data).hexdigest()
+    put(folder / path, data)
+    return Part.of(path, rows, hashlib.sha256(data).hexdigest())
 
 
-def commit_part(
-    folder: Path,
-    path: str,
-    table: pa.Table,
-    put: files.Put = files.put,
-) -> Part:
-    """Write a table as a file of a session and return its manifest entry.
-
-    Args:
-        folder: Folder of the session.
-        path: Path within it.
-        table: The rows.
-        put: Function that writes the file.
-
-    Raises:
-        OSError: if it cannot be written; the file is then missing or complete.
-    """
-    return manifest_entry(path, table, write_part(folder / path, table, put))
-
-
-def manifest_entry(path: str, table: pa.Table, sha256: str) -> Part:
-    """Return the manifest entry of a file with these rows."""
-    if not len(table):
-        return Part(path, 0, 0, 0, sha256)
-    time = table["time"].to_numpy()
-    return Part(path, len(table), int(time.min()), int(time.max()), sha256)
-
-
-def hash_part(path: Path) -> str:
-    """Return the sha256 (hex) of a file.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
-    return hashlib.sha256(files.read(path)).hexdigest()
-
-
-def inspect_part(folder: Path, path: str, table: Table) -> Part:
-    """Read a file of a session and return its manifest entry.
-
-    Raises:
-        InputError: as `read_part`.
-    """
-    file = folder / path
-    sha256 = hash_part(file)
-    return manifest_entry(path, read_part(file, schema(table), sha256), sha256)
-
-
-def read_part(
-    path: Path, expected: pa.Schema, sha256: str | None = None, known: dict[str, Sizes] | None = None
-) -> pa.Table:
+def read_part(path: Path, expected: pa.Schema, sha256: str) -> pa.Table:
     """Return the columns of a schema from a Parquet file, which may have others.
 
     Args:
         path: The file.
         expected: Columns that it must have, with their types and units.
-        sha256: Its sha256 in the manifest; None: not listed, so only the page checksums are verified.
-        known: Declared sizes of files by their sha256, for files that are read again; gets those of this one.
+        sha256: Its sha256 (hex) in the manifest.
 
     Raises:
         InputError: if the file is missing, damaged, lacks a column or has more than `UNPACKED_LIMIT` bytes.
         EndpointError: if the disk fails or memory is short.
     """
     data = files.read(path)
-    if sha256 and hashlib.sha256(data).hexdigest() != sha256:
+    if hashlib.sha256(data).hexdigest() != sha256:
         raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         expected = fitted(expected, file.schema_arrow)
         _check_columns(path, file.schema_arrow, expected)
-        sizes = (known or {}).get(sha256 or "") or declared_sizes(data)
-        _check_size(path, sizes, expected)
-        if sha256 and known is not None:
-            known[sha256] = sizes
+        if (
+            file.metadata.num_rows * sum(_row_size(field.type) for field in fields_of(expected))
+            > UNPACKED_LIMIT
+        ):
+            reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
+            raise InputError(str(path), reason)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
         table: pa.Table = file.read(expected.names, use_threads=False)
         table.validate(full=True)
@@ -121,9 +153,6 @@ def read_part(
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
         raise InputError(str(path), f"is damaged or not a Parquet file: {reason}; restore a copy") from error
-    if len(table) != file.metadata.num_rows:
-        reason = f"is damaged: it has {len(table)} of its {file.metadata.num_rows} rows; restore a copy"
-        raise InputError(str(path), reason)
     for field in fields_of(expected):
         column = table[field.name]
         if not field.nullable and (column.null_count or flat(column).null_count):
@@ -131,18 +160,27 @@ def read_part(
     return table
 
 
-def without_copies(folder: Path, paths: Iterable[str], listed: Mapping[str, Part]) -> list[str]:
-    """Return the files of a table without unlisted copies of others; unreadable files are kept."""
-    seen, found = {part.sha256 for part in listed.values()}, list[str]()
-    for path in paths:
-        if path not in listed:
-            with suppress(InputError):  # reported when it is read
-                sha256 = hash_part(folder / path)
-                if sha256 in seen:
-                    continue
-                seen.add(sha256)
-        found.append(path)
-    return found
+def _digest(lines: str) -> str:
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - any JSON
+    """Return a part of a manifest.
+
+    Raises:
+        InputError: if it is invalid.
+    """
+    values: dict[str, Any] = content if isinstance(content, dict) else {}
+    if {key: type(value) for key, value in values.items()} != _TYPES:
+        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types; {_FIX}")
+    part = Part(**values)
+    times = -_TIME_LIMIT <= part.first <= part.last < _TIME_LIMIT
+    empty = not part.rows and not part.first and not part.last and "/" not in part.path  # a single-file table
+    if (part.rows < 1 and not empty) or not times or not _SHA256.fullmatch(part.sha256):
+        raise InputError(where, f"has invalid rows, times or sha256; {_FIX}")
+    if not is_table_file(part.path):
+        raise InputError(where, f"{part.path!r} is not a file of a session; {_FIX}")
+    return part
 
 
 def _encodings(schema: pa.Schema) -> dict[str, str]:
@@ -157,19 +195,6 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
         elif pa.types.is_floating(kind):
             encodings[path] = "BYTE_STREAM_SPLIT"
     return encodings
-
-
-def _check_size(path: Path, sizes: Sizes, expected: pa.Schema) -> None:
-    """Check the declared sizes before anything is unpacked.
-
-    Raises:
-        InputError: if rows or pages have too many bytes.
-    """
-    rows, unpacked, values = sizes
-    row = sum(_row_size(field.type) for field in fields_of(expected))
-    if max(unpacked, values, rows * row) > UNPACKED_LIMIT:
-        reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
-        raise InputError(str(path), reason)
 
 
 def _row_size(kind: Any) -> int:  # noqa: ANN401 - a type with the attributes of its class
@@ -193,7 +218,7 @@ def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
 
 
 def _with_any_index(kind: Any) -> Any:  # noqa: ANN401 - a type with the attributes of its class
-    """Return a type; if it is a dictionary, with one index type: pyarrow 16, Flink's, reads int32 for all."""
+    """Return a type; if it is a dictionary, with one index type: pyarrow 16 reads int32 for all."""
     return pa.dictionary(pa.int32(), kind.value_type) if pa.types.is_dictionary(kind) else kind
 
 

@@ -30,12 +30,9 @@ from storage.layout import (
     part_number,
     session_folder,
     session_names,
-    table_files,
 )
 from storage.lock import locked
-from storage.manifest import Part, read_manifest
-from storage.parquet_pages import Sizes
-from storage.parts import read_part, without_copies
+from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
 
 if TYPE_CHECKING:
@@ -59,9 +56,8 @@ _PartFingers: TypeAlias = tuple[type[Batch], frozenset[int]]  # type and fingert
 class Session:
     """Session of a dataset, complete or still being recorded, as a `Recording`: it reads the committed rows.
 
-    Rows are read as they were recorded, with the same type, order and bits. Each file is verified when it
-    is read, by its sha256 in the manifest, else by the checksums of its pages. An unlisted copy of
-    another file is not read.
+    Rows are read as they were recorded, with the same type, order and bits. Only files in the manifest are
+    read; each is verified by its sha256.
 
     One part of each table is in memory, however long the session. Fingertips that are read in parallel, as
     in a replay, share it.
@@ -83,9 +79,6 @@ class Session:
     )
     _only: dict[str, _Part] = field(  # part of a table with one part, by its name, until it is read
         default_factory=dict[str, _Part], init=False, repr=False, compare=False
-    )
-    _sizes: dict[str, Sizes] = field(  # of files, by sha256, which are read twice in a replay
-        default_factory=dict[str, Sizes], init=False, repr=False, compare=False
     )
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path, Description, Mapping[str, Part]]]:
@@ -120,11 +113,10 @@ class Session:
         """Tables that it has."""
         return tuple(table.name for table in TABLES if self._paths(table))
 
-    def files(self, kind: type[Batch]) -> dict[str, str | None]:
-        """Return the files with its rows of `kind`, in order, with the sha256 of those that are listed."""
+    def files(self, kind: type[Batch]) -> dict[str, str]:
+        """Return the files with its rows of `kind`, in order, with their sha256."""
         table = TABLE_OF.get(kind)
-        paths = self._paths(table) if table else []
-        return {path: self.listed[path].sha256 if path in self.listed else None for path in paths}
+        return {path: self.listed[path].sha256 for path in (self._paths(table) if table else [])}
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip of the rows of `kind`; measured, if session.json does not state it.
@@ -266,22 +258,11 @@ class Session:
         return stored
 
     def _paths(self, table: Table) -> list[str]:
-        """Return the files of a table, including missing ones that are listed."""
-        listed = {path for path in self.listed if table.has(path)}
-        if may_exist(self.folder / JOURNAL):  # the journal may still have the rows of unlisted files
-            return sorted(listed, key=part_number)
-        existing = table_files(self.folder, table)
-        paths = [table.file(number) for number in range(len(existing))]
-        if self.listed:
-            paths = sorted({*existing, *listed}, key=part_number)
-        if set(paths) <= listed:
-            return paths
-        return without_copies(self.folder, paths, self.listed)
+        """Return the files of a table in order."""
+        return sorted(filter(table.has, self.listed), key=part_number)
 
     def _rows(self, path: str, expected: "pa.Schema") -> "pa.Table":
-        part = self.listed.get(path)
-        sha256 = part.sha256 if part else None
-        return read_part(inside(self.folder, self.folder / path), expected, sha256, self._sizes)
+        return read_part(inside(self.folder, self.folder / path), expected, self.listed[path].sha256)
 
 
 def _recover(folder: Path) -> None:

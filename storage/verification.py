@@ -1,37 +1,31 @@
 """Verification of a dataset: every file against the manifests, every page against its checksum."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 from operators.errors import InputError
 from operators.ports import Description
-from storage import files, parts, schema
+from storage import files, schema
 from storage.description import VersionError, read_dataset, read_session, recorders
 from storage.hand_labels import label_file, label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
-    DATASET,
     JOURNAL,
     MANIFEST,
     SAMPLES,
     SESSION,
-    SESSIONS,
     TABLES,
-    Table,
     check_links,
     files_of,
     inside,
     is_table_file,
-    lacks_description,
     may_exist,
-    missing_files,
-    names_without_description,
-    session_names,
+    session_folders,
 )
 from storage.lock import locked
-from storage.manifest import Part, read_manifest
+from storage.parts import Part, read_manifest, read_part
 from storage.recovery import Repair, scratch_files
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
@@ -59,15 +53,6 @@ class SessionFinding:
 
 
 @dataclass(frozen=True)
-class Checked:
-    """File in the manifest of a session."""
-
-    session: str
-    part: Part
-    whole: bool  # False: it is missing or damaged
-
-
-@dataclass(frozen=True)
 class Verified:
     """Result of the verification of a dataset."""
 
@@ -75,8 +60,6 @@ class Verified:
     files: int  # readable Parquet files
     rows: int  # in them
     findings: tuple[SessionFinding, ...]
-    parts: tuple[Checked, ...] = ()
-    names: tuple[str, ...] = ()  # all sessions
 
     @property
     def code(self) -> int:
@@ -86,21 +69,7 @@ class Verified:
     @property
     def worst(self) -> Weight:
         """Weight of the worst finding; a note if there is none."""
-        return heaviest(self.findings)
-
-
-def heaviest(findings: Iterable[SessionFinding]) -> Weight:
-    """Return the weight of the worst finding, a note if there is none."""
-    return _ORDER[max((severity(finding.weight) for finding in findings), default=0)]
-
-
-def severity(weight: Weight) -> int:
-    """Return the rank of a weight, 0 for a note.
-
-    >>> severity("lossy") < severity("lost")
-    True
-    """
-    return _ORDER.index(weight)
+        return _ORDER[max((_ORDER.index(finding.weight) for finding in self.findings), default=0)]
 
 
 def verify(path: str | Path, progress: Progress = lambda _done, _total, _session: None) -> Verified:
@@ -116,48 +85,26 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         InputError: if `path` is neither, cannot be read, or it or one of its sessions has another version.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
-    root = Path(path)
-    findings = list[SessionFinding]()
-    if may_exist(root / SESSION) or lacks_description(root):
-        folders = [root]
-    else:
-        if not root.is_dir():
-            reason = "is a file, must be the folder of a dataset or session"
-            raise InputError(str(root), reason if root.exists() else "there is no such folder")
+    root, findings = Path(path), list[SessionFinding]()
+    folders = session_folders(root)
+    if folders != [root]:
         try:
             read_dataset(root)
         except VersionError:  # nothing is lost
             raise
         except InputError as error:
             findings.append(SessionFinding("", "lost", str(error)))
-        names = sorted([*session_names(root), *names_without_description(root)])
-        folders = [root / SESSIONS / name for name in names]
-        if findings and not folders:
-            reason = f"is not a session (no {SESSION}) and not a dataset (no {DATASET})"
-            raise InputError(str(root), reason)
         if not folders:
-            findings.append(
-                SessionFinding("", "lossy", "has no session: none was recorded, or they are missing")
-            )
+            text = "has no session: none was recorded, or they are missing"
+            findings.append(SessionFinding("", "lossy", text))
     checks = [_SessionCheck(root, folder) for folder in folders]
     done, total = 0, sum(len(check.listed) for check in checks)
     for check in checks:
         for _ in check.run():
             progress(done := done + 1, total, check.name)
         findings += check.findings
-    read = [check.read for check in checks]
-    return Verified(
-        len(checks),
-        sum(map(len, read)),
-        sum(sum(each.values()) for each in read),
-        tuple(findings),
-        tuple(
-            Checked(check.name, part, path in check.read)
-            for check in checks
-            for path, part in check.listed.items()
-        ),
-        tuple(check.name for check in checks),
-    )
+    rows = [rows for check in checks for rows in check.read]
+    return Verified(len(checks), len(rows), sum(rows), tuple(findings))
 
 
 class _SessionCheck:
@@ -167,23 +114,24 @@ class _SessionCheck:
         folder: Folder of the session.
         name: Name of the session.
         findings: Findings so far.
-        read: Rows of the files that could be read so far, by path.
+        read: Rows of each file that could be read so far.
         listed: Parts in the manifest, by path.
     """
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.folder, self.name = folder, (folder.resolve() if folder == root else folder).name
         self.findings: list[SessionFinding] = []
-        self.read: dict[str, int] = {}
+        self.read: list[int] = []
         self.recording = False
         self.listed: dict[str, Part] = {}
         self.about: Description = {}  # session.json, if it can be read
-        self._has_links = True
+        self._has_links = self._has_manifest = True
         try:
             check_links(inside(root, folder))
-            self._has_links = False
+            self._has_links, self._has_manifest = False, False
             self.recording = locked(folder)
             self.listed = read_manifest(folder)
+            self._has_manifest = True
         except InputError as error:
             self._add("lost", str(error))
 
@@ -203,7 +151,7 @@ class _SessionCheck:
         self._check_description()
         for path, part in self.listed.items():
             try:
-                self.read[path] = self._check_part(path, part)
+                self.read.append(self._check_part(path, part))
             except InputError as error:
                 self._add("lost", f"{error}; it had {part.extent}")
             yield
@@ -217,7 +165,7 @@ class _SessionCheck:
         if self.recording:
             self._add("note", "is being recorded: checked up to its last commit")
             return
-        if lacks_description(self.folder):
+        if not may_exist(self.folder / SESSION):
             self._add("lost", f"its {SESSION} is missing; its readable rows are counted")
             return
         try:
@@ -255,6 +203,11 @@ class _SessionCheck:
             if sink["dropped"]:
                 weight: Weight = "lossy" if name in keep else "note"
                 self._add(weight, f"{sink['dropped']} rows for {name} were dropped")
+        written = [cast("dict[str, Any]", about["sinks"])[name]["rows"] for name in keep]
+        found = sum(part.rows for part in self.listed.values())
+        if len(written) == 1 and found < written[0]:  # several sinks are several datasets
+            text = f"{written[0] - found:,} of the {written[0]:,} recorded rows are in no part"
+            self._add("lost", text)
         for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
             for gap in stream["gaps"]:
                 seconds = (gap["end"] - gap["start"]) / 1e9
@@ -266,9 +219,9 @@ class _SessionCheck:
         Raises:
             InputError: if it is damaged.
         """
-        table = _table(path)
-        rows = parts.read_part(self.folder / path, schema.schema(table), part.sha256)
-        if parts.manifest_entry(path, rows, part.sha256) != part:
+        table = next(table for table in TABLES if table.has(path))
+        rows = read_part(self.folder / path, schema.schema(table), part.sha256)
+        if Part.of(path, rows, part.sha256) != part:
             raise InputError(str(self.folder / path), "has other rows or times than in the manifest")
         if table is SAMPLES:
             for finger, batch in schema.from_arrow(table, table.kind, rows).items():
@@ -283,8 +236,8 @@ class _SessionCheck:
         except InputError as error:
             self._add("lost", str(error))
             return
-        for text in missing_files(versions, 1, label_file):
-            self._add("lost", f"{text}: is missing, with its labels")
+        for number in set(range(1, len(versions) + 1)) - versions.keys():
+            self._add("lost", f"{label_file(number)}: is missing, with its labels")
         for number in versions:
             try:
                 read_hand_labels(self.folder, number)
@@ -298,9 +251,11 @@ class _SessionCheck:
         if self.recording:
             return
         if may_exist(self.folder / JOURNAL):
-            self._add("repairable", "has a journal: slipflow recover turns it into parts")
-        if not may_exist(self.folder / MANIFEST):
-            self._add("repairable", f"has no {MANIFEST}: slipflow recover rewrites it")
+            self._add("repairable", "has a journal: slipflow verify --repair turns it into parts")
+        if self._has_manifest and not may_exist(self.folder / MANIFEST):
+            self._add("repairable", f"has no {MANIFEST} and no part: slipflow verify --repair writes it")
+        if not self._has_manifest:  # reported already
+            return
         try:
             repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
         except InputError as error:
@@ -308,20 +263,15 @@ class _SessionCheck:
             return
         for text in repair.lost:
             self._add("lossy" if text in repair.cut else "lost", text)
-        for text in (*repair.done, *(f"{path} is not in the manifest" for path in repair.adopted)):
-            self._add("repairable", f"{text}: slipflow recover repairs this")
+        for text in repair.done:
+            self._add("repairable", f"{text}: slipflow verify --repair repairs this")
         self._check_names()
 
     def _check_names(self) -> None:
         """Note files that are not part of the session."""
         for path in scratch_files(self.folder):
-            self._add("note", f"{path.name} was left over: slipflow recover deletes it")
+            self._add("note", f"{path.name} was left over: slipflow verify --repair deletes it")
         for table in TABLES:
             for path in files_of(self.folder, table.pattern):
                 if not is_table_file(path.relative_to(self.folder).as_posix()):
                     self._add("note", f"{path}: is not read: its name is not that of a part")
-
-
-def _table(path: str) -> Table:
-    """Return the table of a file."""
-    return next(table for table in TABLES if table.has(path))

@@ -19,8 +19,7 @@ from storage.description import describe_dataset, describe_session
 from storage.journal import APPEND_AT, Journal, NumberedRows
 from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, TOUCH, Table, new_session_folder
 from storage.lock import lock
-from storage.manifest import Part, write_manifest
-from storage.parts import commit_part
+from storage.parts import Part, write_manifest, write_part
 from storage.schema import to_arrow
 
 
@@ -306,7 +305,7 @@ class SessionWriter:
             self._make_folder(self.folder / table.name)
         for start in range(0, some, size):  # several parts only if one batch exceeds `part_rows`
             path = table.file(self._numbers[table.name] + len(parts))
-            parts.append(commit_part(self.folder, path, rows.slice(start, size), put=self._put))
+            parts.append(write_part(self.folder, path, rows.slice(start, size), self._put))
         self._parts += parts
         self._numbers[table.name] += len(parts)
 

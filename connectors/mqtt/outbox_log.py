@@ -229,7 +229,7 @@ class OutboxLog:
         except (ValueError, TypeError, LookupError) as error:
             reason = f"has an invalid record at byte {reader.end}: move it away"
             raise InputError(str(reader.path), reason) from error
-        if reader.damage and reader.damage.more:
+        if reader.damage and not reader.damage.torn:
             log.error("%s: damaged at byte %d; the rest of it is lost", reader.path, reader.damage.offset)
         if segment.offsets or acknowledgements:
             self._segments.append(segment)

@@ -1,7 +1,6 @@
 """The command `slipflow export`."""
 
 import json
-import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,30 +8,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli.options import AsJson
-from flows.cli.terminal import check_output_file, note, progress_bar
+from flows.cli.terminal import check_output_file, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
     from storage import Session
 
-_EXTRAS = {"lerobot": "", "mcap": "mcap", "rrd": "rerun"}  # needed, by format
+_FORMATS = ("lerobot", "mcap", "onnx")
 
 
 def export(
-    dataset: Annotated[
-        Path, typer.Argument(metavar="DATASET|SESSION", help="Folder of a dataset or session.")
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE", help="Folder of a dataset or session; with --to onnx a model: tcn or its file."
+        ),
     ],
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="New folder; for one session also FILE.mcap or FILE.rrd.")
+        Path, typer.Argument(metavar="OUT", help="New folder; FILE.mcap for one session; FILE.onnx.")
     ],
     *,
     to: Annotated[
-        str,
-        typer.Option(
-            "--to",
-            help="Format: lerobot (LeRobot v3.0), mcap (Foxglove) or rrd (Rerun); mcap and rrd: one file per"
-            " session.",
-        ),
+        str, typer.Option("--to", metavar="FORMAT", help="lerobot (LeRobot v3.0), mcap (Foxglove) or onnx.")
     ],
     rate: Annotated[
         int | None,
@@ -40,75 +37,36 @@ def export(
             min=1, help="Frames per second, with --to lerobot (default: the lowest rate of the samples)."
         ),
     ] = None,
-    task: Annotated[
-        str | None,
-        typer.Option(
-            help="Task description, with --to lerobot (default: the motion's name in the recording)."
-        ),
-    ] = None,
-    native: Annotated[
-        bool,
-        typer.Option(
-            "--native",
-            help="With --to lerobot: also copy the recordings, at their own rate, into OUT/slipflow.",
-        ),
-    ] = False,
-    detector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Add the slip probability of this detector (name or .safetensors file), with --to rrd.",
-        ),
-    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Export recordings to LeRobot, MCAP or Rerun.
+    """Export recordings to LeRobot or MCAP, or a model to ONNX.
 
     lerobot: each session becomes an episode. The observation is the zeroed counts of all fingertips, the
-    action is the arm velocity. Each sample goes to the nearest frame and is never repeated; a gap splits the
-    episode. Requires samples, which `slipflow run record` writes. With --native all rows remain available
-    next to the frames: OUT/slipflow is a dataset of slipflow, identical bit by bit.
+    action is the arm velocity. Each frame takes the nearest sample; without one it repeats the frame before
+    it, with `valid` false. Requires samples, which `slipflow run record` writes.
 
     mcap: every row of every stream at its event time, on the topics /touch/FINGER, /motion, /samples/FINGER,
-    /slip/FINGER and /faults. Requires the extra `mcap`.
+    /slip/FINGER and /faults; one file per session. Requires the extra `mcap`.
 
-    rrd: counts, speed and, with --detector, slip probability as time series; slips and faults as a text log.
-    Requires the extra `rerun` (490 MB).
+    onnx: a tcn for other runtimes, from windows of zeroed counts to the calibrated probability of slip.
+    Requires the extra `train`.
 
     Examples:
       slipflow export recordings lerobot --to lerobot --rate 50
       slipflow export recordings/sessions/stroke-9 stroke.mcap --to mcap
+      slipflow export mine.safetensors mine.onnx --to onnx
     """
-    from operators.extras import require_extra
-
-    if to not in _EXTRAS:
-        raise typer.BadParameter(f"--to {to}: give lerobot, mcap or rrd")
-    if detector is not None and to != "rrd":
-        raise typer.BadParameter(f"--detector requires --to rrd: omit it with --to {to}")
-    if extra := _EXTRAS[to]:
-        require_extra(extra, f"--to {to}")
-    if native and to != "lerobot":
-        raise typer.BadParameter(f"--native requires --to lerobot: omit it with --to {to}")
-    sessions = _sessions(dataset)
-    began = time.time_ns()  # after a recovery, which changes session.json
+    if to not in _FORMATS:
+        raise typer.BadParameter(f"--to {to}: give lerobot, mcap or onnx")
+    if rate is not None and to != "lerobot":
+        raise typer.BadParameter(f"--rate requires --to lerobot: omit it with --to {to}")
     if to == "lerobot":
-        found, text = _lerobot(sessions, out, rate, task, native=native)
+        found, text = _lerobot(Path(source), out, rate)
+    elif to == "mcap":
+        found, text = _mcap(Path(source), out)
     else:
-        found, text = _files(sessions, out, to, detector)
-    for session in sessions:
-        _mark(session, to, out, began)
+        found, text = _onnx(source, out)
     typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
-
-
-def _mark(session: "Session", to: str, out: Path, began: int) -> None:
-    """Mark a session as exported, for `slipflow prune --keep-unexported`; it may be on a read-only disk."""
-    from operators.errors import os_error_reason
-    from storage.retention import mark_exported
-
-    try:
-        mark_exported(session.folder, to, out, began)
-    except OSError as error:
-        note(f"{session.folder}: cannot be marked as exported: {os_error_reason(error)}")
 
 
 def _sessions(dataset: Path) -> "list[Session]":
@@ -121,44 +79,32 @@ def _sessions(dataset: Path) -> "list[Session]":
     return [Session.open(session_folder(dataset, name)) for name in names]
 
 
-def _lerobot(
-    sessions: "list[Session]", out: Path, rate: int | None, task: str | None, *, native: bool
-) -> tuple[dict[str, Any], str]:
+def _lerobot(source: Path, out: Path, rate: int | None) -> tuple[dict[str, Any], str]:
     from storage.exports.lerobot import export as write
 
+    sessions = _sessions(source)
     with progress_bar("exporting") as update:
         done = write(
-            sessions,
-            out,
-            rate=rate,
-            task=task,
-            native=native,
-            progress=lambda number, name: update(number, len(sessions), name),
+            sessions, out, rate=rate, progress=lambda number, name: update(number, len(sessions), name)
         )
     splits = ", ".join(f"{split} {span}" for split, span in done.splits.items())
-    source = f"{counted(done.sessions, 'session')}, split at {counted(done.gaps, 'gap')}"
-    frames = f"{counted(done.samples, 'sample')}: {counted(done.frames, 'frame')} at {done.rate} Hz"
     lines = [
-        f"{source}: {counted(done.episodes, 'episode')} ({splits})",
-        f"{frames} of {', '.join(done.features)}",
+        f"{counted(done.episodes, 'episode')} ({splits})",
+        f"{counted(done.frames, 'frame')} at {done.rate} Hz of {', '.join(done.features)}",
+        f"{counted(done.repeated, 'frame')} without a sample: values repeated, valid false",
+        f"wrote {out}",
     ]
-    if done.samples > done.frames:
-        lines.append(
-            f"{counted(done.samples - done.frames, 'sample')} omitted: incomplete (another fingertip or the"
-            " arm velocity is missing), not the nearest to a frame, or isolated between gaps"
-        )
-    if native:
-        lines.append(f"the recordings are in {out / 'slipflow'}")
-    return asdict(done), "\n".join([*lines, f"wrote {out}"])
+    return asdict(done), "\n".join(lines)
 
 
-def _files(sessions: "list[Session]", out: Path, to: str, detector: str | None) -> tuple[dict[str, Any], str]:
+def _mcap(source: Path, out: Path) -> tuple[dict[str, Any], str]:
     """Write a file for each session."""
-    from storage import load_detector
-    from storage.exports import mcap_file, rrd_file
+    from operators.extras import require_extra
+    from storage.exports import mcap_file
 
-    model = None if detector is None else load_detector(detector)
-    files, single = dict[str, dict[str, int]](), len(sessions) == 1 and out.suffix == f".{to}"
+    require_extra("mcap", "--to mcap")
+    sessions = _sessions(source)
+    files, single = dict[str, dict[str, int]](), len(sessions) == 1 and out.suffix == ".mcap"
     if single:
         check_output_file(out)
     with progress_bar("exporting") as update:
@@ -168,13 +114,24 @@ def _files(sessions: "list[Session]", out: Path, to: str, detector: str | None) 
             def progress(rows: int, number: int = number, name: str = name) -> None:
                 update(number, len(sessions), f"{name}, {rows:,} rows")
 
-            path = out if single else out / f"{name}.{to}"
-            written = (
-                mcap_file.export(session, path, progress)
-                if to == "mcap"
-                else rrd_file.export(session, path, model, progress)
-            )
-            files[str(path)] = dict(written)
+            path = out if single else out / f"{name}.mcap"
+            files[str(path)] = dict(mcap_file.export(session, path, progress))
     rows = sum(sum(topics.values()) for topics in files.values())
     text = f"{counted(len(files), 'file')}, {counted(rows, 'row')}\nwrote {', '.join(files)}"
     return {"files": files}, text
+
+
+def _onnx(model: str, out: Path) -> tuple[dict[str, Any], str]:
+    from flows.learn.training.onnx_export import export_onnx
+    from operators.detectors import Tcn
+    from operators.errors import InputError
+    from operators.extras import require_extra
+    from storage import load_detector
+
+    require_extra("train", "--to onnx")
+    detector = load_detector(model)
+    if not isinstance(detector, Tcn):
+        raise InputError(model, "is not a tcn; only a tcn can be exported: give tcn or a file of its weights")
+    check_output_file(out)
+    export_onnx(detector, out)
+    return {"model": model}, f"wrote {out}"

@@ -31,19 +31,16 @@ TABLE: Final = CommandTable(
         "train": Entry(_LEARN, "Train a slip detector.", "train"),
         "calibrate": Entry(_LEARN, "Tune the debounce for a stated rate of false alarms.", "calibrate"),
         "evaluate": Entry(_LEARN, "Compare detectors on a dataset.", "evaluate"),
-        "onnx": Entry(_LEARN, "Export a tcn as ONNX for other runtimes.", "onnx"),
         "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
         "experiment": Entry(
             _ROBOTS, "Run a robot experiment of the paper in closed loop, simulated.", "experiment"
         ),
         "verify": Entry(_DATA, "Read all files of a dataset and report losses and damage.", "verify"),
-        "recover": Entry(_DATA, "Repair recordings after a crash.", "recover"),
-        "prune": Entry(_DATA, "Delete old sessions of a dataset.", "prune"),
         "fetch": Entry(_DATA, "Download, verify and import a public dataset of real touch.", "fetch"),
         "import": Entry(
             _DATA, "Import recordings of any fingertip as sessions of a dataset.", "import_command"
         ),
-        "export": Entry(_DATA, "Export recordings to LeRobot, MCAP or Rerun.", "export"),
+        "export": Entry(_DATA, "Export recordings to LeRobot or MCAP, or a model to ONNX.", "export"),
         "simulate": Entry(_DATA, "Simulate a collection plan as a labelled dataset.", "simulate"),
     }
 )

@@ -1,66 +1,112 @@
 """The command `slipflow verify`."""
 
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
 from flows.cli.options import AsJson, DatasetOrSession
 from flows.cli.terminal import note, progress_bar
+from flows.report.table import counted
 
 if TYPE_CHECKING:
-    from storage import Verified
+    from storage import Recovery, Verified
+
+_VERDICTS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "note": "all data is present",
+        "repairable": "repairable, all rows on disk can be recovered: add --repair",
+        "repaired": "repaired, all rows on disk were recovered",
+        "lossy": "rows are known to be missing",
+        "lost": "recorded data is lost",
+    }
+)
 
 
 def verify(
     path: DatasetOrSession,
     *,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            "--report",
-            "-o",
-            metavar="FILE.html",
-            help="Also write the result as a page; its folder must exist.",
-        ),
-    ] = None,
+    repair: Annotated[
+        bool, typer.Option("--repair", help="First repair sessions whose recorder was killed.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Read all files of a dataset and report losses and damage.
 
-    Compares every file with the manifest: SHA-256, page checksums, rows and times. Changes nothing. During
-    a recording it checks the committed part.
+    Compares every file with the manifest: SHA-256, page checksums, rows and times. During a recording it
+    checks the committed part. Changes nothing without --repair, which moves the rows of a killed recorder's
+    journal into the dataset, as opening such a session with slipflow does. Files that do not belong to the
+    session are moved to its folder `damaged`.
 
     Exits 0 if the data is complete; 3 if something was or can be repaired without loss of rows on disk, or
     rows are known to be missing (for example dropped ones); 1 if recorded data is lost or damaged, even after
-    a recovery. With --json this is "code", and "worst" is good, repairable, repaired, lossy or lost. How many
+    a repair. With --json this is "code", and "worst" is good, repairable, repaired, lossy or lost. How many
     rows a killed recorder could not write, for example because the disk was full, is unknown.
 
     Examples:
-      slipflow verify recordings -o report.html
-      slipflow verify recordings/sessions/stroke-9 --json
+      slipflow verify recordings
+      slipflow verify recordings/sessions/stroke-9 --repair --json
     """
-    from flows.cli import verification_page as page
     from storage import verify as check
 
-    if report is not None:
-        page.check_file(report)
+    repaired = _repair(path) if repair else []
     with progress_bar("verifying") as update:
         found = check(path, update)
-    if report is not None:
-        page.write(found, path, report)
-        note(f"wrote {report}")
-    typer.echo(json.dumps(page.summary(found)) if as_json else _text(path, found))
+    if as_json:
+        typer.echo(json.dumps(_summary(found, repaired)))
+    else:
+        for each in repaired:
+            typer.echo(_repair_text(each))
+        typer.echo(_text(path, found))
     if found.code:
         raise typer.Exit(found.code)
 
 
-def _text(path: Path, found: "Verified") -> str:
-    from flows.cli.verification_page import VERDICTS, size
+def _repair(path: Path) -> "list[Recovery]":
+    """Recover the sessions that need it; sessions that are being recorded or cannot be recovered stay."""
+    from operators.errors import SlipflowError
+    from storage import recover
+    from storage.layout import session_folders
 
+    done = list["Recovery"]()
+    folders = session_folders(path)
+    with progress_bar("repairing") as update:
+        for number, folder in enumerate(folders, 1):
+            try:
+                done.append(recover(folder))
+            except SlipflowError as error:
+                note(f"not repaired: {error}")
+            update(number, len(folders))
+    return [each for each in done if each.changed]
+
+
+def _repair_text(done: "Recovery") -> str:
+    rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items())
+    return "; ".join([f"{done.session}: recovered {rows or 'no rows'}", *done.done])
+
+
+def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:
+    return {
+        "sessions": found.sessions,
+        "files": found.files,
+        "rows": found.rows,
+        "repaired": [{"session": each.session, "rows": dict(each.rows)} for each in repaired],
+        "findings": [asdict(finding) for finding in found.findings],
+        "worst": "good" if found.worst == "note" else found.worst,  # a note is not a fault
+        "code": found.code,
+    }
+
+
+def _text(path: Path, found: "Verified") -> str:
     width = max((len(each.weight) for each in found.findings), default=0)
     lines = [
         f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
     ]
-    return "\n".join([*lines, f"{path}: {size(found)}: {VERDICTS[found.worst]}"])
+    size = ", ".join(
+        [counted(found.sessions, "session"), counted(found.files, "file"), counted(found.rows, "row")]
+    )
+    return "\n".join([*lines, f"{path}: {size}: {_VERDICTS[found.worst]}"])

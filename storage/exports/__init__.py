@@ -1,1 +1,1 @@
-"""Export of sessions to LeRobot, MCAP and Rerun."""
+"""Export of sessions to LeRobot and MCAP."""

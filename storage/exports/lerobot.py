@@ -6,67 +6,97 @@
     meta/stats.json                             statistics of each feature
     meta/tasks.parquet                          tasks by number
     meta/episodes/chunk-000/file-000.parquet    episodes: positions of their frames, statistics
-    data/chunk-000/file-000.parquet             frames
-    slipflow/                                   on request: the sessions, unchanged, as a dataset of slipflow
+    data/chunk-000/file-000.parquet             frames, one file per episode
 
-A session becomes one episode, because it goes from rest to rest and slip depends on earlier samples.
-The motion of the arm is the task of each frame. Missing samples split the session, see
-`storage.exports.grid`. Frames are ``1 / rate`` s apart, counted from the start of their episode. The columns
-``slipflow/session`` and ``slipflow/start_ns`` of the episodes name their recording and its time.
+A session becomes one episode, because slip depends on earlier samples. Its frames lie on a regular grid of
+``1 / rate`` s. A frame takes the nearest sample of each fingertip within half that time; no value is
+interpolated. A frame without a sample repeats the values before it, with ``valid`` false and ``label`` -1.
+The motion of the arm is the task of each frame. The columns ``slipflow/session`` and ``slipflow/start_ns`` of
+the episodes name their recording and the time of its first frame.
 
 References:
     LeRobot dataset v3.0, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
+from __future__ import annotations  # they name classes of pyarrow
+
+import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isclose
 from pathlib import Path
-from shutil import copy2, copytree
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from operators.batch import EVERY, Episodes, Labelled, concat
-from operators.checks import check_at_least
-from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
-from operators.fingertip import RATE_TOLERANCE
-from storage.description import describe_dataset
-from storage.exports.grid import Contents, find_contents, to_frames
-from storage.exports.lerobot_features import features, frame_tasks, values
-from storage.exports.lerobot_files import (
-    CHUNK,
-    DATA,
-    MAX_MB,
-    DataFiles,
-    statistics,
-    write_episodes,
-    write_tasks,
+from operators.batch import (
+    EVERY,
+    MOTIONS,
+    UNKNOWN,
+    Episodes,
+    Flags,
+    Labelled,
+    Motion,
+    Times,
+    concat,
+    ms,
+    s,
 )
+from operators.checks import check_at_least
+from operators.errors import InputError, ParameterError
+from operators.fingertip import RATE_TOLERANCE
+from operators.ports import SomeBatch
+from operators.score import forward_fill
+from storage.arrow import pa, pq
 from storage.files import partial_folder, put_json
-from storage.layout import JOURNAL, may_exist, session_folder
 from storage.session import Session
 
 VERSION: Final = "v3.0"
 SPLITS: Final = ("train", "validation", "test")
-NATIVE: Final = "slipflow"  # folder of the copied sessions
-_MEASURED: Final = 1e-3  # largest relative error of a measured rate
+STATE: Final = "observation.state"  # zeroed counts of all fingertips
+POSE: Final = "observation.pose"  # pose of the TCP
+ACTION: Final = "action"  # velocity of the TCP
+DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+TASKS: Final = "meta/tasks.parquet"
+EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
+CHUNK: Final = 1000  # files per folder
+POSE_WITHIN: Final = 20 * ms  # ns, largest distance between a frame and its pose
+
+_MAX_MB: Final = 100  # size of a data file that LeRobot would start anew; we write one per episode
+_QUANTILES: Final = (0.01, 0.1, 0.5, 0.9, 0.99)
+_TASKS: Final[Mapping[str | None, str]] = {
+    "translation": "slide the fingertip over the surface",
+    "rotation": "turn the fingertip on the surface",
+    "hold": "hold the fingertip still",
+    "tap": "tap the surface",
+    "lift": "lift the fingertip off",
+}
+_OTHER_TASK: Final = "detect slip"
+
+Values = dict[str, NDArray[Any]]  # one row per frame, by feature
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
     """Result of an export."""
 
-    out: Path
     rate: int  # frames per second
     features: tuple[str, ...]
-    sessions: int
     episodes: int
     frames: int
-    samples: int  # of the first fingertip of each session
-    gaps: int  # that split sessions
+    repeated: int  # frames without a sample of at least one fingertip
     splits: Mapping[str, str]  # range "from:to" of episodes
+
+
+@dataclass(frozen=True, slots=True)
+class _Contents:
+    """Data that every session has."""
+
+    fingers: tuple[int, ...]
+    cells: int  # of each fingertip
+    velocity: bool
+    pose: bool
 
 
 def export(
@@ -74,8 +104,6 @@ def export(
     out: Path,
     *,
     rate: int | None = None,
-    task: str | None = None,
-    native: bool = False,
     progress: Callable[[int, str], object] = lambda _done, _session: None,
 ) -> Exported:
     """Write sessions with the same fingertips as one LeRobot dataset.
@@ -87,163 +115,294 @@ def export(
         sessions: Sessions to write, ordered by split and name; those without a split are for training.
         out: Folder to create.
         rate: Frames per second; None: the lowest rate of the sessions' samples, in whole Hz.
-        task: Task description; None: the motion of the arm in the recording's episodes.
-        native: Also copy the sessions, with all rows at their own rate, into the folder ``slipflow``.
         progress: Called with the number of finished sessions and the name of the next.
 
     Raises:
         ParameterError: if the rate is below 1 Hz, or there is no session.
         InputError: if a session has no samples, is damaged, or has other fingertips; if the rate is above
-            that of the samples; if there is no frame; if a session to copy is being recorded.
+            that of the samples; if a session has no frame.
         EndpointError: if the folder exists or cannot be written; then nothing is left of it.
     """
     if rate is not None:
         check_at_least("LeRobot export", "rate", rate, 1, "Hz")
     contents = _common_contents(sessions)
     rate = _frame_rate(sessions, rate)
-    declared = features(contents)
+    declared = _features(contents)
     tasks, splits, episodes = dict[str, int](), Counter[str](), list[dict[str, Any]]()
-    samples, gaps = 0, 0
-    with partial_folder(out) as folder, DataFiles(folder, declared) as data:
-        for done, (split, session) in enumerate(_ordered(sessions)):
-            progress(done, session.name)
-            grid = to_frames(session, rate, contents)
-            samples, gaps = samples + grid.samples, gaps + max(len(grid.stretches) - 1, 0)
-            recorded = concat(Episodes, list(session.read(Episodes, EVERY)))
-            for stretch in grid.stretches:
-                words = frame_tasks(stretch, recorded) if task is None else [task] * len(stretch)
-                numbers = np.array([tasks.setdefault(each, len(tasks)) for each in words])
-                first, number = data.rows, len(episodes)
-                rows = values(stretch, contents, rate, episode=number, index=first, tasks=numbers)
-                chunk, file = data.write(rows)
-                episodes.append(
-                    {
-                        "episode_index": number,
-                        "tasks": list(dict.fromkeys(words)),
-                        "length": len(stretch),
-                        "data/chunk_index": chunk,
-                        "data/file_index": file,
-                        "dataset_from_index": first,
-                        "dataset_to_index": data.rows,
-                        **_flat({name: statistics(each) for name, each in rows.items()}),
-                        "meta/episodes/chunk_index": 0,
-                        "meta/episodes/file_index": 0,
-                        "slipflow/session": session.name,
-                        "slipflow/start_ns": int(stretch.time[0]),
-                    }
-                )
-                splits[split] += 1
-            if native:
-                _copy(session, folder / NATIVE)
-        data.close()
-        if not episodes:
-            reason = f"would have no frames: no two samples are consecutive at {rate} Hz; give a lower rate"
-            raise InputError(str(out), reason)
-        write_tasks(folder, list(tasks))
-        write_episodes(folder, episodes)
-        put_json(folder / "meta/stats.json", data.statistics())
+    rows = repeated = 0
+    with partial_folder(out) as folder:
+        for number, (split, session) in enumerate(_ordered(sessions)):
+            progress(number, session.name)
+            values, time, whole = _frames(session, rate, contents)
+            words = _frame_tasks(time, concat(Episodes, list(session.read(Episodes, EVERY))))
+            values |= {
+                "episode_index": np.full(len(time), number),
+                "index": np.arange(rows, rows + len(time)),
+                "task_index": np.array([tasks.setdefault(each, len(tasks)) for each in words]),
+            }
+            place = dict(zip(("chunk_index", "file_index"), divmod(number, CHUNK), strict=True))
+            _write(folder / DATA.format(**place), _table(values, declared))
+            stats = {name: _statistics(values[name]) for name in declared}
+            episodes.append(
+                {
+                    "episode_index": number,
+                    "tasks": list(dict.fromkeys(words)),
+                    "length": len(time),
+                    **{f"data/{name}": value for name, value in place.items()},
+                    "dataset_from_index": rows,
+                    "dataset_to_index": rows + len(time),
+                    **{
+                        f"stats/{name}/{key}": value
+                        for name, of in stats.items()
+                        for key, value in of.items()
+                    },
+                    "meta/episodes/chunk_index": 0,
+                    "meta/episodes/file_index": 0,
+                    "slipflow/session": session.name,
+                    "slipflow/start_ns": int(time[0]),
+                }
+            )
+            rows, repeated = rows + len(time), repeated + int((~whole).sum())
+            splits[split] += 1
+        _write_tasks(folder, list(tasks))
+        _write(folder / EPISODES, pa.Table.from_pylist(episodes))
+        put_json(folder / "meta/stats.json", _all_statistics(folder, declared))
         ranges = _ranges(splits)
-        put_json(
-            folder / "meta/info.json",
-            {
-                "codebase_version": VERSION,
-                "robot_type": None,
-                "total_episodes": len(episodes),
-                "total_frames": data.rows,
-                "total_tasks": len(tasks),
-                "chunks_size": CHUNK,
-                "data_files_size_in_mb": MAX_MB,
-                "video_files_size_in_mb": MAX_MB,
-                "fps": rate,
-                "splits": ranges,
-                "data_path": DATA,
-                "video_path": None,
-                "features": declared,
-            },
-        )
-    count = len(sessions), len(episodes), data.rows, samples, gaps
-    return Exported(out, rate, tuple(declared), *count, ranges)
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": None,
+            "total_episodes": len(episodes),
+            "total_frames": rows,
+            "total_tasks": len(tasks),
+            "chunks_size": CHUNK,
+            "data_files_size_in_mb": _MAX_MB,
+            "video_files_size_in_mb": _MAX_MB,
+            "fps": rate,
+            "splits": ranges,
+            "data_path": DATA,
+            "video_path": None,
+            "features": declared,
+        }
+        put_json(folder / "meta/info.json", info)
+    return Exported(rate, tuple(declared), len(episodes), rows, repeated, ranges)
 
 
-def _copy(session: Session, root: Path) -> None:
-    """Copy a session into a dataset, file by file.
-
-    Raises:
-        InputError: if it is being recorded.
-    """
-    if may_exist(session.folder / JOURNAL):
-        raise InputError(str(session.folder), "is being recorded: export it when the recording ends")
-    root.mkdir(exist_ok=True)
-    describe_dataset(root)
-    copytree(session.folder, session_folder(root, session.name), copy_function=_copy_file)
-
-
-def _copy_file(source: str, target: str) -> None:
-    """Copy a file; raise at once, where `copytree` would go on and collect the errors of all files."""
-    try:
-        copy2(source, target)
-    except OSError as error:
-        raise EndpointError(target, f"cannot be written: {os_error_reason(error)}") from error
-
-
-def _common_contents(sessions: Sequence[Session]) -> Contents:
+def _common_contents(sessions: Sequence[Session]) -> _Contents:
     """Return the data that every session has."""
     if not sessions:
         raise ParameterError("LeRobot export", "sessions", [], "at least one")
-    found = [find_contents(session) for session in sessions]
+    found = [_contents(session) for session in sessions]
     for session, each in zip(sessions, found, strict=True):
         if (each.fingers, each.cells) != (found[0].fingers, found[0].cells):
             own, other = (f"fingertips {one.fingers} of {one.cells} cells" for one in (each, found[0]))
             reason = f"has {own}, but {sessions[0].name} has {other}"
             raise InputError(str(session.folder), f"{reason}: export them separately")
-    velocity, pose = (
-        all(known) for known in zip(*((each.velocity, each.pose) for each in found), strict=True)
-    )
-    return Contents(found[0].fingers, found[0].cells, velocity, pose)
+    velocity, pose = all(each.velocity for each in found), all(each.pose for each in found)
+    return _Contents(found[0].fingers, found[0].cells, velocity, pose)
+
+
+def _contents(session: Session) -> _Contents:
+    fingers = session.fingers(Labelled)
+    if not fingers:
+        reason = "has no samples, which frames are made of: record with `slipflow run record`"
+        raise InputError(str(session.folder), reason)
+    samples = _rows(session, Labelled, fingers[0])
+    velocity, pose = samples.velocity, _rows(session, Motion, EVERY).pose
+    has = [bool(_all_finite(values).any()) for values in (velocity, pose)]
+    return _Contents(fingers, samples.cells, *has)
+
+
+def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
+    """Return whether all values (n, m) of a row are finite (n,)."""
+    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
+
+
+def _rows(session: Session, kind: type[SomeBatch], finger: int) -> SomeBatch:
+    """Return all rows of a fingertip in order of time."""
+    rows = concat(kind, list(session.read(kind, finger)))
+    return rows[np.argsort(rows.time, kind="stable")]
 
 
 def _frame_rate(sessions: Sequence[Session], wanted: int | None) -> int:
-    """Return the wanted rate, or the lowest of the sessions' samples: whole, rounded down unless measured.
+    """Return the wanted rate, or the lowest of the sessions' samples, in whole Hz.
 
     Raises:
-        InputError: if the wanted rate is above that of a session's samples, so that few are consecutive.
+        InputError: if the wanted rate is above that of a session's samples.
     """
     rates = [(found.rate, str(each.folder)) for each in sessions if (found := each.fingertip(Labelled))]
     lowest, slowest = min(rates)
     if wanted is None:
-        nearest = round(lowest)
-        return max(nearest if isclose(nearest, lowest, rel_tol=_MEASURED) else int(lowest), 1)
+        return max(round(lowest), 1)
     if wanted > lowest * (1 + RATE_TOLERANCE):
         reason = f"has {lowest:.4g} samples per second, too few for frames at {wanted} Hz; give a lower rate"
         raise InputError(slowest, reason)
     return wanted
 
 
+def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, Times, Flags]:
+    """Return the frames of a session, their times (n,) ns, and whether every fingertip has a sample (n,).
+
+    Raises:
+        InputError: if the session is damaged or has no frame.
+    """
+    samples = [_rows(session, Labelled, finger) for finger in contents.fingers]
+    begin = sum(int(each.time[0]) for each in samples) // len(samples)
+    last = min(int(each.time[-1]) for each in samples)
+    time = begin + np.arange(max(last - begin, 0) * rate // s + 2) * s // rate  # (n,) the grid
+    half = s // (2 * rate)
+    near = [_nearest(each.time, time, half) for each in samples]
+    hands = session.hand_labels()
+    values, labels = Values(), list[NDArray[Any]]()
+    cells = [forward_fill(each.counts, each.valid)[row] for each, (row, _) in zip(samples, near, strict=True)]
+    valid = [each.valid[row] & there[:, None] for each, (row, there) in zip(samples, near, strict=True)]
+    for finger, each, (row, there) in zip(contents.fingers, samples, near, strict=True):
+        label, _ = hands.replace(each.label, each.time, finger)
+        labels.append(np.where(there, label[row], UNKNOWN))
+    whole = np.logical_and.reduce([there for _, there in near])  # (n,)
+    known = whole.copy()
+    values[STATE] = np.concatenate(cells, axis=1).astype(np.float32)  # (n, fingers * cells)
+    if contents.pose:
+        motion = _rows(session, Motion, EVERY)
+        motion = motion[np.flatnonzero(_all_finite(motion.pose))]
+        row, there = _nearest(motion.time, time, POSE_WITHIN)
+        values[POSE], known = motion.pose[row].astype(np.float32), known & there
+    if contents.velocity:
+        velocity = samples[0].velocity
+        there = _all_finite(velocity)
+        filled = forward_fill(velocity, np.repeat(there[:, None], velocity.shape[1], axis=1))
+        values[ACTION], known = filled[near[0][0]].astype(np.float32), known & there[near[0][0]]
+    values["valid"] = np.concatenate(valid, axis=1)
+    values["label"] = np.stack(labels, axis=1).astype(np.int64)
+    if not known.any():
+        raise InputError(
+            str(session.folder), f"has no frame at {rate} Hz with all its data; give a lower rate"
+        )
+    span = slice(int(known.argmax()), len(known) - int(known[::-1].argmax()))  # from the first to the last
+    values = {name: each[span] for name, each in values.items()}
+    number = np.arange(len(time[span]))
+    values |= {
+        "next.done": number == len(number) - 1,
+        "timestamp": (number / rate).astype(np.float32),
+        "frame_index": number,
+    }
+    return values, time[span], whole[span]
+
+
+def _nearest(known: Times, time: Times, within: int) -> tuple[NDArray[np.intp], Flags]:
+    """Return the row of the nearest of `known` for each time (n,), and whether it is near (n,).
+
+    A time without one gets the row before it.
+
+    >>> [each.tolist() for each in _nearest(np.array([0, 10, 40]), np.array([1, 9, 20, 41]), 5)]
+    [[0, 1, 1, 2], [True, True, False, True]]
+    """
+    after = known.searchsorted(time).clip(0, len(known) - 1)
+    before = (known.searchsorted(time, "right") - 1).clip(0)
+    row = np.where(time - known[before] <= known[after] - time, before, after)
+    there = np.abs(known[row] - time) <= within
+    return np.where(there, row, before), there
+
+
+def _frame_tasks(time: Times, episodes: Episodes) -> list[str]:
+    """Return the task of each frame (n,), from the motions of the recording's episodes."""
+    codes: list[int] = episodes.motion.tolist()
+    tasks = [*(_TASKS.get(MOTIONS[code], _OTHER_TASK) for code in codes), _OTHER_TASK]
+    ends = np.append(episodes.end, np.iinfo(np.int64).min)
+    number = episodes.time.searchsorted(time, "right") - 1  # (n,) -1: before the first
+    number = np.where(time < ends[number], number, -1)
+    return [tasks[each] for each in number.tolist()]
+
+
+def _features(contents: _Contents) -> dict[str, dict[str, Any]]:
+    """Return element type, shape and element names of each feature."""
+
+    def feature(dtype: str, names: list[str] | None = None) -> dict[str, Any]:
+        return {"dtype": dtype, "shape": [len(names or [""])], "names": names}
+
+    fingers = [f"finger{finger}" for finger in contents.fingers]
+    cells = [f"{finger}.barometer{cell}" for finger in fingers for cell in range(contents.cells)]
+    found = {STATE: feature("float32", cells)}
+    if contents.pose:
+        found[POSE] = feature("float32", ["x", "y", "z", "rx", "ry", "rz"])
+    if contents.velocity:
+        found[ACTION] = feature("float32", ["vx", "vy", "vz", "wx", "wy", "wz"])
+    found |= {"valid": feature("bool", cells), "label": feature("int64", fingers)}
+    found |= {"next.done": feature("bool"), "timestamp": feature("float32")}
+    return found | {
+        name: feature("int64") for name in ("frame_index", "episode_index", "index", "task_index")
+    }
+
+
+def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
+    """Return minimum, maximum, mean, standard deviation, quantiles and count of values (n, ...)."""
+    rows = np.asarray(values, np.float64).reshape(len(values), -1)  # (n, elements)
+    found: dict[str, list[float]] = {
+        "min": rows.min(axis=0).tolist(),
+        "max": rows.max(axis=0).tolist(),
+        "mean": rows.mean(axis=0).tolist(),
+        "std": rows.std(axis=0).tolist(),
+        "count": [len(rows)],
+    }
+    for share, quantile in zip(_QUANTILES, np.quantile(rows, _QUANTILES, axis=0), strict=True):
+        found[f"q{round(100 * share):02d}"] = quantile.tolist()
+    return found
+
+
+def _all_statistics(root: Path, declared: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the statistics of each feature over all episodes; one feature at a time is in memory."""
+    paths, found = sorted(root.glob("data/*/*.parquet")), dict[str, Any]()
+    for name, feature in declared.items():
+        columns: list[Any] = [pq.read_table(path, columns=[name])[name].combine_chunks() for path in paths]
+        flat = [each.flatten() if feature["shape"] != [1] else each for each in columns]
+        values = np.concatenate([each.to_numpy(zero_copy_only=False) for each in flat])
+        found[name] = _statistics(values.reshape(-1, *feature["shape"]))
+    return found
+
+
+def _table(values: Values, declared: Mapping[str, Any]) -> pa.Table:
+    columns: dict[str, Any] = {}
+    for name in declared:
+        columns[name] = pa.array(values[name].reshape(-1))
+        if values[name].ndim > 1 and values[name].shape[1] > 1:
+            columns[name] = pa.FixedSizeListArray.from_arrays(columns[name], values[name].shape[1])
+    return pa.table(columns)
+
+
+def _write_tasks(root: Path, tasks: Sequence[str]) -> None:
+    """Write the tasks by number; the metadata makes the text the index in pandas, as LeRobot expects."""
+    columns = [("task_index", "int64", "int64"), ("task", "unicode", "object")]
+    pandas = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [
+            {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+            for name, kind, numpy in columns
+        ],
+        "pandas_version": "2.0.0",
+    }
+    types: dict[str, pa.DataType] = {"task_index": pa.int64(), "task": pa.string()}
+    schema = pa.schema(types, {"pandas": json.dumps(pandas)})
+    numbers = list(range(len(tasks)))
+    _write(root / TASKS, pa.Table.from_pydict({"task_index": numbers, "task": list(tasks)}, schema))
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, path, compression="snappy", row_group_size=max(len(table), 1))
+
+
 def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:
     """Return the sessions with their split, ordered by split and name."""
-    return sorted(
-        ((_split(each), each) for each in sessions), key=lambda each: (SPLITS.index(each[0]), each[1].name)
-    )
-
-
-def _split(session: Session) -> str:
-    split = session.about.get("split")
-    return split if isinstance(split, str) and split in SPLITS else SPLITS[0]
+    named = [(str(each.about.get("split")), each) for each in sessions]
+    known = [(split if split in SPLITS else SPLITS[0], each) for split, each in named]
+    return sorted(known, key=lambda each: (SPLITS.index(each[0]), each[1].name))
 
 
 def _ranges(splits: Mapping[str, int]) -> dict[str, str]:
-    """Return the episode range of each split.
-
-    >>> _ranges({"train": 7, "test": 2})
-    {'train': '0:7', 'test': '7:9'}
-    """
+    """Return the episode range of each split, such as ``{"train": "0:7", "test": "7:9"}``."""
     ranges, begin = dict[str, str](), 0
     for split in SPLITS:
         if count := splits.get(split, 0):
             ranges[split] = f"{begin}:{begin + count}"
             begin += count
     return ranges
-
-
-def _flat(found: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    return {f"stats/{name}/{each}": value for name, all_ in found.items() for each, value in all_.items()}

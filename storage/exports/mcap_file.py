@@ -1,26 +1,40 @@
-"""Export of a session to one MCAP file, for Foxglove: every row is a JSON message, in time order."""
+"""Export of a session to one MCAP file, for Foxglove: every row is a JSON message, in time order.
 
+Columns have the same names as in Parquet. Timestamps and durations in ns become ``{"sec", "nsec"}``, which
+Foxglove shows as times and which no reader rounds. JSON has no NaN: values that are not finite become null,
+and a column without any finite value is omitted from its message.
+"""
+
+import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from heapq import merge
-from importlib.util import find_spec
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
-from operators.batch import Batch
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.batch import BAROMETERS, EVERY, Batch, Column, s
+from operators.errors import InputError
 from operators.extras import require_extra
-from storage.exports import mcap_messages
 from storage.files import partial_file
-from storage.layout import TABLES, Table
+from storage.layout import FAULTS, SLIPS, TABLES, Table
 from storage.session import Session
 
 _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
 _BATCH: Final = 5000  # rows between progress updates
-
-_Message: TypeAlias = tuple[int, int, bytes]  # ns, channel, JSON
+_JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # slow to create
+_INT64: Final = np.dtype(np.int64)
+_TYPES: Final = MappingProxyType({"b": "boolean", "i": "integer", "f": "number"})
+_STAMP: Final[Mapping[str, Any]] = MappingProxyType(
+    {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+)
+_Message: TypeAlias = tuple[int, str, bytes]  # time (ns), topic, JSON
 
 
 def export(
@@ -43,7 +57,7 @@ def export(
         span: First and last event time of the rows, ns; None: all rows.
 
     Raises:
-        InputError: if the library is not installed, or the session is damaged.
+        InputError: if the library is not installed, the session is damaged, or a row is from before 1970.
         EndpointError: if the file exists or cannot be written; then nothing is left of it.
 
     References:
@@ -53,76 +67,139 @@ def export(
     from mcap.writer import Writer  # noqa: PLC0415 - an extra
 
     with partial_file(path) as file:
-        writer: Any = Writer(file, chunk_size=_CHUNK, compression=_compression())
+        writer: Any = Writer(file, chunk_size=_CHUNK)
         writer.start(profile="", library=str(session.about.get("software", "slipflow")))
         labels = session.hand_labels()
         described = {"session": session.about, "hand_labels": asdict(labels) if labels.version else {}}
         for name, content in described.items():
             if content:
                 writer.add_metadata(name, {key: _text(value) for key, value in content.items()})
-        channels = _Channels(writer)
+        channels, sequences = dict[str, int](), Counter[str]()
+
+        def register(name: str, schema: Mapping[str, Any]) -> None:
+            if name not in channels:
+                number = writer.register_schema(schema["title"], "jsonschema", _JSON.encode(schema).encode())
+                channels[name] = writer.register_channel(name, "json", number)
+
         streams = [
-            _rows(session, channels, table, finger, span)
+            _rows(session, register, table, finger, span)
             for table in TABLES
             for finger in session.fingers(table.kind)
         ]
         rows = merge(*streams, key=itemgetter(0))
-        sequences = Counter[int]()
         for done in iter(lambda: list(islice(rows, _BATCH)), []):
-            for time, channel, data in done:
-                writer.add_message(channel, time, data, time, sequences[channel])
-                sequences[channel] += 1
+            for time, name, data in done:
+                writer.add_message(channels[name], time, data, time, sequences[name])
+                sequences[name] += 1
             progress(sequences.total())
         writer.finish()
-    return {channels.topics[channel]: count for channel, count in sequences.items()}
+    return dict(sequences)
 
 
-@dataclass
-class _Channels:
-    """Topics of a file; each is registered with its schema at its first row."""
+def topic(table: Table, finger: int) -> str:
+    """Return the topic of a table's rows.
 
-    writer: Any
-    topics: dict[int, str] = field(default_factory=dict[int, str])  # by channel number
-    _schemas: dict[str, int] = field(default_factory=dict[str, int])  # schema numbers by name
-    _numbers: dict[str, int] = field(default_factory=dict[str, int])  # channel numbers by topic
+    >>> from storage.layout import MOTION
+    >>> topic(SLIPS, 2), topic(MOTION, EVERY)
+    ('/slip/2', '/motion')
+    """
+    name = "slip" if table is SLIPS else table.name
+    return f"/{name}/{finger}" if table.finger and table.name != FAULTS.name else f"/{name}"
 
-    def number(self, topic: str, schema: dict[str, Any]) -> int:
-        """Return the channel number of a topic."""
-        if topic not in self._numbers:
-            name = str(schema["title"])
-            if name not in self._schemas:
-                encoded = mcap_messages.encode(schema)
-                self._schemas[name] = self.writer.register_schema(name, "jsonschema", encoded)
-            number = self.writer.register_channel(topic, "json", self._schemas[name])
-            self._numbers[topic], self.topics[number] = number, topic
-        return self._numbers[topic]
+
+def message_schema(table: Table, kind: type[Batch], cells: int = BAROMETERS) -> dict[str, Any]:
+    """Return the JSON schema of a table's messages; descriptions state the units."""
+    properties = {"timestamp": {**_STAMP, "title": "time", "description": "event time, since 1970 UTC"}}
+    if table.finger:
+        properties["finger"] = {"type": "integer", "description": "fingertip"}
+    for name, column in table.columns.items():
+        if name != "time":
+            properties[name] = _property(name, column, column.sizes(cells))
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"slipflow.{kind.__name__}",
+        "description": (kind.__doc__ or "").partition("\n")[0],
+        "type": "object",
+        "properties": properties,
+    }
+
+
+def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
+    """Yield the event time (ns) and the message of each row.
+
+    Raises:
+        InputError: if a row is from before 1970, which MCAP cannot represent.
+    """
+    columns = [
+        (name, _values(getattr(batch, name), column))
+        for name, column in table.columns.items()
+        if name != "time"
+    ]
+    for row, time in enumerate(batch.time.tolist()):
+        if time < 0:
+            reason = "is from before 1970, which MCAP cannot represent: export to lerobot"
+            raise InputError(f"{table.name}, a row at {time} ns", reason)
+        message: dict[str, Any] = {"timestamp": _stamp(time)}
+        if batch.finger != EVERY:
+            message["finger"] = batch.finger
+        message |= {name: values[row] for name, values in columns if values[row] is not None}
+        yield time, _JSON.encode(message).encode()
 
 
 def _rows(
-    session: Session, channels: _Channels, table: Table, finger: int, span: tuple[int, int] | None
+    session: Session,
+    register: Callable[[str, Mapping[str, Any]], None],
+    table: Table,
+    finger: int,
+    span: tuple[int, int] | None,
 ) -> Iterator[_Message]:
+    """Yield the rows of a fingertip; register its topic and schema before the first one."""
+    name = topic(table, finger)
     for read in session.read(table.kind, finger):
         batch = read if span is None else read[(read.time >= span[0]) & (read.time <= span[1])]
-        if not len(batch):
-            continue
-        channel = _channel(channels, table, batch)
-        for time, data in mcap_messages.messages(table, batch):
-            yield time, channel, data
+        if len(batch):
+            register(name, message_schema(table, type(batch), batch.cells))
+        for time, data in messages(table, batch):
+            yield time, name, data
 
 
-def _channel(channels: _Channels, table: Table, batch: Batch) -> int:
-    schema = mcap_messages.schema(table, type(batch), batch.cells)
-    return channels.number(mcap_messages.topic(table, batch.finger), schema)
+def _property(name: str, column: Column, sizes: tuple[int, ...]) -> dict[str, Any]:
+    if _is_span(column):
+        title = "duration" if name == "offset" else "time"
+        return {**_STAMP, "title": title, "description": column.unit}
+    if column.names:
+        return {"type": "string", "enum": [*column.names]}
+    unknown = "; null or omitted: unknown" if column.dtype.kind == "f" else ""
+    description = f"{column.unit}{unknown}".removeprefix("; ")
+    value: dict[str, Any] = {"type": _TYPES[column.dtype.kind]}
+    if sizes:
+        value = {"type": "array", "items": value, "minItems": sizes[0], "maxItems": sizes[0]}
+    return {**value, "description": description} if description else value
+
+
+def _values(values: NDArray[Any], column: Column) -> list[Any]:
+    """Return the JSON value of each row of a column; None if it has no finite value."""
+    if _is_span(column):
+        return [_stamp(value) for value in values.tolist()]
+    if column.names:
+        return [column.names[code] for code in values.tolist()]
+    if column.dtype.kind != "f" or np.isfinite(values).all():
+        return list(values.tolist())
+    known = values.astype(object)
+    known[~np.isfinite(values)] = None
+    if not column.shape:
+        return list(known.tolist())
+    return [row if any(each is not None for each in row) else None for row in known.tolist()]
+
+
+def _is_span(column: Column) -> bool:
+    return column.dtype == _INT64 and column.unit == "ns"
+
+
+def _stamp(time: int) -> dict[str, int]:
+    sec, nsec = divmod(time, s)
+    return {"sec": sec, "nsec": nsec}
 
 
 def _text(value: object) -> str:
-    return value if isinstance(value, str) else mcap_messages.encode(value).decode()
-
-
-def _compression() -> Any:  # noqa: ANN401 - type of an extra
-    """Return the best compression whose library is installed."""
-    from mcap.writer import CompressionType  # noqa: PLC0415 - an extra
-
-    if find_spec("zstandard"):
-        return CompressionType.ZSTD
-    return CompressionType.LZ4 if find_spec("lz4") else CompressionType.NONE
+    return value if isinstance(value, str) else _JSON.encode(value)

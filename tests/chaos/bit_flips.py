@@ -40,7 +40,7 @@ def flips(scale: Scale) -> Promise:
                 first_wrong = first_wrong or f"; the first: bit {bit} of {path} in {name}"
             rmtree(copy)
     return Promise(
-        f"bit flips x{count}: journal, parts (listed or not), manifest, session.json, model, card",
+        f"bit flips x{count}: journal, parts, manifest, session.json, model, card",
         f"{outcomes[WRONG]} silent errors; {outcomes[REFUSED]} refused, {outcomes[FEWER]} with fewer rows"
         f" and a message, {outcomes[RIGHT]} correct{first_wrong}",
         "0 silent errors",
@@ -60,8 +60,6 @@ def _targets(folder: Path) -> list[tuple[str, str, Callable[[Path], str]]]:
     copytree(writer.folder, folder / "killed")
     writer.close()
     copytree(writer.folder, folder / "closed")
-    copytree(writer.folder, folder / "unlisted")
-    (folder / "unlisted/MANIFEST.json").unlink()
     model = shipped(MODEL)
     assert model, "the model is part of the package"
     (folder / "model").mkdir()
@@ -83,7 +81,7 @@ def _targets(folder: Path) -> list[tuple[str, str, Callable[[Path], str]]]:
             return REFUSED
         return RIGHT if found == weights else WRONG
 
-    killed, closed, unlisted = checker("killed"), checker("closed"), checker("unlisted")
+    killed, closed = checker("killed"), checker("closed")
     return [
         ("killed", "journal/*.wal", killed),
         ("killed", "session.json", killed),
@@ -92,7 +90,6 @@ def _targets(folder: Path) -> list[tuple[str, str, Callable[[Path], str]]]:
         ("closed", "**/*.parquet", closed),
         ("closed", "MANIFEST.json", closed),
         ("closed", "session.json", closed),
-        ("unlisted", "**/*.parquet", unlisted),
         ("model", "*.safetensors", check_model),
         ("model", "*.json", check_model),
     ]

@@ -3,7 +3,7 @@
 import signal
 from functools import partial
 from pathlib import Path
-from shutil import copytree, rmtree
+from shutil import copyfile, copytree, rmtree
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from tests.chaos.session import Contents, begin, read, write
 from tests.storage.disk_steps import steps_of
 
 ROWS, PART = 60, 25  # of each stream; of a part
-STATES = ("killed", "without manifest", "torn")  # folders of sessions that need a recovery
+STATES = ("killed", "unlisted part", "torn")  # folders of sessions that need a recovery
 
 
 def kills(scale: Scale) -> Promise:
@@ -58,7 +58,7 @@ def _leave(folder: Path) -> None:
     for state in STATES:
         copytree(writer.folder, folder / state)
     writer.close()
-    (folder / "without manifest/MANIFEST.json").unlink()
+    copyfile(folder / "killed/touch/part-000000.parquet", folder / "unlisted part/touch/part-000002.parquet")
     newest = max((folder / "torn/journal").glob("0*.wal"))
     newest.write_bytes(newest.read_bytes()[:-5])
 

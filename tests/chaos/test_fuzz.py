@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from operators import SlipflowError
 from storage import Session, files, load_debounce, load_detector, recover, verify
-from storage.manifest import Part, read_manifest, write_manifest
 from storage.models import save_card, shipped
+from storage.parts import Part, read_manifest, write_manifest
 from tests.chaos.processes import scratch
 from tests.chaos.session import begin, read, write
 

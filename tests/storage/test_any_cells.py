@@ -8,7 +8,7 @@ from operators import Labelled, Touch, Zeroed, concat, ms
 from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import Session
-from storage.exports.mcap_messages import schema as message_schema
+from storage.exports.mcap_file import message_schema
 from storage.layout import SESSION, TOUCH
 from storage.verification import verify
 from tests.storage.made import leave, new_batch, new_run, same, write
@@ -35,7 +35,7 @@ def test_rows_of_any_number_of_cells_are_read_back_bit_for_bit(
     assert found.counts.tobytes() == concat(Labelled, samples).counts.tobytes()
     assert (found.cells, found.temperature.shape) == (3, found.counts.shape)
     assert len(session.frame("touch")) == 25
-    assert not any(each.part.path for each in verify(tmp_path).parts if not each.whole)
+    assert verify(tmp_path).worst == ("note" if closed else "repaired")
 
 
 def test_a_session_has_one_number_of_cells_per_table(tmp_path: Path) -> None:

@@ -23,10 +23,9 @@ from operators.batch import (
     columns,
 )
 from operators.errors import InputError
-from operators.ports import Description
 from storage import append_log, journal
 from storage.append_log import AppendLog
-from storage.journal import MAX_WAITING, SINGLE, Journal, NumberedRows, SegmentReader, missing_segments
+from storage.journal import MAX_WAITING, SINGLE, Journal, NumberedRows, SegmentReader
 from storage.layout import segment_file, segments, single_log
 from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch
@@ -246,21 +245,3 @@ def test_any_content_of_a_log_is_rows_or_an_input_error(
     AppendLog.create(path, own, records).close()
     with suppress(InputError), SegmentReader(path, "one", 0) as reader:
         assert all(isinstance(each, NumberedRows) for each in reader.rows())
-
-
-def test_missing_segments_are_found_between_others_and_if_there_are_none(tmp_path: Path) -> None:
-    closed: Description = {"end_ns": 5}
-    assert missing_segments(tmp_path, {}) == []
-    (tmp_path / "journal").mkdir()
-    assert "has no segment" in missing_segments(tmp_path, {})[0]
-    assert missing_segments(tmp_path, closed) == []
-    for number in (4, 7):
-        (tmp_path / segment_file(number)).touch()
-    gone = [f"journal/{name}.wal: is missing, with its rows" for name in ("000005", "000006", "single")]
-    assert missing_segments(tmp_path, {}) == gone
-    assert missing_segments(tmp_path, closed) == gone[:2]
-    (tmp_path / segment_file(999_999_999_999)).touch()
-    assert missing_segments(tmp_path, closed) == [
-        *gone[:2],
-        "journal/000008.wal to journal/999999999998.wal: is missing, with its rows",
-    ]

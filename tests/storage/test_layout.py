@@ -13,9 +13,9 @@ from storage.layout import (
     check_links,
     inside,
     may_exist,
-    names_without_description,
     new_session_folder,
     session_folder,
+    session_folders,
     session_names,
 )
 
@@ -76,8 +76,10 @@ def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:
     for name in ("b", "a"):
         (tmp_path / "sessions" / name / "session.json").touch()
     (tmp_path / "sessions/loop").symlink_to("loop")
-    assert names_without_description(tmp_path) == []
+    (tmp_path / "sessions/lost").mkdir()
+    (tmp_path / "sessions/lost/MANIFEST.json").touch()
     assert session_names(tmp_path) == ["a", "b"]
+    assert [path.name for path in session_folders(tmp_path)] == ["a", "b", "lost"]
 
 
 def test_no_two_files_of_a_session_share_a_name() -> None:
@@ -110,7 +112,7 @@ def hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_session_that_may_not_be_looked_into_is_not_passed_over(hidden: Path) -> None:
     assert session_names(hidden) == ["one"]
-    assert names_without_description(hidden) == []
+    assert [path.name for path in session_folders(hidden)] == ["one"]
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOMEM])
@@ -137,7 +139,7 @@ def test_sessions_that_cannot_be_looked_for_are_an_error(
 
     monkeypatch.setattr(os, "listdir", listdir)
     monkeypatch.setattr(os, "scandir", listdir)
-    for names in (session_names, names_without_description):
+    for names in (session_names, session_folders):
         with pytest.raises(kind, match=f"sessions: cannot be read: {os.strerror(number)}; "):
             names(tmp_path)
 

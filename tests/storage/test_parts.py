@@ -1,9 +1,11 @@
+"""Parquet files of a session and their manifest: written as promised, refused if damaged."""
+
 import errno
 import hashlib
+import json
 import os
 import subprocess
 import sys
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,9 +20,17 @@ from operators.batch import EVERY, Episodes, Motion, Touch
 from operators.errors import EndpointError, InputError
 from storage import arrow, files
 from storage.layout import EPISODES, MOTION, TOUCH, Table
-from storage.parts import read_part, write_part
+from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
 from storage.schema import from_arrow, schema, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
+
+GOOD: dict[str, Any] = {
+    "path": "touch/part-000000.parquet",
+    "rows": 3,
+    "first": 1,
+    "last": 5,
+    "sha256": "0f" * 32,
+}
 
 
 @pytest.fixture(scope="session")
@@ -29,78 +39,41 @@ def rows() -> pa.Table:
 
 
 @pytest.fixture(scope="session")
-def part(rows: pa.Table, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    path = tmp_path_factory.mktemp("part") / "part.parquet"
-    write_part(path, rows)
-    return path.read_bytes()
+def data(rows: pa.Table, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Content of a part."""
+    folder = tmp_path_factory.mktemp("part")
+    write_part(folder, "part.parquet", rows)
+    return (folder / "part.parquet").read_bytes()
+
+
+def read(path: Path, expected: pa.Schema | None = None) -> pa.Table:
+    """Read a part that the manifest lists as it is."""
+    return read_part(path, expected or schema(TOUCH), hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 @settings(deadline=None)
-@given(place=st.floats(0, 1), bit=st.integers(0, 7))
-def test_a_flipped_bit_is_always_reported_by_the_sha256(
-    part: bytes, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int
+@given(place=st.floats(0, 1), bit=st.integers(0, 7), cut=st.booleans())
+def test_a_flipped_bit_or_a_cut_is_always_reported(
+    data: bytes, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int, *, cut: bool
 ) -> None:
-    path = tmp_path_factory.getbasetemp() / "flipped.parquet"
-    path.write_bytes(_flipped(part, round(place * (len(part) - 1)), bit))
+    path, position = tmp_path_factory.getbasetemp() / "flipped.parquet", round(place * (len(data) - 1))
+    damaged = bytearray(data[:position] if cut else data)
+    if not cut:
+        damaged[position] ^= 1 << bit
+    path.write_bytes(damaged)
     with pytest.raises(InputError, match=r"flipped\.parquet: is damaged"):
-        read_part(path, schema(TOUCH), hashlib.sha256(part).hexdigest())
+        read_part(path, schema(TOUCH), hashlib.sha256(data).hexdigest())
 
 
-def test_a_flipped_bit_in_any_byte_of_an_unlisted_part_never_becomes_a_wrong_value(
-    part: bytes, rows: pa.Table, tmp_path: Path
-) -> None:
-    path = tmp_path / "flipped.parquet"
-    for position in range(0, len(part), 3):
-        path.write_bytes(_flipped(part, position, 3))
-        with suppress(InputError):  # where it did not matter, such as in the name of the writing library
-            assert read_part(path, schema(TOUCH)).equals(rows)
-
-
-def test_a_flipped_bit_in_any_page_is_reported_without_a_manifest(part: bytes, tmp_path: Path) -> None:
-    path = tmp_path / "flipped.parquet"
-    group = pq.ParquetFile(pa.BufferReader(part)).metadata.row_group(0)
-    for number in range(group.num_columns):
-        column = group.column(number)
-        end = column.data_page_offset + column.total_compressed_size
-        damaged = bytearray(part)
-        damaged[end - 1] ^= 1
-        path.write_bytes(damaged)
-        with pytest.raises(InputError, match="CRC checksum verification failed"):
-            read_part(path, schema(TOUCH))
-
-
-def test_a_flipped_bit_in_the_footer_never_ends_the_process(part: bytes, tmp_path: Path) -> None:
-    """pyarrow aborts if it is asked for a column whose level histograms contradict the schema."""
-    path = tmp_path / "flipped.parquet"
-    size = int.from_bytes(part[-8:-4], "little")
-    for number in range(len(part) - 8 - size, len(part)):
-        damaged = bytearray(part)
-        damaged[number] ^= 1 << number % 8
-        path.write_bytes(damaged)
-        with suppress(InputError):
-            read_part(path, schema(TOUCH))
-
-
-@pytest.mark.parametrize("data", [b"", b"PAR1", b"PAR1PAR1", b"no parquet at all", bytes(1000)])
-def test_a_file_that_is_not_parquet_is_reported(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "x.parquet").write_bytes(data)
+@pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1PAR1", b"no parquet at all", bytes(1000)])
+def test_a_file_that_is_not_parquet_is_reported(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "x.parquet").write_bytes(content)
     with pytest.raises(InputError, match=r"x\.parquet: is damaged or not a Parquet file"):
-        read_part(tmp_path / "x.parquet", schema(TOUCH))
-
-
-@settings(deadline=None)
-@given(share=st.floats(0, 1, exclude_max=True))
-def test_a_part_cut_short_is_reported(
-    part: bytes, tmp_path_factory: pytest.TempPathFactory, share: float
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "cut.parquet"
-    path.write_bytes(part[: int(share * len(part))])
-    with pytest.raises(InputError):
-        read_part(path, schema(TOUCH))
+        read(tmp_path / "x.parquet")
 
 
 def test_a_part_that_unpacks_to_too_much_is_refused_unread(tmp_path: Path) -> None:
-    """A file of a few MB declares 60 million rows."""
+    """A file of a few MB declares 72 million rows."""
     zeros = {"time": np.zeros(600_000, np.int64)}
     expected: pa.Schema = cast("Any", pa).schema([cast("Any", schema(TOUCH)).field("time")])
     path = tmp_path / "bomb.parquet"
@@ -110,108 +83,80 @@ def test_a_part_that_unpacks_to_too_much_is_refused_unread(tmp_path: Path) -> No
     assert path.stat().st_size < 2_000_000
     before = pa.total_allocated_bytes()
     with pytest.raises(InputError, match="unpacks to more than 512 MiB"):
-        read_part(path, expected)
+        read(path, expected)
     assert pa.total_allocated_bytes() == before
 
 
-@pytest.mark.parametrize("error", [errno.EIO, errno.EMFILE, errno.ENOMEM])
-def test_a_failing_disk_is_not_reported_as_damage(
-    part: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int
+def test_a_failing_disk_or_a_lack_of_memory_is_not_reported_as_damage(
+    data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> bytes:
-        raise OSError(error, os.strerror(error))
+    def fail_disk(*_: object) -> bytes:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
 
-    (tmp_path / "x.parquet").write_bytes(part)
-    monkeypatch.setattr(files, "read_at", fail)
-    with pytest.raises(EndpointError, match=os.strerror(error)):
-        read_part(tmp_path / "x.parquet", schema(TOUCH))
+    def fail_memory(*_: object, **__: object) -> None:
+        raise pa.ArrowMemoryError("malloc of size 64 failed")
 
-
-@pytest.mark.parametrize("error", [pa.ArrowMemoryError, MemoryError])
-def test_a_lack_of_memory_is_not_reported_as_damage(
-    part: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
-) -> None:
-    def fail(*_: object, **__: object) -> None:
-        raise error("malloc of size 64 failed")
-
-    (tmp_path / "x.parquet").write_bytes(part)
-    monkeypatch.setattr(arrow.pq, "ParquetFile", fail)
+    (tmp_path / "x.parquet").write_bytes(data)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "read_at", fail_disk)
+        with pytest.raises(EndpointError, match="Input/output error"):
+            read(tmp_path / "x.parquet")
+    monkeypatch.setattr(arrow.pq, "ParquetFile", fail_memory)
     with pytest.raises(EndpointError, match="not enough memory"):
-        read_part(tmp_path / "x.parquet", schema(TOUCH))
+        read(tmp_path / "x.parquet")
 
 
-def test_a_missing_part_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        read_part(tmp_path / "x.parquet", schema(TOUCH))
-
-
-def test_other_columns_are_reported_by_name(rows: pa.Table, tmp_path: Path) -> None:
+def test_other_columns_and_nulls_are_reported_by_name_and_further_ones_ignored(
+    rows: pa.Table, tmp_path: Path
+) -> None:
     path = tmp_path / "x.parquet"
     counts = cast("Any", pa).array([[0.5] * 6] * len(rows), pa.list_(pa.float64(), 6))
-    speed = pa.field("time", pa.int64(), nullable=False, metadata={"unit": "ms"})
+    holed = cast("Any", pa).array([[None, 0, 0, 0, 0, 0]] * len(rows), pa.list_(pa.int16(), 6))
+    column = pa.field("counts", pa.list_(pa.int16(), 6), metadata={"unit": "count"})
+    time = pa.field("time", pa.int64(), nullable=False, metadata={"unit": "ms"})
     for table, complaint in (
         (rows.drop_columns(["counts"]), "has no column 'counts'; it has time, finger, temperature, valid"),
         (rows.set_column(2, "counts", counts), "column 'counts' is fixed_size_list<.*double>"),
-        (rows.set_column(0, speed, rows["time"]), "column 'time' is in 'ms', must be in 'ns'"),
+        (rows.set_column(0, time, rows["time"]), "column 'time' is in 'ms', must be in 'ns'"),
+        (rows.set_column(2, column, holed), "column 'counts' has nulls"),
     ):
-        write_part(path, table)
+        write_part(tmp_path, "x.parquet", table)
         with pytest.raises(InputError, match=complaint):
-            read_part(path, schema(TOUCH))
-
-
-def test_nulls_are_reported_in_rows_and_in_their_arrays(rows: pa.Table, tmp_path: Path) -> None:
-    path = tmp_path / "x.parquet"
-    for holed in (None, [None, 0, 0, 0, 0, 0]):
-        counts = cast("Any", pa).array([holed] * len(rows), pa.list_(pa.int16(), 6))
-        column = pa.field("counts", pa.list_(pa.int16(), 6), metadata={"unit": "count"})
-        write_part(path, rows.set_column(2, column, counts))
-        with pytest.raises(InputError, match="column 'counts' has nulls"):
-            read_part(path, schema(TOUCH))
-
-
-def test_further_columns_are_ignored(rows: pa.Table, tmp_path: Path) -> None:
-    write_part(tmp_path / "x.parquet", rows.append_column("more", rows["time"]))
-    assert read_part(tmp_path / "x.parquet", schema(TOUCH)).equals(rows)
+            read(path)
+    write_part(tmp_path, "x.parquet", rows.append_column("more", rows["time"]))
+    assert read(path).equals(rows)
 
 
 def test_names_with_indices_of_another_type_are_read_as_pyarrow_16_returns_them(tmp_path: Path) -> None:
-    rows: Any = to_arrow(EPISODES, [batch := new_episodes((0, 1, "hold"), (1, 2, "tap"))])
-    for place, field in enumerate(rows.schema):
+    table: Any = to_arrow(EPISODES, [batch := new_episodes((0, 1, "hold"), (1, 2, "tap"))])
+    for place, field in enumerate(table.schema):
         if pa.types.is_dictionary(field.type):
             wide = field.with_type(pa.dictionary(pa.int32(), pa.string()))
-            column = cast("Any", pa).array(rows[field.name].to_pylist(), wide.type)
-            rows = rows.set_column(place, wide, column)
-    write_part(tmp_path / "x.parquet", rows)
-    read = read_part(tmp_path / "x.parquet", schema(EPISODES))
-    same(from_arrow(EPISODES, Episodes, read)[EVERY], batch)
+            column = cast("Any", pa).array(table[field.name].to_pylist(), wide.type)
+            table = table.set_column(place, wide, column)
+    write_part(tmp_path, "x.parquet", table)
+    found = read(tmp_path / "x.parquet", schema(EPISODES))
+    same(from_arrow(EPISODES, Episodes, found)[EVERY], batch)
 
 
 @pytest.mark.parametrize(("table", "kind"), [(TOUCH, Touch), (MOTION, Motion)])
 def test_times_are_delta_packed_and_all_is_zstd(
     tmp_path: Path, table: Table, kind: type[Touch | Motion]
 ) -> None:
-    path = tmp_path / "x.parquet"
-    sha256 = write_part(path, to_arrow(table, [new_batch(kind, 1000)]))
-    assert sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
-    group = pq.ParquetFile(path).metadata.row_group(0)
+    part = write_part(tmp_path, "x.parquet", to_arrow(table, [new_batch(kind, 1000)]))
+    assert part.sha256 == hashlib.sha256((tmp_path / "x.parquet").read_bytes()).hexdigest()
+    group = pq.ParquetFile(tmp_path / "x.parquet").metadata.row_group(0)
     columns = [group.column(number) for number in range(group.num_columns)]
     assert {column.compression for column in columns} == {"ZSTD"}
     times = [column for column in columns if column.path_in_schema.endswith("time")]
-    assert times
     assert all("DELTA_BINARY_PACKED" in column.encodings for column in times)
     assert times[0].total_compressed_size < 200  # bytes, of 8000
 
 
-def _flipped(data: bytes, position: int, bit: int) -> bytes:
-    damaged = bytearray(data)
-    damaged[position] ^= 1 << bit
-    return bytes(damaged)
-
-
-def test_a_part_is_read_without_arrow_s_own_threads(part: bytes, tmp_path: Path) -> None:
-    """One that lets go of the file's bytes while the process ends would abort it."""
+def test_a_part_is_read_without_arrow_s_own_threads(data: bytes, tmp_path: Path) -> None:
+    """A thread that releases the file's bytes while the process ends would abort it."""
     path = tmp_path / "x.parquet"
-    path.write_bytes(part)
+    path.write_bytes(data)
     script = f"""
 import os
 from pathlib import Path
@@ -221,8 +166,96 @@ from storage.parts import read_part
 from storage.schema import schema
 arrow.load()
 before = len(os.listdir("/proc/self/task"))
-read_part(Path({str(path)!r}), schema(TOUCH))
+read_part(Path({str(path)!r}), schema(TOUCH), {hashlib.sha256(data).hexdigest()!r})
 print(len(os.listdir("/proc/self/task")) - before)
 """
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout == "0\n"
+
+
+times = st.integers(-(2**63), 2**63 - 1)
+
+
+@st.composite
+def parts(draw: st.DrawFn) -> Part:
+    first, last = sorted([draw(times), draw(times)])
+    sha256 = draw(st.binary(min_size=32, max_size=32)).hex()
+    return Part(
+        MOTION.file(draw(st.integers(0, 10_000_000))), draw(st.integers(1, 2**40)), first, last, sha256
+    )
+
+
+@settings(deadline=None)
+@given(listed=st.lists(parts(), unique_by=lambda part: part.path))
+def test_a_manifest_comes_back_as_it_was_written(
+    tmp_path_factory: pytest.TempPathFactory, listed: list[Part]
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    write_manifest(folder, listed)
+    assert list(read_manifest(folder).values()) == listed
+
+
+def test_a_manifest_is_empty_only_where_no_part_exists(tmp_path: Path) -> None:
+    assert read_manifest(tmp_path) == {}
+    nothing = Part("slips.parquet", 0, 0, 0, "0f" * 32)
+    write_manifest(tmp_path, [nothing])
+    assert read_manifest(tmp_path) == {"slips.parquet": nothing}
+    (tmp_path / "MANIFEST.json").rename(tmp_path / "slips.parquet")
+    with pytest.raises(InputError, match=r"MANIFEST\.json: cannot be read: No such file"):
+        read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"more": 1},
+        {"rows": 3.0},
+        {"rows": True},
+        {"rows": 0},
+        {"rows": 0, "first": 0, "last": 0},
+        {"path": "slips.parquet", "rows": 0},
+        {"first": 6},
+        {"sha256": "0f"},
+        {"sha256": "0F" * 32},
+        {"path": "../touch/part-000000.parquet"},
+        {"path": "/etc/passwd"},
+        {"path": "touch/part-000000.parquet\n"},
+        {"path": "touch/../motion/part-000000.parquet"},
+        {"path": 7},
+    ],
+)
+def test_an_impossible_part_is_refused_by_its_number(tmp_path: Path, changes: dict[str, Any]) -> None:
+    impossible: tuple[Any, ...] = (GOOD | changes, changes, None, [])
+    for part in impossible:
+        (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 2, "parts": [GOOD, part]}))
+        with pytest.raises(InputError, match=r"MANIFEST\.json, part 1: "):
+            read_manifest(tmp_path)
+
+
+def test_another_version_no_list_or_a_part_listed_twice_is_refused(tmp_path: Path) -> None:
+    for content in ({}, {"version": 1, "parts": []}, {"version": 2, "parts": {}}):
+        (tmp_path / "MANIFEST.json").write_text(json.dumps(content))
+        with pytest.raises(InputError, match=r"MANIFEST\.json: must have"):
+            read_manifest(tmp_path)
+    (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 2, "parts": [GOOD, GOOD]}))
+    with pytest.raises(InputError, match="twice"):
+        read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_a_flipped_bit_anywhere_in_a_manifest_is_reported_or_changes_nothing(
+    tmp_path: Path, bit: int
+) -> None:
+    listed = [Part(f"touch/part-{n:06d}.parquet", n + 1, n, 10 + n, f"{n:064x}") for n in range(2)]
+    write_manifest(tmp_path, listed)
+    content = (tmp_path / "MANIFEST.json").read_bytes()
+    reported = 0
+    for place in range(len(content)):
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << bit
+        (tmp_path / "MANIFEST.json").write_bytes(flipped)
+        try:
+            assert list(read_manifest(tmp_path).values()) == listed
+        except InputError:
+            reported += 1
+    assert reported > 0.9 * len(content)

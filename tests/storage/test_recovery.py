@@ -1,88 +1,258 @@
+"""What a recovery restores, keeps and reports; `tests.faults` kills recorders and cuts the power."""
+
 import asyncio
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, cast
+from shutil import copyfile, copytree, rmtree
+from typing import Any
 
 import pytest
 
-from operators.errors import EndpointError, InputError
-from storage import Dataset, Session, files, recover, recovery, verify
+from operators.batch import Slips, Touch, Zeroed
+from operators.errors import EndpointError, InputError, SlipflowError
+from storage import Session, files, recover, recovery, verify
 from storage.description import read_session
+from storage.layout import segments, single_log
 from storage.lock import lock
-from storage.manifest import read_manifest
+from storage.parts import read_manifest, write_manifest
 from tests.storage.disk_steps import observed
-from tests.storage.made import leave, new_run, rows, side_by_side
+from tests.storage.made import leave, new_batch, new_run, rows, side_by_side, write
 
 BATCHES = side_by_side(5)
+ALL = [25] * 5
 RECOVERED: dict[str, Any] = {
     "rows": {"touch": 10, "motion": 5, "samples": 5, "slips": 25},
-    "adopted": [],
     "lost": [],
     "cut": [],
 }
+VERSION_BYTE = 7  # of a log
 
 
 @pytest.fixture
 def left(tmp_path: Path) -> Path:
+    """Session of a killed recorder: two parts of each table, and the newest rows in the journal."""
     return leave(tmp_path / "data", new_run(), BATCHES)
 
 
-def test_rows_of_the_journal_become_listed_parts(left: Path) -> None:
+def contents(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def flip(path: Path, place: int, bit: int = 4) -> bytes:
+    data = bytearray(path.read_bytes())
+    data[place] ^= bit
+    path.write_bytes(data)
+    return bytes(data)
+
+
+def test_rows_of_the_journal_become_listed_parts_once(left: Path) -> None:
+    assert (verify(left).code, verify(left).worst) == (3, "repairable")
     done = recover(left)
-    assert done.rows == RECOVERED["rows"]
-    assert (done.adopted, done.lost, done.complete) == ((), (), True)
-    assert rows(left, BATCHES) == [25] * 5
+    assert (done.rows, done.lost, done.complete) == (RECOVERED["rows"], (), True)
+    assert rows(left, BATCHES) == ALL
     assert {path.relative_to(left).as_posix() for path in left.rglob("*.parquet")} == set(read_manifest(left))
     assert not (left / "journal").exists()
     about: Any = Session.open(left).about
-    assert (about["complete"], about["error"]) == (False, "was not closed")
+    assert (about["complete"], about["error"], about["recovered"]) == (False, "was not closed", RECOVERED)
     assert about["end_ns"] == int(BATCHES[-1].time[-1])
-    assert about["recovered"]["rows"] == dict(done.rows)
-
-
-def test_a_second_recovery_finds_nothing_to_do_and_changes_nothing(left: Path) -> None:
-    assert recover(left).changed
-    before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
+    assert (verify(left).code, verify(left).worst) == (3, "repaired")
+    before = contents(left)
     assert not recover(left).changed
-    assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
+    assert contents(left) == before
 
 
-async def test_a_session_that_was_closed_needs_nothing(tmp_path: Path) -> None:
-    dataset = Dataset(tmp_path)
-    await dataset.open(new_run())
-    for batch in BATCHES:
-        await dataset.write(cast("Any", batch))
-    await dataset.close()
-    folder = tmp_path / "sessions/one"
-    before = (folder / "session.json").read_bytes()
-    assert not recover(folder).changed
-    assert (folder / "session.json").read_bytes() == before
-    assert Session.open(folder).about["complete"] is True
+def test_a_session_that_was_closed_is_not_changed(tmp_path: Path) -> None:
+    writer = write(tmp_path, new_run(), BATCHES)
+    writer.close()
+    before = contents(writer.folder)
+    assert not recover(writer.folder).changed
+    assert contents(writer.folder) == before
 
 
 def test_a_session_that_is_being_recorded_is_left_alone(left: Path) -> None:
-    held = lock(left)
-    assert held is not None
+    assert lock(left) is not None
     with pytest.raises(EndpointError, match="one: is being recorded"):
         recover(left)
     assert rows(left, BATCHES) == [20, 20, 20, 20, 0]
 
 
-def test_a_complete_recovery_is_repaired(left: Path) -> None:
-    assert (verify(left).code, verify(left).worst) == (3, "repairable")
+def test_zeroed_counts_are_said_to_be_zeroed(tmp_path: Path) -> None:
+    session = Session.open(leave(tmp_path, new_run(), [new_batch(Zeroed)]))
+    assert session.about["zeroed"] is True
+    assert [type(batch) for batch in session.read(Touch, 0)] == [Zeroed]
+
+
+def test_a_part_that_was_not_listed_yet_is_replaced_by_the_rows_of_the_journal(
+    left: Path, tmp_path: Path
+) -> None:
+    whole = copytree(left, tmp_path / "whole")
+    recover(whole)
+    for name in ("touch/part-000002.parquet", "slips.parquet"):
+        copyfile(whole / name, left / name)
+    copyfile(whole / "touch/part-000002.parquet", left / "touch/part-000003.parquet")
+    assert recover(left).rows == RECOVERED["rows"]
+    assert rows(left, BATCHES) == ALL
+    assert not (left / "touch/part-000003.parquet").exists()
+    assert not (left / "damaged").exists()
+
+
+@pytest.mark.parametrize("journal", ["none", "damaged"])
+def test_an_unlisted_part_that_the_journal_may_not_have_is_kept_aside(left: Path, journal: str) -> None:
+    if journal == "none":
+        recover(left)
+    else:
+        path = max(segments(left).values())
+        flip(path, path.stat().st_size // 2)
+    stray = left / "touch/part-000007.parquet"
+    copyfile(left / "touch/part-000000.parquet", stray)
+    data = stray.read_bytes()
+    assert "touch/part-000007.parquet: is not in the manifest" in recover(left).done
+    assert (left / "damaged/touch-part-000007.parquet").read_bytes() == data
+    assert rows(left, BATCHES) >= [20, 20, 20, 20, 0]
+    assert not recover(left).changed
+    copyfile(left / "touch/part-000000.parquet", stray)
     recover(left)
-    assert (verify(left).code, verify(left).worst) == (3, "repaired")
+    assert (left / "damaged/touch-part-000007.parquet.1").exists()
 
 
-def test_a_journal_of_another_slipflow_is_refused_and_nothing_is_changed(
+@pytest.mark.parametrize("damage", ["missing", "flipped"])
+def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left: Path, damage: str) -> None:
+    path = left / "MANIFEST.json"
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_text(path.read_text().replace('"rows": 20', '"rows": 21', 1))
+    before = contents(left)
+    for use in (recover, Session.open):
+        with pytest.raises(InputError, match=r"MANIFEST\.json: (cannot be read|is damaged)"):
+            use(left)
+    found = verify(left)
+    assert found.worst == "lost"
+    assert "MANIFEST.json" in found.findings[0].text
+    assert contents(left) == before
+
+
+def test_a_recorder_killed_before_its_manifest_leaves_a_session_without_rows(left: Path) -> None:
+    for path in left.iterdir():
+        if path.is_dir():
+            rmtree(path)
+    (left / "MANIFEST.json").unlink()
+    assert recover(left).done == ("was not closed, and has no rows",)
+    assert (Session.open(left).tables, verify(left).worst) == ((), "lossy")
+
+
+def test_damage_in_the_middle_ends_the_tables_there_and_the_segment_is_kept(left: Path) -> None:
+    path = max(segments(left).values())
+    data = path.read_bytes()
+    data = flip(path, data.rindex(b"SLIP", 0, data.rindex(b"SLIP")) + 20)  # in the last frame but one
+    done = recover(left)
+    assert "it is damaged" in done.lost[0]
+    assert done.cut == ()
+    assert (left / "damaged" / f"journal-{path.name}").read_bytes() == data
+    assert [20] * 4 <= rows(left, BATCHES) < ALL
+    for _ in range(2):
+        assert verify(left).worst == "lost"
+        assert not recover(left).changed
+
+
+@pytest.mark.parametrize("tail", ["cut", "zeros"])
+def test_a_torn_end_costs_its_own_rows_only(left: Path, tail: str) -> None:
+    path = max(segments(left).values())
+    data = path.read_bytes()
+    torn = data[: data.rindex(b"SLIP")] + bytes(100) if tail == "zeros" else data[:-1]
+    path.write_bytes(torn)
+    assert verify(left).worst == "lossy"
+    done = recover(left)
+    assert "the recorder was cut off there" in done.lost[0]
+    assert done.cut == done.lost
+    assert rows(left, BATCHES) == [25, 25, 25, 20, 25]
+    assert not (left / "damaged").exists()
+    assert verify(left).worst == "lossy"
+
+
+def test_rows_that_do_not_follow_are_left_out_and_reported(left: Path) -> None:
+    listed = read_manifest(left)
+    for name in ("motion/part-000000.parquet", "motion/part-000001.parquet"):
+        del listed[name]
+        (left / name).unlink()
+    write_manifest(left, listed.values())
+    assert recover(left).lost == ("motion: 15 rows that do not follow row 0",)
+    assert rows(left, BATCHES) == [25, 25, 0, 25, 25]
+    assert list((left / "damaged").glob("*.wal"))
+
+
+def test_the_newest_part_is_restored_from_the_journal(left: Path) -> None:
+    listed = read_manifest(left)
+    del listed["motion/part-000001.parquet"]
+    (left / "motion/part-000001.parquet").unlink()
+    write_manifest(left, listed.values())
+    assert recover(left).complete
+    assert rows(left, BATCHES) == ALL
+
+
+@pytest.mark.parametrize(("lost", "worst"), [("all", "lossy"), ("segments", "lost"), ("single.wal", "lost")])
+def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(
+    left: Path, lost: str, worst: str
+) -> None:
+    if lost == "all":
+        rmtree(left / "journal")
+    for path in segments(left).values() if lost == "segments" else []:
+        path.unlink()
+    single_log(left).unlink(missing_ok=lost != "single.wal")
+    for _ in range(2):
+        assert verify(left).worst == worst
+        recover(left)
+    about: Any = Session.open(left).about
+    assert "lacks its journal" in about["recovered"]["lost"][0]
+
+
+def test_a_flipped_bit_in_the_journal_never_gives_a_wrong_row(left: Path, tmp_path: Path) -> None:
+    paths = [*segments(left).values(), single_log(left)]
+    for seed in range(60):
+        folder = copytree(left, tmp_path / str(seed))
+        path = folder / paths[seed % len(paths)].relative_to(left)
+        place = seed * path.stat().st_size // 60
+        flip(path, place, 1 << seed % 8)
+        if place == VERSION_BYTE:
+            continue  # reported as another version
+        assert not recover(folder).complete
+        assert rows(folder, BATCHES) >= [20, 20, 20, 20, 0]
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_slips_that_were_not_found_are_a_file_without_rows_unless_their_log_is_lost(
+    tmp_path: Path, *, lost: bool
+) -> None:
+    run = new_run()
+    run.sink_types = {str(tmp_path): {Touch: (0,), Slips: (0,)}}
+    folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
+    if lost:
+        single_log(folder).unlink()
+    assert recover(folder).complete is not lost
+    session = Session.open(folder)
+    assert session.tables == (("touch",) if lost else ("touch", "slips"))
+    assert not recover(folder).changed
+
+
+def test_temporary_files_are_deleted_and_folders_kept(left: Path) -> None:
+    (left / "touch/part-000009.parquet.tmp").write_text("half")
+    (left / "MANIFEST.json.tmp").write_text("half")
+    (left / "mine.tmp").mkdir()
+    assert "1 incomplete files were deleted" in recover(left).done  # the manifest was written anew
+    assert list(left.rglob("*.tmp")) == [left / "mine.tmp"]
+    assert not recover(left).changed
+
+
+def test_a_journal_of_another_version_is_refused_and_nothing_is_changed(
     left: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
+    before = contents(left)
     monkeypatch.setattr("storage.journal.VERSION", 7)
     with pytest.raises(InputError, match=r"\.wal: has version 5; this slipflow reads version 7"):
         recover(left)
-    assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
+    assert contents(left) == before
 
 
 @pytest.mark.parametrize(
@@ -96,49 +266,81 @@ def test_an_invalid_description_is_refused(left: Path, wrong: dict[str, Any]) ->
     assert verify(left).worst == "lost"
 
 
-def test_a_disk_that_is_full_leaves_all_as_it_was_for_another_try(left: Path) -> None:
+@pytest.mark.parametrize("name", ["damaged", "journal/000007.wal", "slips.parquet", "MANIFEST.json"])
+def test_a_link_is_refused_and_nothing_is_changed(left: Path, tmp_path: Path, name: str) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    for each in ("MANIFEST.json", "slips.parquet", "000007.wal"):
+        (mine / each).write_text("mine")
+    (left / name).unlink(missing_ok=True)
+    (left / name).symlink_to(mine if "." not in name else mine / Path(name).name)
+    for use in (recover, Session.open):
+        with pytest.raises(InputError, match="is a link; a session must have none"):
+            use(left)
+    found = verify(left)
+    assert (found.code, "is a link" in found.findings[-1].text) == (1, True)
+    assert [path.read_text() for path in mine.iterdir()] == ["mine"] * 3
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EMFILE])
+@pytest.mark.parametrize("folder", ["journal", "touch"])
+def test_a_folder_that_cannot_be_listed_is_an_error_and_nothing_is_changed(
+    left: Path, monkeypatch: pytest.MonkeyPatch, folder: str, number: int
+) -> None:
+    before = contents(left)
+    with monkeypatch.context() as patch:
+        for name in ("listdir", "scandir"):
+            real = getattr(os, name)
+
+            def fail(path: str | Path, real: Callable[[str | Path], Any] = real) -> Any:  # noqa: ANN401
+                if Path(path) == left / folder:
+                    raise OSError(number, os.strerror(number), str(path))
+                return real(path)
+
+            patch.setattr(os, name, fail)
+        with pytest.raises(SlipflowError, match=f"cannot be read: {os.strerror(number)}"):
+            recover(left)
+    assert contents(left) == before
+    assert recover(left).complete
+
+
+@pytest.mark.parametrize("name", ["touch/part-000001.parquet", "journal/000001.wal", "MANIFEST.json"])
+def test_a_file_that_cannot_be_read_is_not_reported_as_damaged(
+    left: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def fail(path: Path, **named: bool) -> int:
+        if path == left / name:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return real(path, **named)
+
+    real, before = files.open_file, contents(left)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "open_file", fail)
+        with pytest.raises(EndpointError, match="Input/output error"):
+            verify(left)
+        if not name.startswith("touch"):  # a recovery reads no listed part but the last
+            with pytest.raises(EndpointError, match="Input/output error"):
+                recover(left)
+            assert contents(left) == before
+    assert recover(left).complete
+
+
+def test_a_full_disk_leaves_everything_for_another_try(left: Path) -> None:
     def fail(step: str) -> None:
         if step == "fsync new manifest":
             raise OSError(28, "No space left on device")
 
     with observed(fail), pytest.raises(EndpointError, match="cannot be recovered: No space left on device"):
         recover(left)
-    done = recover(left)
-    assert done.rows["touch"] == 10
-    assert rows(left, BATCHES) == [25] * 5
+    assert recover(left).rows["touch"] == 10
+    assert rows(left, BATCHES) == ALL
 
 
-@pytest.mark.parametrize("error", [errno.EIO, errno.EMFILE, errno.ENOMEM])
-@pytest.mark.parametrize("name", ["touch/part-000001.parquet", "journal/000001.wal", "MANIFEST.json"])
-def test_a_file_that_cannot_be_read_is_not_damaged_and_stays(
-    left: Path, monkeypatch: pytest.MonkeyPatch, error: int, name: str
-) -> None:
-    def fail(path: Path, **named: bool) -> int:
-        if path == left / name:
-            raise OSError(error, os.strerror(error))
-        return real(path, **named)
-
-    real = files.open_file
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "open_file", fail)
-        with pytest.raises(EndpointError, match=os.strerror(error)):
-            verify(left)
-    if name != "MANIFEST.json":
-        (left / "MANIFEST.json").unlink()  # so that all parts are read
-    before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "open_file", fail)
-        with pytest.raises(EndpointError, match=os.strerror(error)):
-            recover(left)
-    assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
-    assert recover(left).complete
-
-
-def test_two_that_recover_at_once_both_see_all(left: Path) -> None:
-    async def both() -> list[list[int]]:
+def test_concurrent_recoveries_see_all_rows(left: Path) -> None:
+    async def four() -> list[list[int]]:
         return await asyncio.gather(*(asyncio.to_thread(rows, left, BATCHES) for _ in range(4)))
 
-    assert asyncio.run(both()) == [[25] * 5] * 4
+    assert asyncio.run(four()) == [ALL] * 4
 
 
 def test_a_recovery_that_waited_for_another_reports_no_loss(

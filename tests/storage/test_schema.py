@@ -25,9 +25,10 @@ from operators.batch import (
 )
 from operators.errors import BatchError, InputError
 from storage.layout import EPISODES, SAMPLES, SLIPS, TABLE_OF, TABLES, Table
-from storage.parts import read_part, write_part
+from storage.parts import write_part
 from storage.schema import batch_type, from_arrow, schema, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
+from tests.storage.test_parts import read
 
 KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
 
@@ -39,9 +40,9 @@ def test_batches_come_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, kind: type[Batch], cuts: list[tuple[int, int]]
 ) -> None:
     batches = [new_batch(kind, rows, finger=finger, seed=rows) for finger, rows in cuts]
-    table, path = TABLE_OF[kind], tmp_path_factory.getbasetemp() / "round.parquet"
-    write_part(path, to_arrow(table, batches))
-    rows = read_part(path, schema(table))
+    table, folder = TABLE_OF[kind], tmp_path_factory.getbasetemp()
+    write_part(folder, "round.parquet", to_arrow(table, batches))
+    rows = read(folder / "round.parquet", schema(table))
     assert batch_type(rows) is kind
     found = from_arrow(table, kind, rows)
     assert list(found) == sorted({batch.finger for batch in batches})
@@ -66,8 +67,8 @@ def test_columns_stand_in_the_order_that_the_dataset_promises() -> None:
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
 def test_units_stand_in_the_field_metadata_of_the_file(tmp_path: Path, table: Table) -> None:
-    write_part(tmp_path / "x.parquet", to_arrow(table, [new_batch(table.kind)]))
-    found = read_part(tmp_path / "x.parquet", schema(table)).schema
+    write_part(tmp_path, "x.parquet", to_arrow(table, [new_batch(table.kind)]))
+    found = read(tmp_path / "x.parquet", schema(table)).schema
     for name, column in table.columns.items():
         metadata: dict[bytes, bytes] = cast("Any", found).field(name).metadata or {}
         assert metadata.get(b"unit", b"").decode() == column.unit
@@ -77,7 +78,7 @@ def test_units_stand_in_the_field_metadata_of_the_file(tmp_path: Path, table: Ta
 @pytest.mark.parametrize("kind", KINDS)
 def test_polars_reads_arrays_with_their_width(tmp_path: Path, kind: type[Batch]) -> None:
     table, batch = TABLE_OF[kind], new_batch(kind)
-    write_part(tmp_path / "x.parquet", to_arrow(table, [batch]))
+    write_part(tmp_path, "x.parquet", to_arrow(table, [batch]))
     frame = pl.read_parquet(tmp_path / "x.parquet")
     for name, column in table.columns.items():
         expected: Any = getattr(batch, name)
@@ -93,11 +94,11 @@ def test_columns_of_an_older_version_are_ignored_and_a_missing_one_is_named(tmp_
     older = rows
     for name in ("doubt", "direction", "deviation"):
         older = older.append_column(pa.field(name, pa.float64(), nullable=False), rows["probability"])
-    write_part(tmp_path / "x.parquet", older)
-    same(from_arrow(SLIPS, Slips, read_part(tmp_path / "x.parquet", schema(SLIPS)))[batch.finger], batch)
-    write_part(tmp_path / "y.parquet", rows.drop_columns(["probability"]))
+    write_part(tmp_path, "x.parquet", older)
+    same(from_arrow(SLIPS, Slips, read(tmp_path / "x.parquet", schema(SLIPS)))[batch.finger], batch)
+    write_part(tmp_path, "y.parquet", rows.drop_columns(["probability"]))
     with pytest.raises(InputError, match="has no column 'probability'"):
-        read_part(tmp_path / "y.parquet", schema(SLIPS))
+        read(tmp_path / "y.parquet", schema(SLIPS))
 
 
 def test_codes_are_stored_by_name_and_come_back_whatever_codes_the_file_uses() -> None:

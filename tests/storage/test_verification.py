@@ -1,13 +1,19 @@
-import json
+"""What a verification finds, and how it weighs it."""
+
+import errno
+import os
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, rmtree
 
 import pytest
 
+from operators.batch import Labelled, ms
 from operators.errors import InputError
-from storage import Session, verify
-from storage.manifest import read_manifest
-from tests.storage.made import leave, new_run, side_by_side, two_sessions
+from operators.ports import Gap, SinkStatus, SourceStatus
+from storage import recover, verify
+from storage.parts import read_manifest, write_manifest
+from tests.storage.made import leave, new_batch, new_run, side_by_side, two_sessions, write
 
 BATCHES = side_by_side(5)
 
@@ -23,11 +29,11 @@ def dataset(whole: Path, tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_a_dataset_that_is_all_there_is_good_and_its_rows_are_counted(dataset: Path) -> None:
+def test_a_complete_dataset_is_good_and_its_rows_are_counted(dataset: Path) -> None:
     reported: list[tuple[int, int, str]] = []
 
-    def report(done: int, of: int, session: str) -> None:
-        reported.append((done, of, session))
+    def report(done: int, total: int, session: str) -> None:
+        reported.append((done, total, session))
 
     found = verify(dataset, report)
     assert (found.code, found.findings, found.sessions) == (0, (), 2)
@@ -37,8 +43,7 @@ def test_a_dataset_that_is_all_there_is_good_and_its_rows_are_counted(dataset: P
 
 
 def test_a_flipped_bit_in_any_listed_file_or_the_manifest_is_found(whole: Path, tmp_path: Path) -> None:
-    folder = tmp_path / "one"
-    copytree(whole / "sessions/one", folder)
+    folder = copytree(whole / "sessions/one", tmp_path / "one")
     listed = read_manifest(folder)
     for path in [folder / "MANIFEST.json", *sorted(folder.rglob("*.parquet"))]:
         data = path.read_bytes()
@@ -59,13 +64,12 @@ def test_a_session_that_lost_its_description_is_lost(dataset: Path, left: str) -
     place = dataset / "sessions/one" / left
     place.parent.mkdir(parents=True)
     place.write_bytes(b"{}")
-    for path, sessions in ((dataset, 2), (dataset / "sessions/one", 1)):
-        found = verify(path)
-        assert (found.code, found.sessions) == (1, sessions)
-        assert any("its session.json is missing" in each.text for each in found.findings)
+    found = verify(dataset)
+    assert (found.code, found.sessions) == (1, 2)
+    assert any("its session.json is missing" in each.text for each in found.findings)
 
 
-def test_a_dataset_without_sessions_is_not_all_there(dataset: Path) -> None:
+def test_a_dataset_without_sessions_is_not_complete(dataset: Path) -> None:
     rmtree(dataset / "sessions")
     found = verify(dataset)
     assert (found.code, found.sessions) == (3, 0)
@@ -78,10 +82,113 @@ def test_a_folder_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
             verify(path)
 
 
-def test_verifying_changes_nothing(tmp_path: Path) -> None:
+def test_verifying_changes_nothing_and_a_recovery_stays_known(tmp_path: Path) -> None:
     leave(tmp_path, new_run(), BATCHES)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    verify(tmp_path)
+    assert "slipflow verify --repair" in verify(tmp_path).findings[0].text
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-    assert json.loads((tmp_path / "sessions/one/session.json").read_text())["complete"] is False
-    assert len(Session.open(tmp_path).frame("touch")) == 50
+    recover(tmp_path / "sessions/one")
+    after = verify(tmp_path)
+    assert (after.code, after.rows) == (3, 125)
+    assert "was recovered: 10 rows of touch" in after.findings[0].text
+
+
+def test_a_missing_part_is_lost_with_what_it_had(dataset: Path) -> None:
+    (dataset / "sessions/one/touch/part-000001.parquet").unlink()
+    [finding] = verify(dataset).findings
+    assert (finding.session, finding.weight) == ("one", "lost")
+    assert "part-000001.parquet: cannot be read: No such file or directory; it had 20 rows" in finding.text
+
+
+def test_rows_that_the_manifest_counts_otherwise_are_lost(dataset: Path) -> None:
+    folder = dataset / "sessions/two"
+    parts = [*read_manifest(folder).values()]
+    write_manifest(folder, [*parts[1:], replace(parts[0], rows=6)])
+    assert verify(folder).code == 1
+
+
+def test_a_manifest_with_fewer_rows_than_the_closed_session_counts_is_a_loss(tmp_path: Path) -> None:
+    run = new_run()
+    run.sinks["dataset"] = SinkStatus(rows=125, records=True)
+    writer = write(tmp_path, run, BATCHES)
+    writer.close()
+    assert verify(tmp_path).code == 0
+    listed = read_manifest(writer.folder)
+    del listed["touch/part-000002.parquet"]  # as in a copy of an older manifest
+    write_manifest(writer.folder, listed.values())
+    found = {each.text.partition(":")[0]: each.weight for each in verify(tmp_path).findings}
+    assert found == {
+        "10 of the 125 recorded rows are in no part": "lost",
+        "touch/part-000002.parquet": "repairable",
+    }
+
+
+def test_samples_out_of_the_order_of_time_are_found(tmp_path: Path) -> None:
+    write(tmp_path, new_run(), [new_batch(Labelled, 3, start=50 * ms), new_batch(Labelled, 3)]).close()
+    [finding] = verify(tmp_path).findings
+    assert (finding.weight, "are not in order of time" in finding.text) == ("lossy", True)
+
+
+def test_a_session_that_is_being_recorded_is_checked_up_to_its_last_commit(tmp_path: Path) -> None:
+    writer = write(tmp_path, new_run(), BATCHES)
+    found = verify(tmp_path)
+    assert (found.code, [each.weight for each in found.findings]) == (0, ["note"])
+    assert found.rows == 80
+    writer.close()
+
+
+def test_what_session_json_says_is_weighed(tmp_path: Path) -> None:
+    run = new_run()
+    run.sources["touch"] = SourceStatus(gaps=[Gap(0, 2_500_000_000, "unplugged")])
+    run.sinks |= {"lab": SinkStatus(dropped=7, records=True), "dataset-view": SinkStatus(dropped=3)}
+    write(tmp_path, run, BATCHES).close()
+    found = {each.text: each.weight for each in verify(tmp_path).findings}
+    assert found == {
+        "7 rows for lab were dropped": "lossy",
+        "3 rows for dataset-view were dropped": "note",
+        "touch was down for 2.5 s: unplugged": "note",
+    }
+
+
+def test_files_that_do_not_belong_to_the_session_are_reported(dataset: Path) -> None:
+    folder = dataset / "sessions/two"
+    data = (folder / "touch/part-000000.parquet").read_bytes()
+    (folder / "touch/part-000001.parquet").write_bytes(data)
+    (folder / "touch/part-000000 (copy).parquet").write_bytes(data)
+    (folder / "motion/part-000001.parquet.tmp").write_bytes(b"half")
+    found = verify(folder)
+    assert [each.weight for each in found.findings] == ["repairable", "note", "note"]
+    assert "(copy).parquet: is not read: its name is not that of a part" in found.findings[-1].text
+
+
+def test_what_may_not_be_read_is_lost_and_the_check_goes_on(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Path.stat
+
+    def stat(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if path.parent.name == "one":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return real(path, follow_symlinks=follow_symlinks)
+
+    monkeypatch.setattr(Path, "stat", stat)
+    found = verify(dataset)
+    assert (found.code, found.sessions) == (1, 2)
+    assert any("cannot be read: Permission denied; grant this user" in each.text for each in found.findings)
+    assert {each.session for each in found.findings} == {"one"}
+
+
+@pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
+@pytest.mark.parametrize("content", ["{", "[]", '{"version": "9"}', '{"version": 2, "sinks": [3]}'])
+def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
+    if name == "dataset.json" and "sinks" in content:
+        content = "{}"
+    (dataset / name).write_text(content)
+    assert verify(dataset).code == 1
+
+
+@pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
+def test_data_of_another_version_is_refused_because_nothing_is_lost(dataset: Path, name: str) -> None:
+    (dataset / name).write_text('{"version": 1}')
+    with pytest.raises(InputError, match=rf"{name}: has version 1; this slipflow reads version 2"):
+        verify(dataset)

@@ -158,7 +158,7 @@ def split_fingers(flow: Flow, most: int) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(fingers[share::count]) for share in range(count))
 
 
-def _row_range(entry: Entry, times: _RowTimes, files: Mapping[str, list[tuple[str, str | None]]]) -> RowRange:
+def _row_range(entry: Entry, times: _RowTimes, files: Mapping[str, list[tuple[str, str]]]) -> RowRange:
     name = entry[0].name
     path, sha256 = files[name][times.part.item(0)]
     return RowRange(name, entry[1], path, sha256, times.row.item(0), times.row.item(-1) + 1)
@@ -203,7 +203,7 @@ class _RowTimesRecording:
 
 
 def _read_row_times(
-    folder: Path, kind: type[Batch], path: str, sha256: str | None, part: int
+    folder: Path, kind: type[Batch], path: str, sha256: str, part: int
 ) -> dict[int, _RowTimes]:
     """Return the times of a file's rows by fingertip; empty if they are not of type `kind`."""
     from storage import parts, schema  # noqa: PLC0415 - import pyarrow

@@ -168,7 +168,7 @@ def _placeholder(node: Node, fingers: Mapping[str, tuple[int, ...]]) -> Part:
     return UnitSource(kind, fingers[node.name]) if isinstance(node.part, Source) else node.part
 
 
-def read_part(folder: Path, kind: type[Batch], path: str, sha256: str | None) -> Mapping[int, Batch]:
+def read_part(folder: Path, kind: type[Batch], path: str, sha256: str) -> Mapping[int, Batch]:
     """Return the rows of a part of a session by fingertip.
 
     Raises:

@@ -69,7 +69,7 @@ def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
     assert model["recipe"]["steps"] == 20
     assert json.loads((tmp_path / "small.json").read_text())["sha256"] == model["sha256"]
     assert re.search(r"^step 20 of 20: accuracy \d+\.\d\d % on validation, \d+ s$", done.stderr, re.MULTILINE)
-    done = slipflow("onnx", "small.safetensors", "small.onnx", cwd=tmp_path)
+    done = slipflow("export", "small.safetensors", "small.onnx", "--to", "onnx", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "small.onnx").stat().st_size > 1000
 
@@ -86,9 +86,9 @@ def test_evaluate_prints_tables_of_given_models_and_named_methods(tiny: Path, tm
 
 
 def test_only_a_tcn_can_be_exported_and_only_to_an_existing_folder(tmp_path: Path) -> None:
-    done = slipflow("onnx", "psd", "psd.onnx", cwd=tmp_path)
+    done = slipflow("export", "psd", "psd.onnx", "--to", "onnx", cwd=tmp_path)
     assert (done.returncode, "is not a tcn" in done.stderr) == (2, True)
-    done = slipflow("onnx", "tcn", "nowhere/tcn.onnx", cwd=tmp_path)
+    done = slipflow("export", "tcn", "nowhere/tcn.onnx", "--to", "onnx", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "nowhere/tcn.onnx" in done.stderr

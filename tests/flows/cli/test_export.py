@@ -17,7 +17,7 @@ def test_a_dataset_becomes_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None
     frames = pl.read_parquet(tmp_path / "out" / "data" / "*" / "*.parquet")
     info = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())
     assert found["frames"] == info["total_frames"] == len(frames)
-    assert found["sessions"] == found["episodes"] == 12
+    assert found["episodes"] == 12
     assert found["splits"] == info["splits"] == {"train": "0:9", "validation": "9:10", "test": "10:12"}
     assert {"observation.state", "observation.pose", "action"} < set(found["features"])
 
@@ -42,23 +42,12 @@ def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "out" / f"{names[0]}.mcap").read_bytes()
 
 
-@pytest.mark.rerun
-def test_a_session_becomes_a_rerun_recording_with_its_probability(tiny: Path, tmp_path: Path) -> None:
-    session = tiny / "sessions" / session_names(tiny)[0]
-    arguments = ("export", str(session), "one.rrd", "--to", "rrd", "--detector", "tcn", "--json")
-    done = slipflow(*arguments, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)["files"]["one.rrd"]
-    assert set(found) == {"/touch/0", "/probability/0", "/motion/speed", "/samples/0/speed"}
-    assert 0 < found["/probability/0"] <= found["/touch/0"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["export", "nowhere", "out", "--to", "lerobot"], "nowhere: there is no such folder"),
-        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot, mcap or rrd"),
-        (["export", "nowhere", "out", "--to", "mcap", "--detector", "tcn"], "--detector requires --to rrd"),
+        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot, mcap or onnx"),
+        (["export", "nowhere", "out", "--to", "mcap", "--rate", "5"], "--rate requires --to lerobot"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: str, tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 import json
 import math
 from collections.abc import Callable
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,7 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from operators.batch import (
+    EVERY,
     Batch,
     Clocks,
     Episodes,
@@ -29,11 +28,10 @@ from operators.batch import (
 from operators.errors import EndpointError, InputError
 from storage import Session
 from storage.exports import mcap_file
-from storage.exports.mcap_file import export
-from storage.exports.mcap_messages import topic
+from storage.exports.mcap_file import export, message_schema, messages, topic
 from storage.hand_labels import LabelSpan
-from storage.layout import TABLE_OF
-from tests.storage.made import new_batch, record
+from storage.layout import CLOCKS, EPISODES, MOTION, SLIPS, TABLE_OF, TABLES, Table
+from tests.storage.made import new_batch, new_episodes, record
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
@@ -188,23 +186,6 @@ def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path)
     assert {chunk.compression for chunk in chunks} == {"zstd"}
 
 
-@pytest.mark.parametrize(
-    ("missing", "compression"), [(["zstandard"], "lz4"), (["zstandard", "lz4"], "")], ids=["lz4", "none"]
-)
-def test_chunks_are_compressed_with_an_installed_library(
-    *, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: list[str], compression: str
-) -> None:
-    def found(name: str) -> ModuleSpec | None:
-        return None if name in missing else find_spec(name)
-
-    monkeypatch.setattr(mcap_file, "find_spec", found)
-    path = tmp_path / "one.mcap"
-    batch = new_batch(Touch, 30, start=s)
-    export(record(tmp_path, [batch]), path)
-    assert {chunk.compression for chunk in summary(path)[2]} == {compression}
-    assert alike(read(path)) == alike(rows(batch))
-
-
 def test_a_missing_library_is_an_error_with_the_fix(
     tmp_path: Path, hide_packages: Callable[..., None]
 ) -> None:
@@ -249,3 +230,79 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) 
     with pytest.raises(EndpointError, match="exists already"):
         export(session, tmp_path / "one.mcap")
     assert (tmp_path / "one.mcap").read_text() == "mine"
+
+
+SIMPLE = {"object", "array", "number", "integer", "boolean", "string"}
+
+
+def types(found: Any) -> list[Any]:  # noqa: ANN401 - any part of a schema
+    """Every type that a schema names, and none where one is missing."""
+    nested = [*found.get("properties", {}).values(), *([found["items"]] if "items" in found else [])]
+    return [found.get("type"), *(each for value in nested for each in types(value))]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_foxglove_can_read_a_schema(table: Table) -> None:
+    found = message_schema(table, table.kind)
+    Draft202012Validator.check_schema(found)
+    assert set(types(found)) <= SIMPLE  # it knows no list of types, and no null
+    assert found["title"] == f"slipflow.{table.kind.__name__}"
+    for name, column in table.columns.items():
+        if name != "time" and column.unit:
+            assert column.unit in found["properties"][name]["description"]
+
+
+def test_a_message_has_the_columns_of_the_row() -> None:
+    velocity, pose = np.array([[0.1, 0, -0.2, 0, 0, 1e-9]]), np.full((1, 6), np.nan)
+    pose[0, 2] = 0.5
+    times = np.array([1_700_000_000_123_456_789])
+    batch = Motion(times, np.array([-1]), velocity, pose, finger=EVERY)
+    ((time, data),) = messages(MOTION, batch)
+    assert time == times[0]
+    assert json.loads(data) == {
+        "timestamp": {"sec": 1_700_000_000, "nsec": 123_456_789},
+        "device_time": {"sec": -1, "nsec": 999_999_999},
+        "velocity": [0.1, 0, -0.2, 0, 0, 1e-9],
+        "pose": [None, None, 0.5, None, None, None],
+    }
+
+
+def test_unknown_values_are_omitted() -> None:
+    slips = Slips(np.array([5]), np.array([1], np.int8), np.array([4]), np.array([np.nan]), finger=2)
+    ((_, data),) = messages(SLIPS, slips)
+    assert json.loads(data) == {
+        "timestamp": {"sec": 0, "nsec": 5},
+        "finger": 2,
+        "state": 1,
+        "start": {"sec": 0, "nsec": 4},
+    }
+    clocks = Clocks(np.array([5]), np.array([4]), np.array([np.inf]), np.array([0.5]))
+    ((_, data),) = messages(CLOCKS, clocks)
+    assert "drift" not in json.loads(data)
+
+
+def test_topics_of_fingertip_tables_have_the_number() -> None:
+    found = [topic(table, 3 if table.finger else EVERY) for table in TABLES]
+    assert found == [
+        *("/touch/3", "/motion", "/samples/3", "/slip/3", "/faults", "/clocks", "/episodes", "/truth/3")
+    ]
+
+
+def test_a_row_from_before_1970_is_an_error() -> None:
+    with pytest.raises(InputError, match="motion, a row at -1 ns: is from before 1970"):
+        list(messages(MOTION, new_batch(Motion, 1, start=-1)))
+
+
+def test_codes_are_written_as_their_names() -> None:
+    [(time, data)] = messages(EPISODES, new_episodes((s, 2 * s + 1, "tap")))
+    assert time == s
+    message = json.loads(data)
+    assert message == {
+        "timestamp": {"sec": 1, "nsec": 0},
+        "end": {"sec": 2, "nsec": 1},
+        "motion": "tap",
+        "surface": "plane",
+        "direction": 0.0,
+        "speed": 0.0,
+        "angular_speed": 0.0,
+    }
