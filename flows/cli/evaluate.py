@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Cluster, Jobs, Labels
+from flows.cli.options import AsJson, Cluster, Jobs
 from flows.cli.report_output import ReportFolder, command_line, prepare_report, write_report
 from flows.cli.terminal import note, progress_bar
 from operators.errors import InputError
@@ -48,7 +48,6 @@ def evaluate(
             help="Judge only this detector; or judge this model file, too; repeatable (default: all).",
         ),
     ] = None,
-    labels: Labels = "hand",
     list_: Annotated[bool, typer.Option("--list", help="List the shipped detectors and exit.")] = False,
     jobs: Jobs = None,
     cluster: Cluster = None,
@@ -97,7 +96,6 @@ def evaluate(
                 learners=learners(names) if train else [],
                 models=models,
                 names=names,
-                labels=labels,
                 speed=_TURN if chart else 0,
                 executor=executor,
                 progress=update,

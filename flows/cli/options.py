@@ -33,14 +33,6 @@ Settings = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives identical output.")]
-Labels = Annotated[
-    str,
-    typer.Option(
-        "--labels",
-        metavar="hand|arm",
-        help="Use labels given by hand (`slipflow show`) where there are any, or only those by arm speed.",
-    ),
-]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
 Cluster = Annotated[
     str | None,

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
-from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, cast
+from typing import Final, Literal, Self, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.learn.sampling import Sampling
 from flows.learn.splits import SPLITS, TURNS
-from operators import Align, Health, Label, Resample, SlidingMotion, Zero, ms
+from operators import Align, Label, Resample, SlidingMotion, Zero, ms
 from operators.batch import (
     EVERY,
     MOTIONS,
@@ -24,11 +24,9 @@ from operators.batch import (
     Codes,
     Counts,
     Episodes,
-    Faults,
     Flags,
     Labelled,
     Motion,
-    Reals,
     Sample,
     Times,
     Touch,
@@ -36,7 +34,6 @@ from operators.batch import (
     Zeroed,
     concat,
 )
-from operators.checks import check_choice
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
 from operators.score import forward_fill
@@ -45,11 +42,26 @@ from storage.layout import SESSION, may_exist, session_folder, session_names
 
 Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
 TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
-LABELS: Final = ("hand", "arm")  # by hand where a person gave labels, else by arm speed; only by arm speed
-Column = TypeVar("Column", bound=NDArray[Any])
 _NAMED: Final = 5  # recordings named in a line
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strokes:
+    """The motions over a surface in a recording."""
+
+    surface: str  # plane, sphere, cylinder_x or cylinder_y
+    speed: float | None  # m/s of the translations; None: rotations
+    oblique: Flags  # (n,) True if the latest stroke is oblique to the fingertip's axes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandLabelled:
+    """The samples of a recording that a person labelled."""
+
+    rows: Flags  # (n,)
+    version: int  # of the hand labels
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,22 +69,15 @@ class LabelledRecording:
     """Samples of one fingertip at a constant rate, with their labels."""
 
     counts: Counts  # (n, cells) zeroed; invalid cells hold their last valid value, as in `Score`
-    label: Codes  # (n,) by arm speed, as in the paper: 1 slip, 0 static, -1 unknown
-    surface: str  # plane, sphere, cylinder_x or cylinder_y; material of a CSV trace
-    speed: float | None = None  # m/s of the translations; None: rotations
-    oblique: Flags | None = None  # (n,) True if the latest stroke is oblique to the fingertip's axes
+    label: Codes  # (n,) by arm speed, as in the paper, or by hand: 1 slip, 0 static, -1 unknown
     valid: Flags | None = None  # (n, cells) False where a cell has no reading; None: all valid
-    force: Reals | None = None  # (n,) N, true normal force in simulation
-    sliding: Codes | None = None  # (n,) the same by true sliding of the contact in simulation
-    zeroing: int = 0  # samples at the start that determine the baseline
+    sliding: Codes | None = None  # (n,) label by true sliding of the contact in simulation
+    strokes: Strokes | None = None  # None: unknown
+    by_hand: HandLabelled | None = None
     name: str = ""
     split: str = ""  # train, validation or test
     group: str = ""  # surface or object, by which recordings can be split; empty: unknown
-    span: tuple[int, int] | None = None  # ns since 1970 UTC or the start of a trace: first and last sample
     fingertip: Fingertip = TAKKTILE
-    degraded: Flags | None = None  # (n,) True while `Health` reports a fault; None: not computed
-    by_hand: Flags | None = None  # (n,) True where the label was given by hand; None: nowhere
-    hand_version: int = 0  # of the hand labels; 0: none
 
     def __len__(self) -> int:
         return len(self.label)
@@ -89,22 +94,15 @@ class LabelledRecording:
         return slip
 
     def piece(self, rows: slice) -> Self:
-        """Return consecutive samples of the recording."""
-
-        def rows_of(column: Column | None) -> Column | None:
-            return None if column is None else cast("Column", column[rows])
-
+        """Return consecutive samples of the recording, without its strokes and labels by hand."""
         return replace(
             self,
             counts=self.counts[rows],
             label=self.label[rows],
-            oblique=rows_of(self.oblique),
-            valid=rows_of(self.valid),
-            force=rows_of(self.force),
-            sliding=rows_of(self.sliding),
-            degraded=rows_of(self.degraded),
-            by_hand=rows_of(self.by_hand),
-            span=None,
+            valid=None if self.valid is None else self.valid[rows],
+            sliding=None if self.sliding is None else self.sliding[rows],
+            strokes=None,
+            by_hand=None,
         )
 
     def evaluated(self, hop: int) -> NDArray[np.intp]:
@@ -123,14 +121,13 @@ def simulated_recordings(
 ) -> list[LabelledRecording]:
     """Simulate every recording of a plan, each scene altered by `change`."""
     return [
-        simulated_recording(
-            change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]), str(n)
-        )
-        for n, scene in enumerate(plan.scenes(seed))
+        simulated_recording(change(scene), scene_seed(seed, number), str(number))
+        for number, scene in enumerate(plan.scenes(seed))
     ]
 
 
-def _drawn_seed(seed: int, number: int) -> int:
+def scene_seed(seed: int, number: int) -> int:
+    """Return the seed of a scene of a plan."""
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
@@ -139,23 +136,21 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
     from connectors.sim.finger import simulate_scene  # noqa: PLC0415 - loads numba: only to simulate
 
     touch, motion, truth = simulate_scene(scene, seed)
-    zero, health = Zero(), Health()
+    zero = Zero()
     zeroed = concat(Zeroed, [zero.push(touch), zero.flush()])
-    faults = concat(Faults, [health.push(touch), health.flush()])
-    moves = [episode(move, start, 0, scene) for start, move in scene.moves(seed)]
-    recording = _recording(_labelled(zeroed, motion), concat(Episodes, moves), truth, truth.time)
-    sliding = _sliding(zeroed, replace(truth, time=touch.time))  # the clock of the touch may be wrong
-    return replace(
-        recording,
-        sliding=sliding,
-        zeroing=zero.scans,
+    moves = concat(Episodes, [episode(move, start, 0, scene) for start, move in scene.moves(seed)])
+    return LabelledRecording(
+        forward_fill(zeroed.counts, zeroed.valid),
+        _labelled(zeroed, motion).label,
+        zeroed.valid,
+        _sliding(zeroed, replace(truth, time=touch.time)),  # the clock of the touch may be wrong
+        _strokes(moves, truth.time),
         name=name,
         split=split,
-        degraded=_degraded(faults, touch.time),
     )
 
 
-def load(dataset: Path, rate: float | None = None, labels: str = LABELS[0]) -> list[LabelledRecording]:
+def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
     """Read every fingertip of a session, or of all of a dataset, that has samples or labels by hand.
 
     A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
@@ -165,20 +160,17 @@ def load(dataset: Path, rate: float | None = None, labels: str = LABELS[0]) -> l
     Args:
         dataset: Folder of the dataset, or of one of its sessions.
         rate: Rate to which samples of another rate are converted by `Resample`, Hz; None: as recorded.
-        labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
 
     Raises:
         InputError: if the dataset does not exist, is damaged or has no labelled samples.
-        ParameterError: if `labels` is unknown.
     """
-    check_choice("load", "labels", labels, LABELS)
     make = "make one with `slipflow simulate` or `slipflow run record`"
     if not dataset.is_dir():
         raise InputError(str(dataset), f"there is no such folder; {make}")
     folders = session_folders(dataset)
     recordings = list[LabelledRecording]()
     for session in map(Session.open, folders):
-        hand = session.hand_labels() if labels == LABELS[0] else HandLabels()
+        hand = session.hand_labels()
         marked = {span.finger for span in hand.spans}
         if marked:
             marked &= {*session.fingers(Touch)}  # verifies all touch, so only if needed
@@ -199,8 +191,8 @@ def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
     found = [(each, each.by_hand) for each in recordings if each.by_hand is not None]
     if not found:
         return ""
-    samples, total = sum(int(by_hand.sum()) for _, by_hand in found), sum(len(each) for each, _ in found)
-    versions = dict.fromkeys(f"{each.name} version {each.hand_version}" for each, _ in found)
+    samples, total = sum(int(hand.rows.sum()) for _, hand in found), sum(len(each) for each, _ in found)
+    versions = dict.fromkeys(f"{each.name} version {hand.version}" for each, hand in found)
     where = ", ".join([*list(versions)[:_NAMED], *(["..."] if len(versions) > _NAMED else [])])
     return f"labels by hand: {samples:,} of {total:,} samples of {where}"
 
@@ -239,9 +231,7 @@ def labelled_by(
     if target == "arm-speed":
         return recordings
     found = [
-        replace(each, label=each.sliding, by_hand=None, hand_version=0)
-        for each in recordings
-        if each.sliding is not None
+        replace(each, label=each.sliding, by_hand=None) for each in recordings if each.sliding is not None
     ]
     if len(found) < len(recordings):
         name = next(each.name for each in recordings if each.sliding is None)
@@ -280,18 +270,18 @@ def _of_session(session: Session, finger: int, rate: float | None, hand: HandLab
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
     sliding = _sliding(labelled, truth) if len(truth) else None
-    label, by_hand = hand.replace(labelled.label, labelled.time, finger)
-    recording = _recording(replace(labelled, label=label), episodes, truth, labelled.time)
-    return replace(
-        recording,
-        sliding=sliding,
-        name=session.name,
-        split=str(session.about.get("split") or ""),
-        group=str(session.about.get("group") or ""),
-        span=(int(labelled.time[0]), int(labelled.time[-1])) if len(labelled) else None,
-        fingertip=fingertip,
-        by_hand=by_hand if by_hand.any() else None,
-        hand_version=hand.version if by_hand.any() else 0,
+    label, rows = hand.replace(labelled.label, labelled.time, finger)
+    return LabelledRecording(
+        forward_fill(labelled.counts, labelled.valid),
+        label,
+        labelled.valid,
+        sliding,
+        _strokes(episodes, labelled.time),
+        HandLabelled(rows, hand.version) if rows.any() else None,
+        session.name,
+        str(session.about.get("split") or ""),
+        str(session.about.get("group") or ""),
+        fingertip,
     )
 
 
@@ -316,20 +306,17 @@ def _resampled(labelled: Labelled, rate: float) -> Labelled:
     )
 
 
-def _recording(labelled: Labelled, episodes: Episodes, truth: Truth, time: Times) -> LabelledRecording:
-    """Return the samples, which were taken at `time` (n,) by the clock of the episodes."""
-    known = len(truth) == len(labelled)  # a simulation has one row per touch row
+def _strokes(episodes: Episodes, time: Times) -> Strokes | None:
+    """Return the strokes of samples that were taken at `time` (n,) by the clock of the episodes."""
+    if not len(episodes):
+        return None
     strokes = episodes[np.isin(episodes.motion, [MOTIONS.index(each) for each in _STROKES])]
     speeds = strokes.speed[strokes.motion == MOTIONS.index("translation")]
     oblique = np.append(np.abs(np.sin(2 * strokes.direction)) > _ALONG, False)  # before the first stroke
-    return LabelledRecording(
-        _filled(labelled),
-        labelled.label,
-        SURFACES[int(episodes.surface[0])] if len(episodes) else "",
+    return Strokes(
+        SURFACES[int(episodes.surface[0])],
         float(speeds[0]) if len(speeds) else None,
-        oblique[np.searchsorted(strokes.time, time, "right") - 1] if len(episodes) else None,
-        labelled.valid,
-        truth.force if known else None,
+        oblique[np.searchsorted(strokes.time, time, "right") - 1],
     )
 
 
@@ -344,14 +331,3 @@ def _sliding(zeroed: Zeroed, truth: Truth) -> Codes:
     """Return the label of each sample by the true sliding at its time; (n,)."""
     sliding = SlidingMotion()
     return _labelled(zeroed, concat(Motion, [sliding.push(truth), sliding.flush()])).label
-
-
-def _degraded(faults: Faults, time: Times) -> Flags:
-    """Return True at each instant (n,) at which a fault is active."""
-    number = np.concatenate(([0], np.where(faults.active, 1, -1).cumsum()))  # of faults, after each change
-    active: Flags = number[faults.time.searchsorted(time, "right")] > 0
-    return active
-
-
-def _filled(zeroed: Zeroed) -> Counts:
-    return forward_fill(zeroed.counts, zeroed.valid)

@@ -143,7 +143,7 @@ def charted(dataset: Path) -> Numbers:
 
 def held_out(dataset: Path) -> Numbers:
     """Return the result of each surface held out: detectors as they are, and a fitted baseline."""
-    recordings = [replace(each, group=each.surface) for each in load(dataset)]
+    recordings = [replace(each, group=each.strokes.surface) for each in load(dataset) if each.strokes]
 
     def loaded(*_args: object, **_named: object) -> list[LabelledRecording]:
         return recordings

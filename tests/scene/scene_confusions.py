@@ -48,12 +48,12 @@ class MotionConfusions:
         """
         found, numbers, counts = list[MotionKind](), list[int](), list[Reals]()
         for number, (recording, at, slip) in enumerate(zip(recordings, evaluated, predicted, strict=True)):
-            if recording.oblique is None:
+            if (strokes := recording.strokes) is None:
                 continue
-            oblique = recording.oblique[at]
+            oblique = strokes.oblique[at]
             kinds = (("primary", ~oblique), ("oblique", oblique))
-            for kind, part in kinds if recording.speed else (("rotation", oblique | ~oblique),):
-                found.append(MotionKind(kind, recording.speed, recording.surface))
+            for kind, part in kinds if strokes.speed else (("rotation", oblique | ~oblique),):
+                found.append(MotionKind(kind, strokes.speed, strokes.surface))
                 numbers.append(number)
                 counts.append(Confusion.of(slip[part], recording.slip[at][part]).counts)
         return cls(tuple(found), np.array(numbers, np.intp), np.array(counts).reshape(-1, 2, 2))

@@ -12,10 +12,12 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.onsets import runs
+from operators import Zero
 from operators.batch import BAROMETERS, Flags, Reals
 
 RATE: Final = 100.0  # Hz
 FREQUENCIES: Final = (2.0, 5.0, 10.0, 20.0)  # Hz
+_ZEROING: Final = Zero().scans  # samples at the start that determine the baseline
 _LOADED: Final = 20  # counts from zero
 _DEEP: Final = -400  # counts: no barometer floors above this
 
@@ -71,7 +73,7 @@ TABLE: Final = (
 def measure(recordings: Sequence[LabelledRecording]) -> dict[str, Reals]:
     """Return the values of each row of `TABLE` for which there is data."""
     used = [
-        (recording.counts[recording.zeroing :].astype(np.float64), recording.slip[recording.zeroing :])
+        (recording.counts[_ZEROING:].astype(np.float64), recording.slip[_ZEROING:])
         for recording in recordings
     ]
     counts = np.concatenate([z for z, _ in used])  # (n, 6)
@@ -102,7 +104,9 @@ def measure(recordings: Sequence[LabelledRecording]) -> dict[str, Reals]:
     found["rise"], found["ring"] = _median(rises), _median(rings)
     for surface in ("plane", "sphere"):
         if these := [
-            z for recording, (z, _) in zip(recordings, used, strict=True) if recording.surface == surface
+            z
+            for recording, (z, _) in zip(recordings, used, strict=True)
+            if recording.strokes and recording.strokes.surface == surface
         ]:
             joined = np.concatenate(these)
             found[f"{surface} mean"], found[f"{surface} std"] = joined.mean(axis=0), joined.std(axis=0)

@@ -10,12 +10,14 @@ import numpy as np
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.sim.barometers import DECADES
+from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Parameters
+from connectors.sim.scene import Parameters, Scene
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
-from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
+from flows.learn.labelled_recordings import LabelledRecording, scene_seed, simulated_recordings
 from flows.learn.scoring import windows
-from operators.batch import UNKNOWN, Reals
+from operators import Health
+from operators.batch import UNKNOWN, Faults, Flags, Reals, concat
 from operators.detectors import Detector
 from operators.errors import InputError
 from tests.scene.scene_confusions import MotionConfusions, MotionGroup
@@ -59,20 +61,30 @@ def targets(trace: LabelledRecording) -> list[Target]:
 def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
     """Simulate a plan; return its figures, in the order of `targets`."""
     recordings = simulated_recordings(plan, seed)
+    faulty = [_degraded(scene, scene_seed(seed, n)) for n, scene in enumerate(plan.scenes(seed))]
     evaluated = [each.evaluated(HOP) for each in recordings]
     slip = [network.score(windows(each, network.length, HOP)) > 1 / 2 for each in recordings]
     found = MotionConfusions.of(recordings, evaluated, slip)
     statistics = measure(recordings)
-    degraded = np.concatenate([each.degraded for each in recordings if each.degraded is not None])
     return np.array(
         [
             *(found.confusion(group).f1 for _, group, _ in groups()[1:]),
             *(row.distance(statistics[row.key]) for row in TABLE if row.low),
             *relaxed(plan.parameters),
             *_shape(statistics),
-            max(100 * degraded.mean(), FAULTY),
+            max(100 * np.concatenate(faulty).mean(), FAULTY),
         ]
     )
+
+
+def _degraded(scene: Scene, seed: int) -> Flags:
+    """Return True at each sample at which `Health` reports a fault; (n,)."""
+    touch, _, _ = simulate_scene(scene, seed)
+    health = Health()
+    faults = concat(Faults, [health.push(touch), health.flush()])
+    number = np.concatenate(([0], np.where(faults.active, 1, -1).cumsum()))  # of faults, after each change
+    active: Flags = number[faults.time.searchsorted(touch.time, "right")] > 0
+    return active
 
 
 def read_trace(path: Path) -> LabelledRecording:
@@ -84,7 +96,7 @@ def read_trace(path: Path) -> LabelledRecording:
     trace = Trace(path, ColumnMap(zeroed=True))
     if (trace.labels == UNKNOWN).any():
         raise InputError(str(path), "has rows without a label; label each row")
-    return LabelledRecording(trace.touch.counts, trace.labels, path.stem, name=path.stem)
+    return LabelledRecording(trace.touch.counts, trace.labels, name=path.stem)
 
 
 def relaxed(parameters: Parameters) -> list[float]:

@@ -24,7 +24,6 @@ from flows.learn.evaluation.methods import (
     trained_methods,
 )
 from flows.learn.labelled_recordings import (
-    LABELS,
     LabelledRecording,
     common_fingertip,
     hand_label_summary,
@@ -76,7 +75,6 @@ def evaluate(
     learners: Sequence[Candidate] = (),
     models: Sequence[Path] = (),
     names: Collection[str] = (),
-    labels: str = LABELS[0],
     speed: float = 0.0,
     executor: Executor | None = None,
     progress: Progress = lambda _done, _all: None,
@@ -94,7 +92,6 @@ def evaluate(
         learners: Methods to fit to the groups that are not held out.
         models: Files of weights to judge as well.
         names: Only these methods, and those of `models`; empty: all.
-        labels: One of `LABELS`: ``hand``, or ``arm`` to ignore labels by hand.
         speed: CPU time of each turn of timing the methods, s; 0: they are not timed.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of fits and judgements done, and of all.
@@ -109,7 +106,7 @@ def evaluate(
     require_extra("train", "evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
-    recordings = _distinct(load(dataset, rate=_RATE if hold_out else None, labels=labels))
+    recordings = _distinct(load(dataset, rate=_RATE if hold_out else None))
     common_fingertip(recordings)
     if hold_out:
         folds = group_folds(recordings, hold_out, str(dataset))

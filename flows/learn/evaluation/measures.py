@@ -108,13 +108,14 @@ def motion_name(surface: str, kind: str, speed: float | None) -> str:
 
 def _motions(recording: LabelledRecording, known: Flags) -> Iterator[tuple[str, Flags]]:
     """Yield each kind of motion, and its samples."""
-    if recording.oblique is None:
+    strokes = recording.strokes
+    if strokes is None:
         yield "", known
-    elif recording.speed is None:
-        yield motion_name(recording.surface, "rotation", None), known
+    elif strokes.speed is None:
+        yield motion_name(strokes.surface, "rotation", None), known
     else:
-        yield motion_name(recording.surface, "primary", recording.speed), known & ~recording.oblique
-        yield motion_name(recording.surface, "oblique", recording.speed), known & recording.oblique
+        yield motion_name(strokes.surface, "primary", strokes.speed), known & ~strokes.oblique
+        yield motion_name(strokes.surface, "oblique", strokes.speed), known & strokes.oblique
 
 
 def _known(recording: LabelledRecording, probability: Reals) -> Flags:

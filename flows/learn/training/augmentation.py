@@ -46,12 +46,8 @@ def stretched(recording: LabelledRecording, factor: int) -> LabelledRecording:
         label=recording.label[rows],
         sliding=None if recording.sliding is None else recording.sliding[rows],
         valid=None,
-        force=None,
-        oblique=None,
-        degraded=None,
+        strokes=None,
         by_hand=None,
-        zeroing=recording.zeroing * factor,
-        span=None,
     )
 
 

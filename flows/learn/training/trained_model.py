@@ -81,7 +81,7 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
     """Describe a dataset for the card of a model that was trained on it."""
-    by_hand = {each.name: each.hand_version for each in recordings if each.hand_version}
+    by_hand = {each.name: each.by_hand.version for each in recordings if each.by_hand}
     return {
         "dataset": dataset.resolve().name,
         "sha256": dataset_digest(dataset),

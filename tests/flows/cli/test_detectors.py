@@ -149,8 +149,6 @@ def test_evaluate_and_train_use_labels_by_hand_and_print_how_many(tiny: Path, tm
     assert done.returncode == 0, done.stderr
     assert "labels by hand: 200 of" in done.stderr
     assert "Labels by hand: 200 of" in (tmp_path / "evaluation/evaluation.md").read_text()
-    done = slipflow("evaluate", str(copy), *options, "--labels", "arm", cwd=tmp_path)
-    assert "by hand" not in done.stderr
     train = ("train", str(copy), "--filters", "2", "--steps", "1")
     done = slipflow(*train, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -31,7 +31,7 @@ def scored(seed: int, samples: int = 3000) -> Scored:
     logit = 6.0 * np.roll(label == 1, 2) - 3 + random.normal(0, 1.5, len(label))
     logit[random.random(len(label)) < 0.01] = np.nan
     logit[:120] = -3.0
-    recording = LabelledRecording(counts.astype(np.int16), label, "plane", name=str(seed), sliding=label)
+    recording = LabelledRecording(counts.astype(np.int16), label, name=str(seed), sliding=label)
     return recording, 1 / (1 + np.exp(-logit))
 
 

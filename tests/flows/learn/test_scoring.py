@@ -39,7 +39,7 @@ def recording(
     samples: int, valid: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None = None
 ) -> LabelledRecording:
     counts = np.random.default_rng(0).integers(-400, 100, (samples, 6)).astype(np.int16)
-    return LabelledRecording(counts, np.zeros(samples, np.int8), "plane", valid=valid)
+    return LabelledRecording(counts, np.zeros(samples, np.int8), valid=valid)
 
 
 def test_windows_end_with_the_sample_that_is_scored() -> None:
@@ -81,7 +81,7 @@ def test_the_operator_says_the_same() -> None:
 
 def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
-    one = LabelledRecording(counts, np.zeros(150, np.int8), "plane")
+    one = LabelledRecording(counts, np.zeros(150, np.int8))
     assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[one.evaluated(10), 0].tolist()
     assert windows(one, 100, 10)[0].tolist() == counts[:100].tolist()
     assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))
@@ -95,6 +95,6 @@ def test_a_recording_within_the_warm_up_has_no_windows(samples: int) -> None:
 def test_samples_with_an_unknown_label_are_not_fitted_to() -> None:
     counts = np.arange(1800, dtype=np.int16).reshape(300, 6)
     label = np.where(np.arange(300) < 200, -1, 1).astype(np.int8)
-    recording = LabelledRecording(counts, label, "plane")
+    recording = LabelledRecording(counts, label)
     assert labels([recording], 10).tolist() == [True] * 10
     assert windows(recording, 25, 10)[:, -1, 0].tolist() == counts[recording.known(10), 0].tolist()

@@ -38,7 +38,7 @@ def noisy(seed: int, seconds: int = 200) -> tuple[LabelledRecording, Reals]:
     random = np.random.default_rng(seed)
     label = (np.arange(100 * seconds) % 1000 > 900).astype(np.int8)
     logit = 6.0 * label - 3 + np.repeat(random.normal(0, 1.4, 10 * seconds), 10)
-    recording = LabelledRecording(np.zeros((len(label), 6), np.int16), label, "plane", name=str(seed))
+    recording = LabelledRecording(np.zeros((len(label), 6), np.int16), label, name=str(seed))
     return recording, 1 / (1 + np.exp(-logit))
 
 

@@ -22,7 +22,7 @@ def stroke(seed: int, group: str) -> LabelledRecording:
     random = np.random.default_rng(seed)
     label = (np.arange(700) // 100 % 2).astype(np.int8)
     counts = random.normal(0, np.where(label == 1, 30, 1)[:, None], (700, 6)).round().astype(np.int16)
-    return LabelledRecording(counts, label, "", name=f"{group}-{seed}", group=group)
+    return LabelledRecording(counts, label, name=f"{group}-{seed}", group=group)
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ def recordings(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Rea
         probability = 1 / (1 + np.exp(-logit))
         probability[random.random(len(label)) < 0.01] = np.nan
         found.append(probability)
-        slips.append(Slips.labelled(LabelledRecording(np.zeros((len(label), 6), np.int16), label, "plane")))
+        slips.append(Slips.labelled(LabelledRecording(np.zeros((len(label), 6), np.int16), label)))
     return found, slips
 
 

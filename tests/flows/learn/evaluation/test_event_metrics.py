@@ -32,7 +32,7 @@ def sure(samples: int, *runs: tuple[int, int]) -> Reals:
 
 
 def slips(codes: Codes) -> Slips:
-    return Slips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes, "plane"))
+    return Slips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes))
 
 
 def seconds(*stretches: tuple[int, int]) -> list[list[int]]:

@@ -12,7 +12,7 @@ from flows.learn.evaluation.measures import (
     judged,
     motion_name,
 )
-from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording, Strokes
 from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce
@@ -30,7 +30,7 @@ def label(samples: int, *runs: tuple[int, int]) -> Codes:
 
 
 def recorded(codes: Codes, sliding: Codes | None = None, name: str = "one") -> LabelledRecording:
-    return LabelledRecording(np.zeros((len(codes), 6), np.int16), codes, "plane", sliding=sliding, name=name)
+    return LabelledRecording(np.zeros((len(codes), 6), np.int16), codes, sliding=sliding, name=name)
 
 
 def sure(codes: Codes) -> Reals:
@@ -76,14 +76,16 @@ def test_samples_without_a_label_or_an_answer_do_not_count() -> None:
 def test_each_kind_of_motion_is_a_condition() -> None:
     codes = label(400, (150, 200), (300, 340))
     oblique = np.arange(400) >= 250
-    stroke = replace(recorded(codes), speed=0.05, oblique=oblique)
+    stroke = replace(recorded(codes), strokes=Strokes("plane", 0.05, oblique))
     results = judged(stroke, sure(codes), TWICE, method="psd")
     parts = {name: part for (name,), part in results.filter(metric="slip as slip").group_by("condition")}
     assert {name: part["value"].sum() for name, part in parts.items()} == {
         motion_name("plane", "primary", 0.05): 50,
         motion_name("plane", "oblique", 0.05): 40,
     }
-    turned = judged(replace(stroke, speed=None), sure(codes), TWICE, method="psd")
+    turned = judged(
+        replace(stroke, strokes=Strokes("plane", None, oblique)), sure(codes), TWICE, method="psd"
+    )
     assert "plane, rotation" in turned["condition"].to_list()
     stressed = judged(stroke, sure(codes), TWICE, method="psd", condition="noise 14")
     assert stressed["condition"].unique().to_list() == ["noise 14"]

@@ -28,7 +28,7 @@ def training() -> list[LabelledRecording]:
     label = np.repeat(np.arange(16) % 2, 50).astype(np.int8)
     spread = np.where(label, 40, 1)[:, None]
     counts = (random.normal(0, spread, (800, 6)).round().astype(np.int16) for _ in range(2))
-    return [LabelledRecording(each, label, "plane", split="train") for each in counts]
+    return [LabelledRecording(each, label, split="train") for each in counts]
 
 
 def model(path: Path, **about: object) -> Path:

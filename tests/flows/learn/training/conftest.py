@@ -9,7 +9,7 @@ def separable(seed: int, samples: int = 700) -> LabelledRecording:
     rng = np.random.default_rng(seed)
     label = np.repeat(rng.permutation(np.arange(samples // 50 + 1) % 2), 50)[:samples].astype(np.int8)
     counts = rng.normal(0, np.where(label == 1, 40.0, 1.0)[:, None], (samples, 6)).round().astype(np.int16)
-    return LabelledRecording(counts, label, "plane", split="train")
+    return LabelledRecording(counts, label, split="train")
 
 
 @pytest.fixture(scope="session")

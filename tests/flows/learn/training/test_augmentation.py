@@ -83,7 +83,7 @@ def test_counts_stay_whole() -> None:
 @pytest.fixture
 def ramp() -> LabelledRecording:
     counts = np.arange(100, dtype=np.int16)[:, None] * np.ones(6, np.int16)
-    return LabelledRecording(counts, (np.arange(100) >= 50).astype(np.int8), "plane")
+    return LabelledRecording(counts, (np.arange(100) >= 50).astype(np.int8))
 
 
 def test_a_stretched_recording_is_longer_with_its_labels_in_place(ramp: LabelledRecording) -> None:

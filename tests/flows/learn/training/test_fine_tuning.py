@@ -38,7 +38,7 @@ def stroked(
     size = round(100 * seconds)
     counts = amplitude * np.array(shear)[:size, None] * _CELLS + rng.normal(0, 1.5, (size, 6))
     return LabelledRecording(
-        np.rint(counts).astype(np.int16), np.array(label[:size], np.int8), "plane", name=f"stroked-{seed}"
+        np.rint(counts).astype(np.int16), np.array(label[:size], np.int8), name=f"stroked-{seed}"
     )
 
 
@@ -119,7 +119,7 @@ def test_only_a_tcn_is_trained_further(tmp_path: Path) -> None:
 def _read(name: str) -> LabelledRecording:
     frame = pl.read_parquet(STROKES / f"{name}.parquet")
     counts = frame.select([f"b{cell}" for cell in range(6)]).to_numpy().astype("int16")
-    return LabelledRecording(counts, frame["label"].to_numpy().astype("int8"), "", name=name)
+    return LabelledRecording(counts, frame["label"].to_numpy().astype("int8"), name=name)
 
 
 @pytest.mark.skipif(

@@ -32,7 +32,7 @@ def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
         label = np.repeat(np.arange(30) % 2, 50).astype(np.int8)
         spread = np.where(label == 1, 40.0, 1.0)[:, None]
         counts = rng.normal(0, spread, (1500, fingertip.cells)).round().astype(np.int16)
-        found.append(LabelledRecording(counts, label, "plane", name=split, split=split, fingertip=fingertip))
+        found.append(LabelledRecording(counts, label, name=split, split=split, fingertip=fingertip))
     return found
 
 

@@ -39,7 +39,7 @@ def _recording(seed: int, samples: int = 700) -> LabelledRecording:
     slip = (2 * time // samples + seed) % 2 == 1
     wave = np.sin(2 * np.pi * 15 * time / 100 + rng.uniform(0, 6))
     counts = -150 + 3 * rng.normal(size=(samples, 6)) + 60 * np.outer(slip * wave, rng.uniform(0.5, 1, 6))
-    return LabelledRecording(counts.round().astype(np.int16), slip.astype(np.int8), "plane")
+    return LabelledRecording(counts.round().astype(np.int16), slip.astype(np.int8))
 
 
 SHORT = [_recording(seed, 300) for seed in range(2)]
@@ -48,7 +48,7 @@ SHORT = [_recording(seed, 300) for seed in range(2)]
 def _noise(seed: int, samples: int) -> LabelledRecording:
     rng = np.random.default_rng(seed)
     counts = rng.integers(-500, 100, (samples, 6)).astype(np.int16)
-    return LabelledRecording(counts, rng.integers(0, 2, samples).astype(np.int8), "plane")
+    return LabelledRecording(counts, rng.integers(0, 2, samples).astype(np.int8))
 
 
 def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> float:
