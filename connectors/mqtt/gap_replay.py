@@ -10,7 +10,6 @@ from connectors.events import CONTENT_TYPE, encode
 from connectors.fields import Fields
 from connectors.mqtt.broker import Message
 from operators.errors import EndpointError, InputError
-from operators.ports import Json
 
 if TYPE_CHECKING:
     from connectors.mqtt.outbox import Outbox
@@ -24,14 +23,7 @@ SLICE = 64  # events per answer; the client requests the rest
 
 @dataclass(frozen=True, slots=True)
 class GapRequest:
-    """Request for events `first` to `last` of an epoch, to be sent to the topic `reply_to`.
-
-    >>> request = GapRequest("ab", 3, 9, "slip/v1/lab/ur10/replay/me")
-    >>> request.encode()
-    b'{"epoch":"ab","from":3,"to":9,"reply_to":"slip/v1/lab/ur10/replay/me"}'
-    >>> GapRequest.decode(request.encode(), "slip/v1/lab/ur10") == request
-    True
-    """
+    """Request for events `first` to `last` of an epoch, to be sent to the topic `reply_to`."""
 
     epoch: str
     first: int
@@ -64,22 +56,16 @@ class GapAnswer:
     """Closing answer: events `first` to `last` were sent, except `missing`, which are no longer kept.
 
     `last` may be less than requested; the client requests the rest again.
-
-    >>> answer = GapAnswer("ab", 3, 9, ((3, 4), (7, 7)))
-    >>> answer.encode()
-    b'{"epoch":"ab","from":3,"to":9,"missing":[[3,4],[7,7]]}'
-    >>> GapAnswer.read(Fields.parse(answer.encode(), "answer")) == answer
-    True
     """
 
     epoch: str
     first: int
     last: int
-    missing: tuple[tuple[int, int], ...]
+    missing: Sequence[tuple[int, int]]
 
     def encode(self) -> bytes:
         """Return the answer as JSON."""
-        missing: list[Json] = [[first, last] for first, last in self.missing]
+        missing = [list(each) for each in self.missing]
         return encode({"epoch": self.epoch, "from": self.first, "to": self.last, "missing": missing})
 
     @classmethod
@@ -90,8 +76,7 @@ class GapAnswer:
             InputError: naming the field that is missing or wrong.
         """
         first = fields.integer("from")
-        last = fields.integer("to", first)
-        missing = tuple(fields.ranges("missing"))
+        last, missing = fields.integer("to", first), fields.ranges("missing")
         if any(not first <= low <= high <= last for low, high in missing):
             raise InputError(fields.where, f"missing exceeds the range {first} to {last}")
         return cls(fields.text("epoch"), first, last, missing)
@@ -131,25 +116,16 @@ class GapReplies:
                 found, last = await self._outbox.between(request.epoch, request.first, request.last, SLICE)
             except EndpointError:
                 continue  # unreadable now, but not lost: the client repeats its request
-            if last >= request.first:  # else the numbers are not used yet
-                missing = _missing(request.first, last, [entry.seq for entry in found])
-                closing = GapAnswer(request.epoch, request.first, last, missing).encode()
-                events = (entry.payload for entry in found)
-                return [
-                    *(
-                        Message(request.reply_to, each, retain=False, content_type=CONTENT_TYPE)
-                        for each in events
-                    ),
-                    Message(request.reply_to, closing, retain=False),
-                ]
+            if last < request.first:
+                continue  # the numbers are not used yet
+            before = pairwise([request.first - 1, *(entry.seq for entry in found), last + 1])
+            missing = [(low + 1, high - 1) for low, high in before if high > low + 1]
+            closing = GapAnswer(request.epoch, request.first, last, missing).encode()
+            return [
+                *(
+                    Message(request.reply_to, each.payload, retain=False, content_type=CONTENT_TYPE)
+                    for each in found
+                ),
+                Message(request.reply_to, closing, retain=False),
+            ]
         return []
-
-
-def _missing(first: int, last: int, found: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    """Return the ranges of `first` to `last` that are not among the sorted numbers `found`.
-
-    >>> _missing(1, 9, [3, 4, 9])
-    ((1, 2), (5, 8))
-    """
-    before = pairwise([first - 1, *found, last + 1])
-    return tuple((low + 1, high - 1) for low, high in before if high > low + 1)

@@ -29,9 +29,6 @@ from storage.disk_check import check_disk
 
 log = logging.getLogger("slipflow")
 
-KEEP = 100_000  # sent events, for consumers that missed them
-KEEP_FOR = 7 * 86400.0  # s
-
 
 @dataclass(eq=False)
 class Mqtt(Sink[Slips | Faults | Clocks]):
@@ -135,9 +132,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # newest state of the device clock
         self._published: dict[str, Entry] = {}  # event in the published state, by finger
-        self._outbox = Outbox(
-            self._outbox_path(replay=run.recording is not None), keep=KEEP, keep_for=KEEP_FOR
-        )
+        self._outbox = Outbox(self._outbox_path(replay=run.recording is not None))
         await self._outbox.open()
         # the same in each live run, so that a new connection cancels the previous will
         identifier = f"slipflow/{self.site}/{self._name}"

@@ -3,7 +3,6 @@
 import asyncio
 import errno
 import logging
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -52,11 +51,11 @@ class Outbox:
         on_pending: Called when there is an event to send.
     """
 
-    def __init__(self, path: Path, *, keep: int, keep_for: float) -> None:
-        """Prepare to use the folder `path`, which keeps `keep` sent events for `keep_for` s."""
+    def __init__(self, path: Path) -> None:
+        """Prepare to use the folder `path`."""
         self.path, self.epoch, self.error = path, token_hex(6), ""
         self.on_pending: Callable[[], object] = lambda: None
-        self._log = OutboxLog(path, self.epoch, keep=keep, keep_for=keep_for)
+        self._log = OutboxLog(path, self.epoch)
         self._unwritten: dict[int, Entry] = {}  # events of this run, by number
         self._unsynced: dict[int, Entry] = {}
         self._unsent: dict[Key, str] = {}  # fingertips of events that may be sent, in order
@@ -120,11 +119,10 @@ class Outbox:
             EndpointError: if the disk cannot be written and memory is full; then no event is stored.
         """
         self._make_room(len(drafts))
-        now = time.time()
         for draft in drafts:
             self._newest += 1
             payload = replace(draft, epoch=self.epoch, seq=self._newest).encode()
-            self._unwritten[self._newest] = Entry(self.epoch, self._newest, draft.finger, payload, now)
+            self._unwritten[self._newest] = Entry(self.epoch, self._newest, draft.finger, payload)
         newest = self._newest
         self._write_due.set()
         try:

@@ -2,25 +2,24 @@
 
 Each run begins an epoch, which is a series of event numbers from 1. The logs of the folder are segments, in
 the order of their names. Each holds events of one epoch with consecutive numbers, and acknowledgements of any
-events. The records of a segment are JSON, followed by the payload if it is an event:
+events. The records of a segment:
 
 .. code-block:: text
 
     {"epoch": NAME, "first": NUMBER}                 first record: epoch, and number of the first event
-    [FINGERTIP, TIME] NEWLINE PAYLOAD                event, and time of its creation in s
+    FINGERTIP NEWLINE PAYLOAD                        event
     {"acknowledged": [[EPOCH, NUMBER], ...]}         events that the broker has received
 """
 
 import json
 import logging
 import os
-import time
 from array import array
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from operators.errors import EndpointError, InputError
 from storage import files
@@ -30,8 +29,8 @@ from storage.lock import lock
 log = logging.getLogger("slipflow")
 
 IDENTITY: Final = b"slipflow outbox 2"
-SEGMENT_EVENTS = 1000  # events of a segment; older segments are deleted as a whole
-SEGMENT_SPAN = 86400.0  # s, from the first to the last event of a segment
+SEGMENT_EVENTS = 1000  # events of a segment
+SEGMENTS = 100  # kept segments, besides those with unsent events
 
 Key: TypeAlias = tuple[str, int]  # epoch and number of an event
 
@@ -44,7 +43,6 @@ class Entry:
     seq: int
     finger: str
     payload: bytes
-    time: float  # s since 1970, of its creation
 
     @property
     def key(self) -> Key:
@@ -60,8 +58,6 @@ class _Segment:
     epoch: str
     first: int
     offsets: "array[int]" = field(default_factory=lambda: array("Q"))
-    started: float = 0.0  # s since 1970, time of the first event
-    time: float = 0.0  # s since 1970, time of the newest event
 
     @property
     def last(self) -> int:
@@ -69,10 +65,6 @@ class _Segment:
 
     def __contains__(self, key: Key) -> bool:
         return key[0] == self.epoch and self.first <= key[1] <= self.last
-
-    def add(self, offset: int, created: float) -> None:
-        self.offsets.append(offset)
-        self.started, self.time = self.started or created, created
 
 
 class OutboxLog:
@@ -82,9 +74,9 @@ class OutboxLog:
         epoch: Epoch of this run.
     """
 
-    def __init__(self, path: Path, epoch: str, *, keep: int, keep_for: float) -> None:
-        """Prepare to use the folder `path`, which keeps `keep` sent events for `keep_for` s."""
-        self.path, self.epoch, self._keep, self._keep_for = path, epoch, keep, keep_for
+    def __init__(self, path: Path, epoch: str) -> None:
+        """Prepare to use the folder `path`."""
+        self.path, self.epoch = path, epoch
         self._lock: int | None = None
         self._segments: list[_Segment] = []
         self._log: AppendLog | None = None  # the newest segment, if it is of this run
@@ -128,17 +120,14 @@ class OutboxLog:
         """
         if self._lock is None:  # the disk was full when the folder was opened
             self._lock_folder()
-        following = entries[0].seq if entries else self.span(self.epoch)[1] + 1
-        if self._log is None or self._log.suspect or self._log.broken or self._ends_before(following):
-            self._start_segment(following)
+        if self._log is None or self._log.suspect or self._log.broken or not self._continues(entries):
+            self._start_segment(entries[0].seq if entries else self.span(self.epoch)[1] + 1)
         assert self._log
-        records = [
-            json.dumps([entry.finger, entry.time]).encode() + b"\n" + entry.payload for entry in entries
-        ]
+        records = [b"%s\n%s" % (entry.finger.encode(), entry.payload) for entry in entries]
         if acknowledged:
             records.append(json.dumps({"acknowledged": acknowledged}).encode())
-        for entry, offset in zip(entries, self._log.append(records), strict=False):
-            self._segments[-1].add(offset, entry.time)
+        offsets = self._log.append(records)
+        self._segments[-1].offsets.extend(offsets[: len(entries)])
 
     def sync(self) -> None:
         """Make the appended records durable.
@@ -163,26 +152,18 @@ class OutboxLog:
             with suppress(FileNotFoundError), LogReader(segment.path) as reader:  # may be pruned by now
                 for epoch, seq in wanted:
                     if record := next(reader.records(segment.offsets[seq - segment.first]), None):
-                        head, _, payload = record.data.partition(b"\n")
-                        finger, created = json.loads(head)
-                        found[epoch, seq] = Entry(epoch, seq, finger, payload, created)
+                        finger, _, payload = record.data.partition(b"\n")
+                        found[epoch, seq] = Entry(epoch, seq, finger.decode(), payload)
         return [found[key] for key in keys if key in found]
 
     def prune(self, oldest_unsent: Key | None) -> None:
-        """Delete segments that are too old or too many, from the oldest up to that of the first unsent event.
+        """Delete the oldest segments if there are too many, up to that of the first unsent event.
 
         Raises:
             OSError: if a file cannot be deleted.
         """
-        kept = sum(len(segment.offsets) for segment in self._segments)
-        while len(self._segments) > 1:
-            oldest = self._segments[0]
-            kept -= len(oldest.offsets)
-            expired = kept >= self._keep or oldest.time < time.time() - self._keep_for
-            if not expired or (oldest_unsent and oldest_unsent in oldest):
-                return
-            del self._segments[0]
-            files.unlink(oldest.path)
+        while len(self._segments) > SEGMENTS and not (oldest_unsent and oldest_unsent in self._segments[0]):
+            files.unlink(self._segments.pop(0).path)
 
     def close(self) -> None:
         """Close the files and unlock the folder."""
@@ -217,15 +198,14 @@ class OutboxLog:
             begin = json.loads(first.data)
             segment = _Segment(reader.path, str(begin["epoch"]), int(begin["first"]))
             for offset, data in records:
-                content: Any = json.loads(data.partition(b"\n")[0])
-                if isinstance(content, dict):
-                    acknowledgements += 1
-                    for epoch, seq in content["acknowledged"]:
-                        unsent.pop((epoch, seq), None)
-                else:
-                    finger, created = content
-                    segment.add(offset, created)
-                    unsent.setdefault((segment.epoch, segment.last), finger)
+                finger, newline, _ = data.partition(b"\n")
+                if newline:
+                    segment.offsets.append(offset)
+                    unsent.setdefault((segment.epoch, segment.last), finger.decode())
+                    continue
+                acknowledgements += 1
+                for epoch, seq in json.loads(data)["acknowledged"]:
+                    unsent.pop((epoch, seq), None)
         except (ValueError, TypeError, LookupError) as error:
             reason = f"has an invalid record at byte {reader.end}: move it away"
             raise InputError(str(reader.path), reason) from error
@@ -236,11 +216,10 @@ class OutboxLog:
         else:  # of a run without events
             files.unlink(reader.path)
 
-    def _ends_before(self, following: int) -> bool:
-        """Return True if the newest segment is full or old, or cannot be continued by event `following`."""
+    def _continues(self, entries: Sequence[Entry]) -> bool:
+        """Return True if the newest segment is not full, and `entries` have its next numbers."""
         segment = self._segments[-1]
-        old = 0 < segment.started < time.time() - SEGMENT_SPAN
-        return old or len(segment.offsets) >= SEGMENT_EVENTS or following != segment.last + 1
+        return not entries or (len(segment.offsets) < SEGMENT_EVENTS and entries[0].seq == segment.last + 1)
 
     def _start_segment(self, first: int) -> None:
         if self._log and not self._log.suspect:

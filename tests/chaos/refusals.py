@@ -117,7 +117,7 @@ async def _refused(url: str, path: Path) -> tuple[float, str, int]:
 
 @asynccontextmanager
 async def _opened(path: Path) -> AsyncGenerator[Outbox]:
-    outbox = Outbox(path, keep=1000, keep_for=1e9)
+    outbox = Outbox(path)
     await outbox.open()
     try:
         yield outbox

@@ -62,8 +62,8 @@ def _forget_failure(self: append_log.AppendLog) -> None:
 
 def _prune_unsent(self: Any, oldest: object) -> None:
     del oldest
-    self._keep = 1
-    _PRUNE(self, None)
+    with patch.object(outbox_log, "SEGMENTS", 1):
+        _PRUNE(self, None)
 
 
 def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:

@@ -12,7 +12,7 @@ import pytest
 
 from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
-from connectors.mqtt import mqtt_sink, outbox_log
+from connectors.mqtt import outbox_log
 from connectors.mqtt.broker_link import Link
 from operators.batch import Slips
 from operators.errors import EndpointError, ParameterError
@@ -153,7 +153,7 @@ async def test_events_that_are_no_longer_kept_are_reported_as_lost(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox_log, "SEGMENT_EVENTS", 2)
-    monkeypatch.setattr(mqtt_sink, "KEEP", 4)
+    monkeypatch.setattr(outbox_log, "SEGMENTS", 2)
     reports = list[str]()
     async with publishing(broker, run) as sink:
         outbox = inside(sink, "_outbox")

@@ -70,8 +70,8 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 
 
 @asynccontextmanager
-async def opened(path: Path, keep: int = 1000) -> AsyncGenerator[Outbox]:
-    box = Outbox(path, keep=keep, keep_for=1e9)
+async def opened(path: Path) -> AsyncGenerator[Outbox]:
+    box = Outbox(path)
     await box.open()
     try:
         yield box
@@ -163,8 +163,11 @@ async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) 
         assert await box.between("unknown", 3, 9, 10) == ([], 9)
 
 
-async def test_only_old_acknowledged_events_are_deleted(tmp_path: Path) -> None:
-    async with opened(tmp_path / "outbox", keep=20) as box:
+async def test_only_old_acknowledged_events_are_deleted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_log, "SEGMENTS", 2)
+    async with opened(tmp_path / "outbox") as box:
         epoch = box.epoch
         for _ in range(9):
             await box.append([DRAFT] * 10)
@@ -173,7 +176,7 @@ async def test_only_old_acknowledged_events_are_deleted(tmp_path: Path) -> None:
         await until(lambda: inside(box, "_log").span(epoch)[0] == 71)
         assert await kept(box, epoch) == list(range(71, 91))
         assert await send(box) == names(epoch, range(86, 91))
-    async with opened(tmp_path / "outbox", keep=20) as box:
+    async with opened(tmp_path / "outbox") as box:
         assert await kept(box, epoch) == list(range(71, 91))
         assert box.waiting == 0
 
@@ -335,7 +338,7 @@ async def test_a_cancelled_append_stores_all_events_or_none(tmp_path: Path) -> N
 async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
     async def refusal(path: Path) -> str:
         with pytest.raises((EndpointError, InputError)) as caught:
-            await Outbox(path, keep=1, keep_for=1).open()
+            await Outbox(path).open()
         return str(caught.value)
 
     async with opened(tmp_path / "outbox"):
@@ -353,7 +356,7 @@ async def test_an_orderly_close_waits_for_a_slow_disk(
 ) -> None:
     monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.01)
     monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
-    box = Outbox(tmp_path / "outbox", keep=1, keep_for=1)
+    box = Outbox(tmp_path / "outbox")
     await box.open()
     disk.writes.clear()
     for _ in range(3):
@@ -380,7 +383,7 @@ async def test_losses_of_an_ended_close_are_exact(
 ) -> None:
     monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.01)
     monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
-    box = Outbox(tmp_path / "outbox", keep=1, keep_for=1)
+    box = Outbox(tmp_path / "outbox")
     await box.open()
     await box.append([DRAFT] * 5)
     if hangs:
@@ -415,7 +418,7 @@ async def test_events_are_sent_from_memory_after_the_task_that_writes_them_has_f
         raise KeyError("planted")
 
     monkeypatch.setattr(Outbox, "_keep_writing", fail)
-    box = Outbox(tmp_path / "outbox", keep=1000, keep_for=1e9)
+    box = Outbox(tmp_path / "outbox")
     await box.open()
     await box.append([DRAFT, DRAFT])
     assert "the writing of events has failed: KeyError: 'planted'" in caplog.text

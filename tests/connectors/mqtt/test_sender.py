@@ -114,7 +114,7 @@ def follow(sent: Iterable[Entry]) -> Iterator[Message]:
 
 @asynccontextmanager
 async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
-    outbox = Outbox(tmp_path / "outbox", keep=10_000, keep_for=1e9)
+    outbox = Outbox(tmp_path / "outbox")
     await outbox.open()
     health = count(1)
     sending = Sender(
