@@ -27,7 +27,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
-from flows.run.executor import map_tasks
+from flows.run.executor import LocalProcesses, map_tasks
 from flows.run.replay_runner import ReplayRunner
 from operators import Align, Label, SlidingMotion, Zero, ms
 from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, Truth, concat, s
@@ -169,7 +169,7 @@ def simulate(
         plan: One of `PLANS`.
         seed: Random seed.
         delay: Delay of the arm's velocity behind the barometers, ns; see `Label`.
-        executor: Executor of `flows.run.executor.workers`; None: this process.
+        executor: Executor of `flows.run.executor.workers`; None: this process. An error ends local processes.
         progress: Called with the number of recordings done and their total.
 
     Raises:
@@ -183,8 +183,13 @@ def simulate(
     with partial_folder(out.resolve()) as root:
         describe_dataset(root)
         work = partial(_record, root, delay)
-        for split, counts in map_tasks(work, planned, executor, progress=progress):
-            splits[split].update(counts)
+        try:
+            for split, counts in map_tasks(work, planned, executor, progress=progress):
+                splits[split].update(counts)
+        except BaseException:
+            if isinstance(executor, LocalProcesses):
+                executor.shutdown()  # else they write into the folder while it is removed
+            raise
     return SimulatedDataset(out, plan, seed, splits, perf_counter() - began)
 
 
