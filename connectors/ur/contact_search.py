@@ -13,11 +13,7 @@ OVERRUN: Final = 0.001  # m, braking distance allowed beyond the longest distanc
 
 
 def mean_force(states: Sequence[ArmState]) -> Point | None:
-    """Return the mean reported force (N); None if the controller reports none.
-
-    >>> mean_force([ArmState((0,) * 6, (0,) * 6, (1, 2, 3)), ArmState((0,) * 6, (0,) * 6, (3, 2, 1))])
-    (2.0, 2.0, 2.0)
-    """
+    """Return the mean reported force (N); None if the controller reports none."""
     x, y, z = (sum(each) / len(states) for each in zip(*(state.force for state in states), strict=True))
     return None if isnan(x + y + z) else (x, y, z)
 
@@ -34,23 +30,17 @@ class ContactSearch:
     Attributes:
         longest: Longest distance, m.
         direction: Unit vector of the motion.
+        found: True once the mean force of the newest states reaches the contact force.
 
     Raises:
         ParameterError: if the distance or the force is not above 0.
-
-    >>> search = ContactSearch(ArmState((0,) * 6, (0,) * 6, (0, 0, 0)), (0, 0, -0.003), 2.0, (0, 0, 0.5))
-    >>> search.update(ArmState((0, 0, -0.001, 0, 0, 0), (0,) * 6, (0, 0, 1.5)))
-    False
-    >>> search.mean
-    1.0
     """
 
     def __init__(self, start: ArmState, path: Point, force: float, offset: Point) -> None:
-        self.longest = hypot(*path)
+        self.longest, self.found = hypot(*path), False
         check_above("ContactSearch", "path", self.longest, 0, "m")
         check_above("ContactSearch", "force", force, 0, "N")
-        x, y, z = (each / self.longest for each in path)
-        self.direction: Point = x, y, z
+        self.direction: Point = path[0] / self.longest, path[1] / self.longest, path[2] / self.longest
         self._start, self._force, self._offset = start, force, offset
         self._newest = deque[ArmState](maxlen=AVERAGED)
 
@@ -59,18 +49,11 @@ class ContactSearch:
         """Mean force (N) of the newest states."""
         return sum(map(self.force, self._newest)) / max(1, len(self._newest))
 
-    @property
-    def found(self) -> bool:
-        """True once the mean force reaches the contact force."""
-        return len(self._newest) == AVERAGED and self.mean >= self._force
-
     def update(self, state: ArmState) -> bool:
-        """Add a state; return True if the arm must come to rest: contact, or the end of the path.
-
-        Adding the newest state again has no effect.
-        """
+        """Add a state, once; return True if the arm must come to rest: contact, or the end of the path."""
         if not (self._newest and self._newest[-1] is state):
             self._newest.append(state)
+        self.found = len(self._newest) == AVERAGED and self.mean >= self._force
         return self.found or self._distance(state) >= self.longest
 
     def force(self, state: ArmState) -> float:

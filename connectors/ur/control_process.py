@@ -19,7 +19,7 @@ from importlib import import_module
 from math import hypot
 from multiprocessing.connection import Connection
 from time import monotonic
-from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 from connectors.ur.ur_state import Pose
 from operators.errors import EndpointError, InputError
@@ -71,19 +71,6 @@ class Reply(NamedTuple):
     text: str = ""
 
 
-class Control(Protocol):
-    """The methods of ur-rtde's RTDEControlInterface that are used here."""
-
-    def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool: ...  # noqa: D102, N802, FBT001
-    def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool: ...  # noqa: D102, N802
-    def speedStop(self, deceleration: float, /) -> bool: ...  # noqa: D102, N802
-    def stopL(self, deceleration: float, asynchronous: bool, /) -> None: ...  # noqa: D102, N802, FBT001
-    def setWatchdog(self, rate: float, /) -> bool: ...  # noqa: D102, N802
-    def kickWatchdog(self) -> bool: ...  # noqa: D102, N802
-    def stopScript(self) -> None: ...  # noqa: D102, N802
-    def disconnect(self) -> None: ...  # noqa: D102
-
-
 def check_ur_rtde() -> None:
     """Check that ur-rtde is installed.
 
@@ -93,7 +80,7 @@ def check_ur_rtde() -> None:
     require_extra("ur", "commanding a UR arm")
 
 
-def connect(host: str) -> Control:
+def connect(host: str) -> Any:  # noqa: ANN401 - RTDEControlInterface, which has no types
     """Connect ur-rtde, which uploads its control script to the controller and starts it.
 
     Raises:
@@ -103,14 +90,14 @@ def connect(host: str) -> Control:
     check_ur_rtde()
     library = import_module("rtde_control")
     try:
-        return cast("Callable[[str], Control]", library.RTDEControlInterface)(host)
+        return library.RTDEControlInterface(host)
     except RuntimeError as error:
         reason = f"cannot be commanded: {error}; does another program control it, is it in remote control?"
         raise EndpointError(f"ur://{host}", reason) from error
 
 
 def serve(
-    pipe: Connection, host: str, watchdog: float = WATCHDOG, connect: Callable[[str], Control] = connect
+    pipe: Connection, host: str, watchdog: float = WATCHDOG, connect: Callable[[str], Any] = connect
 ) -> None:
     """Execute commands from a pipe until `Signal.END`, an error or silence; main function of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the commanding process ends this one
@@ -138,7 +125,7 @@ def serve(
 class _Commander:
     """Sender of commands to the controller; it does not wait until they are done."""
 
-    def __init__(self, control: Control) -> None:
+    def __init__(self, control: Any) -> None:  # noqa: ANN401 - as `connect`
         self._control = control
         self._mode: Literal["rest", "line", "velocity"] = "rest"
         self._velocity = _STANDSTILL  # newest command in velocity mode
@@ -203,11 +190,11 @@ class _Commander:
 
     def _move(self, command: Move) -> bool:
         self._mode, self._velocity = "velocity", command
-        return self._control.speedL([*command.velocity], command.acceleration, 0.0)
+        return bool(self._control.speedL([*command.velocity], command.acceleration, 0.0))
 
     def _repeat(self) -> bool:
         """Write to the controller: repeat the velocity, which may have been lost, or kick the watchdog."""
-        return self._move(self._velocity) if self._mode == "velocity" else self._control.kickWatchdog()
+        return self._move(self._velocity) if self._mode == "velocity" else bool(self._control.kickWatchdog())
 
     def _end_velocity(self) -> None:
         if self._mode == "velocity":

@@ -143,8 +143,7 @@ def text(payload: bytes) -> str:
     >>> text(b"\5hello\4RTDE\1")
     'hello (RTDE)'
     """
-    length = payload[0] if payload else 0
-    message, rest = payload[1 : 1 + length], payload[1 + length :]
-    source = rest[1 : 1 + rest[0]] if rest else b""
+    message = payload[1 : 1 + payload[0]] if payload else b""
+    source = payload[2 + len(message) : -1]
     read = f"{message.decode('utf-8', 'replace')} ({source.decode('utf-8', 'replace')})"
     return "".join(each if each.isprintable() else " " for each in read)

@@ -14,18 +14,19 @@ from contextlib import asynccontextmanager, suppress
 from math import hypot, inf, isfinite, isnan
 from typing import Any, Final, Self
 
-from connectors.ur import dashboard_client
 from connectors.ur.contact_search import ContactSearch, mean_force
 from connectors.ur.control_client import START_TIMEOUT, ControlClient
 from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Signal
 from connectors.ur.path_follower import PathFollower
 from connectors.ur.ur_state import ArmState, Bounds, Point, Pose, receive_states, state_client
-from operators.errors import EndpointError
+from operators.errors import EndpointError, os_error_reason
 from operators.ports import Clock
 from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")
 
+DASHBOARD: Final = 29999  # port
+DASHBOARD_TIMEOUT: Final = 1.0  # s, for the whole exchange
 STOP_TIMEOUT: Final = 1.0  # s, for the arm to come to rest
 PATH_TOLERANCE: Final = 0.005  # m
 _STEERING: Final = 0.02  # s between commands along a polyline
@@ -340,7 +341,30 @@ class UrArm:
             return
         self._dashboard_used = True
         try:
-            answer = await dashboard_client.request(self.host, "stop")
+            async with asyncio.timeout(DASHBOARD_TIMEOUT):
+                answer = await request_stop(self.host)
+        except (OSError, ValueError) as error:  # TimeoutError is an OSError
+            reason = os_error_reason(error) if isinstance(error, OSError) else str(error)
+            log.error("%s: cannot be stopped over the dashboard: %s", self._endpoint, reason)  # noqa: TRY400
+        else:
             log.warning("%s: sent stop over the dashboard; answer: %s", self._endpoint, answer)
-        except EndpointError as error:
-            log.error("%s: cannot be stopped over the dashboard: %s", self._endpoint, error.reason)  # noqa: TRY400
+
+
+async def request_stop(host: str, port: int = DASHBOARD) -> str:
+    """Stop the program of an arm by its dashboard, which is independent of the program; return the answer.
+
+    Source: Universal Robots, "Dashboard Server".
+
+    Raises:
+        OSError: if the dashboard cannot be reached.
+        ValueError: if it sends a line without an end, or closes the connection without an answer.
+    """
+    reader, writer = await asyncio.open_connection(host, port)
+    try:
+        await reader.readline()  # its greeting
+        writer.write(b"stop\n")
+        if answer := await reader.readline():
+            return answer.decode("utf-8", "replace").strip()
+        raise ValueError("closed the connection without an answer")
+    finally:
+        writer.close()

@@ -7,7 +7,7 @@ import pytest
 from connectors.gripper.robotiq import Request
 from operators import EndpointError
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
-from tests.emulators.gripper import RELEASED, Mechanism
+from tests.emulators.gripper import Mechanism
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
@@ -47,17 +47,6 @@ async def test_a_command_to_a_restarted_gripper_is_sent_once_it_is_ready() -> No
         assert at.scene.forces == [15.0, 0.0, SCALE.force(85)]
         assert [each.force for each in at.writes[2:]] == [85, 85]
         assert counted(gripper)["restarts"] == 1
-
-
-async def test_a_reset_gripper_is_activated_again() -> None:
-    async with lab() as at, at.gripping(force=20.0) as gripper:
-        await asyncio.sleep(5)
-        at.server.mechanism.fail(RELEASED)
-        await asyncio.sleep(5)
-        at.server.mechanism.power_up()
-        await asyncio.sleep(10)
-        assert at.scene.forces == [SCALE.force(28), 0.0, SCALE.force(28)]
-        await gripper.write(commands(20.0))
 
 
 async def test_the_status_is_updated_once_the_request_is_echoed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from connectors import Gripper
 from connectors.gripper.drive import GripperDrive
-from connectors.gripper.robotiq import ForceScale, Request
+from connectors.gripper.robotiq import Request
 from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.run.diagnosis import diagnose
@@ -18,7 +18,6 @@ from operators.batch import Commands
 from operators.ports import Run
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
 from tests.emulators.gripper import RELEASED
-from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
@@ -55,12 +54,6 @@ async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() ->
         assert about["force_n"] == SCALE.force(85)
         await gripper.close()
         assert gripper.status is None
-
-
-async def test_an_initial_force_is_sent_at_once() -> None:
-    async with lab() as at, at.gripping(force=20.0):
-        await asyncio.sleep(10)
-        assert at.scene.forces == [SCALE.force(28)]
 
 
 async def test_a_ready_gripper_keeps_its_object() -> None:
@@ -199,20 +192,6 @@ async def test_no_replay_moves_the_gripper() -> None:
         assert not at.asked
 
 
-async def test_a_flow_with_a_recorded_source_does_not_start() -> None:
-    class Recorded(TestSource[Commands]):
-        @property
-        def recording(self) -> str:
-            return "grasp-1"
-
-    async with lab() as at:
-        flow = Flow("grip")
-        flow.source(Recorded(Commands, [commands(30.0)])).to(at.gripper())
-        with pytest.raises(FlowError, match="a replay must not move a gripper"):
-            await LiveRunner(flow, "run1").execute()
-        assert not at.asked
-
-
 async def test_a_flow_continues_when_the_gripper_works_again() -> None:
     async with lab() as at:
         batches = [commands(15.0 + row)[:1] for row in range(40)]
@@ -263,53 +242,6 @@ def test_the_error_without_pymodbus_names_the_pip_command(
 def test_invalid_values_are_refused(name: str, value: object) -> None:
     with pytest.raises(ParameterError, match=f"Gripper: {name}"):
         Gripper("10.0.0.3", **{name: value})  # type: ignore[arg-type]
-
-
-def test_a_measured_scale_widens_the_limits() -> None:
-    scale = ForceScale(((0, 10.0), (255, 70.0)))
-    assert Gripper("10.0.0.3", limits=(10.0, 70.0), scale=scale).limits == (10.0, 70.0)
-
-
-def test_over_sockets_it_survives_a_reset_and_a_lost_gripper() -> None:
-    async def test() -> None:
-        async with asyncio.timeout(PATIENCE), lab("127.0.0.1", 0, activation=0.05, contact=2) as at:
-            gripper = at.gripper(timeout=10.0)
-            await gripper.open(at.run)
-            await gripper.write(commands(30.0))
-            await at.scene.gripped.wait()
-            assert at.scene.forces == [SCALE.force(85)]
-            at.server.drop()
-            at.scene.gripped.clear()
-            await written(gripper, commands(40.0))
-            await at.scene.gripped.wait()
-            assert at.scene.forces == [SCALE.force(85), SCALE.force(141)]
-            await at.server.__aexit__()
-            with pytest.raises(EndpointError, match=r"the connection is lost|cannot be reached"):
-                await write_on(gripper, commands(50.0))
-            with pytest.raises(EndpointError):
-                await gripper.close()
-            with pytest.raises(EndpointError, match="cannot be reached"):
-                await gripper.open(at.run)
-
-    asyncio.run(test())
-
-
-async def written(gripper: Gripper, batch: Commands) -> None:
-    """Write as the runner does: retry after a failure."""
-    while True:
-        try:
-            await gripper.write(batch)
-        except EndpointError:
-            await asyncio.sleep(0.01)
-        else:
-            return
-
-
-async def write_on(gripper: Gripper, batch: Commands) -> None:
-    """Wait until the sink notices the lost gripper."""
-    while True:
-        await gripper.write(batch)
-        await asyncio.sleep(0)
 
 
 async def test_the_check_before_a_run_reads_the_status_and_moves_nothing() -> None:

@@ -29,13 +29,6 @@ def test_place_is_the_integral_of_velocity() -> None:
     np.testing.assert_allclose(pose[:, :3] - pose[0, :3], travelled, atol=2e-5)
 
 
-def test_the_rotation_vector_turns_with_the_angular_velocity() -> None:
-    velocity, pose = in_base(*PlannedArm(Scene(PLAN), 0).at(FINE))
-    turns = Rotation.from_rotvec(pose[:, 3:])
-    steps = (turns[1:] * turns[:-1].inv()).as_rotvec() / 1e-4
-    np.testing.assert_allclose(steps, velocity[:-1, 3:], atol=2e-3)
-
-
 def test_the_velocity_in_the_fingertip_frame_is_along_the_stroke() -> None:
     drive, local = PlannedArm(Scene(PLAN), 0).at(FINE)
     velocity, pose = in_base(drive, local)

@@ -45,20 +45,6 @@ def test_the_influence_is_the_integral_of_the_point_loads() -> None:
     assert influence(p)[cell, :, node] == pytest.approx([stress(part) for part in range(3)], rel=0.01)
 
 
-def test_even_pressure_comes_through_under_the_middle_of_the_pad() -> None:
-    middle = influence(Parameters(pitch_x=0.004, pitch_y=0.001, depth=0.004)).sum(axis=2)[:, 0]
-    assert (middle > 0.9).all()
-    assert (middle < 1.0).all()
-
-
-def test_the_influence_has_the_symmetry_of_the_pad() -> None:
-    p = Parameters()
-    matrix = influence(p).reshape(6, 3, p.rows, p.columns)
-    sign_x, sign_y = np.array([1, -1, 1])[:, None, None], np.array([1, 1, -1])[:, None, None]
-    np.testing.assert_allclose(matrix[MIRROR_X][..., ::-1] * sign_x, matrix, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(matrix[MIRROR_Y][..., ::-1, :] * sign_y, matrix, rtol=1e-9, atol=1e-15)
-
-
 def test_pressing_lowers_the_counts_and_relaxation_raises_them_with_the_logarithm_of_time() -> None:
     p = Parameters()
     tractions = np.zeros((801, 3, p.columns * p.rows))
@@ -69,17 +55,6 @@ def test_pressing_lowers_the_counts_and_relaxation_raises_them_with_the_logarith
     assert (np.diff(counts, axis=0) > 0).all()
     left = counts[[50, 100, 200, 400, 800], 0] / counts[0, 0]
     assert -np.diff(left) == pytest.approx(0.1 * np.log10(2), rel=0.15)  # per doubling of time
-
-
-def test_shear_presses_behind_the_load_it_drags() -> None:
-    """Friction on the pad points against the motion; the rubber piles up where it points to."""
-    p = Parameters()
-    x, y = grid(p)
-    middle = int(np.argmin(x**2 + y**2))
-    matrix = influence(p)
-    right = cell_positions(p)[:, 0] > x[middle]
-    assert (matrix[right, 1, middle] > 0).all()
-    assert (matrix[~right, 1, middle] <= 0).all()
 
 
 T = np.arange(50) / 100
@@ -107,15 +82,6 @@ def test_cells_read_their_rest_in_the_air_and_less_under_pressure() -> None:
     assert (np.diff(touched.astype(int), axis=0) >= 0).all()  # it relaxes
     assert np.abs(temperature - ROOM_TEMPERATURE).max() <= 10
     assert valid.all()
-
-
-def test_a_reading_cut_in_two_is_the_same() -> None:
-    noisy = Parameters(noise=0.7)
-    whole = cells(Faults(), noisy).read(T, pressed(3000.0), 0.0125)
-    halves = cells(Faults(), noisy)
-    first, second = (halves.read(T[rows], pressed(3000.0, 25), 0.0125) for rows in (slice(25), slice(25, 50)))
-    for one, a, b in zip(whole, first, second, strict=True):
-        np.testing.assert_array_equal(one, np.concatenate([a, b]))
 
 
 def test_each_fault_is_that_of_its_cell() -> None:

@@ -4,7 +4,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from connectors.sim import body, contact, grasp
+from connectors.sim import body, grasp
 from connectors.sim.body import GRAVITY, BodyState, GripModel
 from connectors.sim.contact import FingerState, Pad
 from connectors.sim.finger import pad
@@ -126,54 +126,6 @@ def test_both_forms_slip_alike_at_first(name: str) -> None:
         np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-8)
 
 
-def test_a_body_that_is_turned_turns_its_surface_as_an_arm_that_turns_does() -> None:
-    can = replace(BALL, curvature="cylinder_y")
-    held = Held(can, EVEN)
-    other = pad(grasp.surface(can, EVEN))
-    arm = np.zeros((100, 6))
-    arm[:, 2] = -0.3 / (100 * EVEN.step)
-    contact.simulate(held.grip.contact, other, FingerState.rest(48), arm, np.array([100]))
-    held.body.pose[:] = 0.0, 0.0, 0.3
-    held.go(held.drive(EVEN.step))
-    np.testing.assert_allclose(held.pad.gap, other.gap, atol=1e-12)
-
-
-def test_the_top_of_a_ball_wanders_over_the_pad() -> None:
-    held = Held(BALL, EVEN)
-    held.body.pose[:] = 0.002, -0.003, 0.4
-    held.go(held.drive(EVEN.step))
-    nodes = (held.pad.x - 0.002) ** 2 + (held.pad.y + 0.003) ** 2
-    np.testing.assert_allclose(held.pad.gap, nodes / (2 * BALL.radius), atol=1e-12)
-
-
-@pytest.mark.parametrize("name", OBJECTS)
-def test_the_table_carries_what_stands_on_it(name: str) -> None:
-    held = Held(OBJECTS[name])
-    before = held.body.pose.copy()
-    held.go(held.drive(1.0))
-    assert held.body.table[0] == pytest.approx(held.thing.mass * GRAVITY)
-    np.testing.assert_allclose(held.body.pose, before, atol=1e-9)
-
-
-def test_what_no_finger_holds_falls_freely() -> None:
-    held = Held(BALL)
-    held.body.pose[1] += 0.5
-    held.go(held.drive(0.2))
-    assert held.body.velocity[1] == pytest.approx(-GRAVITY * 0.2)
-    assert held.body.pose[1] == pytest.approx(0.5 - GRAVITY * 0.02, abs=0.002)
-    held.go(held.drive(2.0))
-    assert abs(held.body.pose[1]) < 1e-3
-    assert held.body.table[0] == pytest.approx(BALL.mass * GRAVITY, rel=1e-3)
-
-
-def test_a_box_that_is_tipped_a_little_stands_again() -> None:
-    held = Held(BOX)
-    held.body.pose[2] = 0.05
-    held.go(held.drive(3.0))
-    assert abs(held.body.pose[2]) < 1e-3
-    assert held.body.table[0] == pytest.approx(BOX.mass * GRAVITY, rel=1e-2)
-
-
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_grip_above_the_least_force_holds_and_one_below_lets_fall(name: str) -> None:
     held = Held(OBJECTS[name], EVEN)
@@ -221,15 +173,6 @@ def test_a_tap_moves_it_as_far_as_friction_takes_to_use_its_energy_up(name: str,
     assert -held.body.slide[1] == pytest.approx(expected, rel=0.05)
 
 
-def test_the_mallet_gives_its_momentum() -> None:
-    held = Held(BALL)
-    drive = held.drive(0.01)
-    drive[:, 6], drive[:, 8] = 2.0, -0.03
-    held.go(drive)
-    assert held.body.velocity[0] == pytest.approx(0.02 / BALL.mass)
-    assert held.body.velocity[2] == pytest.approx(-3e-4 / BALL.inertia)
-
-
 @pytest.mark.parametrize("where", ["held", "falling on the table"])
 def test_energy_never_grows(where: str) -> None:
     held = Held(BOX, replace(EVEN, tilt_stiffness=1e6, lever=0.0))
@@ -249,47 +192,6 @@ def test_energy_never_grows(where: str) -> None:
     # symplectic steps keep a shadow energy: the true one ripples by about (frequency * step) of what swings
     assert np.diff(energies).max() < 0.05 * spent
     assert max(energies) < energies[0] + 0.02 * spent
-
-
-def test_a_finer_step_converges_in_first_order() -> None:
-    """Lifted off the table and stuck, a box bounces on its fingers: the error halves with the step."""
-
-    def bounce(step: float) -> float:
-        held = Held(BOX, replace(GLUE, step=step, lever=0.0), passive=1e4)
-        held.go(held.drive(0.02, 5.0))
-        held.go(held.drive(0.04, 5.0, climb=0.05))
-        return float(held.body.pose[1])
-
-    exact = bounce(1e-3 / 256)
-    errors = [abs(bounce(1e-3 / n) - exact) for n in (4, 8, 16)]
-    orders = np.log2(np.divide(errors[:-1], errors[1:]))
-    assert orders == pytest.approx([1.0, 1.0], abs=0.4), errors
-
-
-@pytest.mark.parametrize("name", OBJECTS)
-def test_half_a_millisecond_gives_what_a_millisecond_gives(name: str) -> None:
-    """From closing to a quiet hold, before the pad slips."""
-
-    def places(step: float) -> Reals:
-        held = Held(OBJECTS[name], replace(Parameters(), step=step))
-        force = 3 * held.thing.mass * GRAVITY / held.friction
-        held.go(held.drive(0.2, force))
-        rows: list[Reals] = []
-        for _ in range(40):
-            held.go(held.drive(0.01, force, climb=0.05))
-            rows.append(held.body.pose.copy())
-        return np.array(rows)
-
-    np.testing.assert_allclose(places(1e-3), places(5e-4), atol=2e-5)
-
-
-def test_off_the_middle_a_grip_is_a_pendulum() -> None:
-    """Gripped right of its middle it turns so that its weight comes to hang under the fingers."""
-    right, left = (
-        Held(BOX, EVEN, place=(side * 0.02, 0.0)).lifted(2 * BOX.mass * GRAVITY) for side in (1, -1)
-    )
-    assert right.body.slide[2] > 0.02
-    assert left.body.slide[2] == pytest.approx(-right.body.slide[2], rel=1e-3)
 
 
 def test_what_slips_out_is_dropped_for_good() -> None:

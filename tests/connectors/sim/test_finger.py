@@ -25,27 +25,6 @@ def take(finger: Finger, samples: int) -> tuple[Touch, Truth]:
     return taken
 
 
-def test_an_unloaded_fingertip_reads_its_rest_level_and_noise() -> None:
-    scene = Scene(Moves((Move("hold", 20.0, force=0.0),)), parameters=Parameters(noise=0.7))
-    touch, truth = take(Finger(scene, 0), 2000)
-    touch.check()
-    assert not truth.force.any()
-    assert ((touch.counts.mean(axis=0) > 415) & (touch.counts.mean(axis=0) < 507)).all()
-    assert touch.counts.std(axis=0) == pytest.approx(np.sqrt(0.7**2 + 1 / 12), rel=0.1)
-
-
-def test_pressing_lowers_the_counts() -> None:
-    touch, truth = take(Finger(Scene(STROKE), 0), 80)
-    assert (touch.counts[70:].mean(axis=0) < touch.counts[:30].mean(axis=0) - 20).all()
-    assert truth.force[-1] == pytest.approx(2.0)
-    assert not true_slips(truth[:70])
-
-
-def test_counts_stay_within_the_converter() -> None:
-    touch, _ = take(Finger(Scene(Moves((Move("hold", 1.0, force=60.0),))), 0), 90)
-    assert touch.counts.min() == 0
-
-
 def test_the_truth_slides_when_the_arm_strokes() -> None:
     _, truth = take(Finger(Scene(STROKE), 0), 140)
     (start, end) = true_slips(truth)[0]
@@ -123,13 +102,6 @@ def test_stamps_follow_the_clock_that_the_scene_declares() -> None:
     touch, truth = take(Finger(Scene(touch=timing), 0), 101)
     assert touch.time[[0, 100]].tolist() == [-90_000_000, 911_000_000]
     assert truth.time[[0, 100]].tolist() == [0, 1_000_000_000]
-
-
-def test_jitter_keeps_the_order_of_the_stamps() -> None:
-    touch, _ = take(Finger(Scene(touch=Timing(100.0, jitter=0.01)), 0), 1000)
-    steps = np.diff(touch.time)
-    assert (steps >= 0).all()
-    assert steps.std() > 1e6
 
 
 def test_lost_samples_leave_gaps_in_touch_and_truth() -> None:

@@ -9,14 +9,11 @@ from connectors.sim.grasp import (
     PASSIVE_FRICTION,
     Grasp,
     GraspState,
-    grip_model,
     least_force,
-    material,
-    surface,
 )
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import OBJECTS
-from connectors.sim.scene import Faults, Parameters, Vibration
+from connectors.sim.scene import Parameters, Vibration
 from operators.batch import Touch, concat
 from operators.errors import ParameterError
 
@@ -44,25 +41,6 @@ def test_the_least_force_scales_as_weight_over_friction() -> None:
     assert least_force(can, friction=0.5) == pytest.approx(2 * least)
     only_passive = can.mass * GRAVITY / (can.friction * PASSIVE_FRICTION)
     assert least_force(can, Parameters(static_friction=0.0)) == pytest.approx(only_passive)
-
-
-def test_rough_and_soft_objects_are_another_material() -> None:
-    nominal = Parameters()
-    rough = material(OBJECTS["metal_can"], nominal)
-    soft = material(OBJECTS["foam_sleeve"], nominal)
-    assert nominal.texture < rough.texture < 1
-    assert soft.normal_stiffness < nominal.normal_stiffness == rough.normal_stiffness
-    assert soft.static_friction / soft.kinetic_friction == pytest.approx(
-        nominal.static_friction / nominal.kinetic_friction
-    )
-
-
-def test_the_foot_stands_on_the_table_wherever_it_is_gripped() -> None:
-    box = OBJECTS["box"]
-    held = grip_model(box, surface(box, Parameters()), (0.0, 0.03), 0.6)
-    assert held.table == pytest.approx(-0.03 - box.length / 2)
-    assert held.foot == pytest.approx(box.width / 2)
-    assert held.contact.k_x == held.contact.k_y == 0.0
 
 
 BOX, BALL, CAN = OBJECTS["box"], OBJECTS["ball"], OBJECTS["metal_can"]
@@ -138,13 +116,6 @@ def test_a_tap_on_the_side_turns_it_and_its_mirror_image_turns_it_back() -> None
     assert ends[1].slide_x == pytest.approx(-ends[0].slide_x, abs=2e-4)
 
 
-def test_taps_near_each_other_both_count() -> None:
-    def slid(*taps: Tap) -> float:
-        return -Grasp(BALL, force=2.0, lift=Lift(1.5), taps=taps).sense(6.0)[1].slide_y
-
-    assert slid(Tap(4.0, 0.05), Tap(5.0, 0.05)) > slid(Tap(4.0, 0.05)) + 5e-4
-
-
 def test_pressing_harder_in_time_saves_what_slips() -> None:
     def end(*, saved: bool) -> GraspState:
         grasp = Grasp(BOX, force=2 * least_force(BOX), lift=Lift(1.5))
@@ -170,57 +141,6 @@ def test_the_force_follows_commands_at_their_rate() -> None:
     force = {t: grasp.sense(t)[1].force for t in (0.9, 1.1, 1.3, 2.25, 2.5, 2.52, 2.6, 3.2)}
     expected = {0.9: 0.0, 1.1: 1.0, 1.3: 2.0, 2.25: 2.5, 2.5: 3.0, 2.52: 2.0, 2.6: 1.0, 3.2: 3.0}
     assert force == pytest.approx(expected, abs=0.06)
-
-
-def test_a_command_for_the_past_is_obeyed_at_once_and_the_past_stays() -> None:
-    late, prompt = Grasp(BOX, force=2.0), Grasp(BOX, force=2.0)
-    for grasp in (late, prompt):
-        grasp.sense(1.5)
-    late.press(3.0, 1.2)
-    prompt.press(3.0, 1.5)
-    assert late.sense(1.55)[1] == prompt.sense(1.55)[1]
-
-
-def test_of_two_commands_for_one_instant_the_later_counts() -> None:
-    grasp = Grasp(BOX, force=2.0)
-    grasp.press(5.0, 2.0)
-    grasp.press(1.0, 2.0)
-    assert grasp.sense(3.0)[1].force == pytest.approx(1.0)
-
-
-def test_the_first_second_is_a_baseline_and_contact_lowers_the_counts() -> None:
-    touch, _ = watch(Grasp(BOX, force=4.0), 2.0)
-    air = touch.counts[:100].astype(float)
-    assert air.std(axis=0) == pytest.approx(np.sqrt(0.6**2 + 1 / 12), rel=0.3)
-    assert (touch.counts[150:].mean(axis=0) < air.mean(axis=0) - 20).all()
-
-
-def test_a_soft_object_spreads_the_pressure() -> None:
-    def deepest(stiffness: float) -> float:
-        touch, _ = watch(Grasp(replace(BALL, stiffness=stiffness), force=2.0), 2.0)
-        return float((touch.counts[:100].mean(axis=0) - touch.counts[150:].mean(axis=0)).max())
-
-    assert deepest(0.25) < 0.9 * deepest(1.0)
-
-
-def test_friction_and_mass_scale_what_it_takes() -> None:
-    def holds(force: float, friction: float = 1.0, mass: float = 1.0) -> bool:
-        grasp = Grasp(CAN, force=force, lift=Lift(1.5), friction=friction, mass=mass)
-        return not grasp.sense(4.0)[1].on_table
-
-    least = least_force(CAN)
-    assert holds(1.3 * least)
-    assert not holds(1.3 * least, friction=0.4)
-    assert not holds(1.3 * least, mass=2.5)
-    assert holds(1.3 * least_force(CAN, friction=0.4, mass=2.5), friction=0.4, mass=2.5)
-
-
-def test_a_dead_cell_is_dead_and_nothing_else_changes() -> None:
-    sound, _ = watch(Grasp(CAN, force=3.0), 2.0)
-    hurt, _ = watch(Grasp(CAN, force=3.0, faults=Faults(dead=(2,))), 2.0)
-    assert hurt.valid.all(axis=0).tolist() == [True, True, False, True, True, True]
-    others = [0, 1, 3, 4, 5]
-    np.testing.assert_array_equal(hurt.counts[:, others], sound.counts[:, others])
 
 
 def test_the_same_seed_gives_the_same_and_another_differs_in_its_cells_alone() -> None:

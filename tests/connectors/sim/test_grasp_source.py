@@ -1,5 +1,3 @@
-import asyncio
-
 import numpy as np
 import pytest
 
@@ -60,13 +58,3 @@ def test_a_second_run_is_like_the_first() -> None:
     grasp = SimulatedGrasp(BOX, seed=4)
     (first, _), (second, _) = _taken(grasp, 1.0, force=3.0), _taken(grasp, 1.0, force=3.0)
     assert (first.counts == second.counts).all()
-
-
-def test_a_command_without_force_or_before_the_run_changes_nothing() -> None:
-    grasp = SimulatedGrasp(BOX)
-    grasp.command(_force(START, 5.0))
-    assert _taken(grasp, 0.5, force=float("nan"))[1].force == 0
-
-
-def test_the_physics_is_compiled_before_the_run() -> None:
-    asyncio.run(SimulatedGrasp(BOX).prepare())

@@ -65,15 +65,6 @@ def test_both_streams_run_at_their_rates_from_one_origin() -> None:
     assert set(np.diff(m.time).tolist()) == {8_000_000}
 
 
-def test_a_paced_sample_comes_when_it_is_due() -> None:
-    async def check() -> None:
-        rig, clock = SimulatedRig(Scene(PLAN)), Virtual()
-        async for batch in rig.touch.batches(clock):
-            assert clock.now() == batch.time[0]
-
-    asyncio.run(check())
-
-
 def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
     rig = SimulatedRig(Scene(PLAN))
     first, second = annotations(rig), annotations(rig, Virtual(ORIGIN + 500))
@@ -109,12 +100,6 @@ def test_each_move_is_an_episode() -> None:
     assert np.isnan([episodes.force[2], *episodes.depth]).all()
 
 
-def test_a_rotation_has_an_angular_speed() -> None:
-    plan = Moves((Move("rotation", 0.9, 0.3, speed=-1.0),))
-    _, episodes, _ = annotations(SimulatedRig(Scene(plan)))
-    assert (episodes.speed.item(), episodes.angular_speed.item()) == (0.0, -1.0)
-
-
 def test_episodes_follow_each_other_without_gap_or_overlap() -> None:
     episodes = concat(Episodes, cast("Any", asyncio.run(gather(SimulatedRig().episodes, Virtual(), 100))))
     assert len(episodes) == 100
@@ -144,16 +129,23 @@ def test_several_fingertips_feel_the_same_motion_with_noise_of_their_own() -> No
     assert one.counts.tobytes() != other.counts.tobytes()
 
 
-def test_the_baseline_of_the_default_scene_is_the_unloaded_level() -> None:
-    touch, _ = run(SimulatedRig(), at_most=500)
-    counts = concat(Touch, touch).counts
-    assert (np.median(counts[:100], axis=0) >= 420).all()
-    assert np.ptp(counts[:100], axis=0).max() < 10
-    assert (counts[200:].min(axis=0) < np.median(counts[:100], axis=0) - 30).all()
-
-
 def test_bad_parameters_are_refused() -> None:
     with pytest.raises(ParameterError, match="pace"):
         SimulatedRig(pace=0.0)
     with pytest.raises(ParameterError, match="fingers"):
         SimulatedRig(fingers=())
+
+
+def truth(sliding: list[float], start: int = 0) -> Truth:
+    rows = len(sliding)
+    time = (start + np.arange(rows)) * 10 * ms
+    return Truth(time, np.array(sliding, float), np.full(rows, 2.0), np.zeros((rows, 3)))
+
+
+def test_a_slip_goes_on_through_short_sticks_and_ends_at_a_long_one() -> None:
+    sliding = [0.0] * 5 + [0.05] * 3 + [0.0] * 10 + [0.05] * 2 + [0.0] * 20 + [0.05] + [0.0]
+    assert true_slips(truth(sliding)) == [(50 * ms, 190 * ms), (400 * ms, 400 * ms)]
+
+
+def test_creeping_is_no_slip() -> None:
+    assert true_slips(truth([0.002] * 100)) == []

@@ -103,13 +103,6 @@ def test_a_scan_has_the_counts_of_one_conversion(rig: Rig) -> None:
     assert rig.skin.conversions[4] == rig.skin.conversions[5] == 3
 
 
-def test_a_scan_has_the_expected_number_of_transfers(rig: Rig) -> None:
-    with closing(rig.open()) as scanner:
-        octets, transfers = rig.bus.octets, rig.bus.transfers
-        scanner.scan()
-        assert (rig.bus.octets - octets, rig.bus.transfers - transfers) == (6 + 120 + 1, 3 + 36 + 1)
-
-
 @pytest.mark.parametrize("number", [121, 6, 110, 5, 19])
 @pytest.mark.parametrize("times", [1, 3])
 def test_after_any_failed_message_valid_cells_are_right_and_the_next_scan_is_complete(
@@ -142,28 +135,6 @@ def test_a_bus_error_invalidates_the_scan_and_a_silent_cell_only_itself(rig: Rig
         rig.right(scan)
 
 
-def test_a_dead_cell_is_invalid_and_reads_0(rig: Rig) -> None:
-    with closing(rig.open()) as scanner:
-        rig.bus.fingertips[3].cells[2].defect = Defect.DEAD
-        for _ in range(3):
-            scan = scanner.scan()
-            assert invalid(scan) == [(1, 2)]
-            assert scan.counts[1, 2] == scan.temperature[1, 2] == 0
-            rig.right(scan)
-
-
-def test_a_cell_that_converts_to_0_is_invalid(rig: Rig) -> None:
-    with closing(rig.open()) as scanner:
-        rig.bus.fingertips[0].cells[5].defect = Defect.ZERO
-        assert invalid(scanner.scan()) == [(0, 5)]
-
-
-def test_a_cell_before_its_first_conversion_is_invalid(rig: Rig) -> None:
-    rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
-    with closing(rig.open()) as scanner:
-        assert invalid(scanner.scan()) == [(1, 0)]
-
-
 def test_a_stuck_cell_repeats_its_last_count(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         scanner.scan()
@@ -184,16 +155,6 @@ def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> N
             assert scan.counts[0, 3] == (rig.skin.pressure(4)[3] - overload) % 1024
             assert scan.valid.sum() == 11 + seen[-1]
         assert seen == [True, True, True, False, False, False, True, True]
-
-
-def test_an_unplugged_fingertip_is_invalid_and_the_other_stays_right(rig: Rig) -> None:
-    with closing(rig.open()) as scanner:
-        rig.bus.fingertips[3].plugged = False
-        scan = scanner.scan()
-        assert invalid(scan) == [(1, cell) for cell in range(6)]
-        rig.right(scan)
-        rig.bus.fingertips[3].plug()
-        rig.sound(scanner.scan())
 
 
 def test_an_unplugged_sensor_invalidates_the_scan(rig: Rig) -> None:
@@ -228,14 +189,6 @@ def test_a_cell_that_cannot_be_disconnected_invalidates_every_scan(
         assert "though all are disconnected" in i2c_reason(scan.error)
     with pytest.raises(OSError, match="though all are disconnected"):
         rig.open()
-
-
-def test_closing_leaves_all_cells_disconnected(rig: Rig) -> None:
-    rig.open().close()
-    with SMBus(PATH) as client:
-        client.write_quick(2)
-    rig.open().close()
-    assert not rig.bus.fingertips[0].connected
 
 
 @pytest.mark.parametrize("claims", ["nothing", "quick"])

@@ -122,16 +122,6 @@ async def test_one_or_three_fingertips_are_scanned_100_times_a_second(
     assert len({touch.time.item() for touch in taken}) == 30  # all fingertips convert at once
 
 
-async def test_missed_scans_of_a_slow_bus_are_counted(rig: Rig) -> None:
-    rig.bus.adapter = type(rig.bus.adapter)(chained=False, speed=100_000)
-    source = rig.source(rows=(0, 1, 5), rate=100.0, conversion=3 * ms)
-    async with aclosing(stream(source)) as batches:
-        taken = await take(batches, 12 * 3)
-    assert all(touch.valid.all() for touch in taken)
-    assert counted(source)["missed"] >= 8  # 186 bytes take 17 ms
-    assert counted(source)["made"] >= 12
-
-
 async def test_closing_the_source_disconnects_all_cells_and_ends_its_thread(rig: Rig) -> None:
     async with aclosing(stream(rig.source())) as batches:
         await take(batches, 3)
@@ -175,22 +165,6 @@ async def test_a_missing_sensor_fails_in_every_run(rig: Rig) -> None:
         taken, why = await lost(stream(source))
         assert not taken
         assert "no fingertip answers" in why
-
-
-async def test_fingertips_without_a_working_cell_give_no_sample(rig: Rig) -> None:
-    for cell in rig.bus.fingertips[0].cells:
-        cell.defect = Defect.DEAD
-    taken, why = await lost(stream(rig.source()))
-    assert not taken
-    assert "no fingertip answers" in why
-
-
-async def test_a_glitch_makes_one_scan_invalid(rig: Rig) -> None:
-    rig.skin.then[10] = lambda: rig.bus.fail(110)
-    async with aclosing(stream(rig.source())) as batches:
-        taken = await take(batches, 20)
-    assert [bool(touch.valid.all()) for touch in taken] == [True] * 9 + [False] + [True] * 10
-    assert not taken[9].valid.any()
 
 
 async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(

@@ -19,12 +19,6 @@ def search() -> ContactSearch:
     return ContactSearch(at(0.0), (0.0, 0.0, -0.004), 2.0, AIR)
 
 
-def test_the_force_reported_in_the_air_is_no_contact() -> None:
-    down = search()
-    assert not any(down.update(at(-0.0001 * step)) for step in range(30))
-    assert down.mean == pytest.approx(0.0)
-
-
 def test_moving_on_past_the_end_of_the_path_is_an_overrun() -> None:
     down = search()
     assert not down.overrun(at(-0.004 - 0.9 * OVERRUN))
@@ -38,11 +32,6 @@ def test_contact_is_found_by_the_mean_of_the_newest_states() -> None:
     assert down.found
 
 
-def test_a_state_that_is_seen_repeatedly_counts_once() -> None:
-    down, state = search(), at(-0.001, 9.0)
-    assert not any(down.update(state) for _ in range(2 * AVERAGED))
-
-
 def test_a_single_outlier_is_no_contact() -> None:
     down = search()
     for push in (0.0, 0.0, 7.0, 0.0, 0.0):
@@ -54,13 +43,6 @@ def test_a_push_along_the_motion_or_from_the_side_is_no_contact() -> None:
     for _ in range(10):
         assert not down.update(at(-0.001, -9.0))
         assert not down.update(ArmState((0, 0, -0.001, 0, 0, 0), REST, (9.0, 9.0, 5.0)))
-
-
-def test_the_search_ends_at_the_end_of_the_path() -> None:
-    down = search()
-    assert not down.update(at(-0.0039))
-    assert down.update(at(-0.0041))
-    assert not down.found
 
 
 def test_an_unknown_force_is_no_contact() -> None:

@@ -195,12 +195,6 @@ def test_an_ended_program_is_reported_with_possible_causes(pipe: tuple[Connectio
     assert "after 0.2 s without a message (watchdog 5 Hz)" in replies[-1].text
 
 
-def test_a_line_is_stopped_and_a_velocity_ended_before_a_line(pipe: tuple[Connection, Connection]) -> None:
-    control = TestControl()
-    served(pipe, control, Move(FORWARD, 0.5), MoveTo(POSE, 0.1, 0.5), Signal.STOP, Signal.END)
-    assert [call[0] for call in calls(control)[1:-2]] == ["speedL", "speedStop", "moveL", "stopL"]
-
-
 def test_the_arm_is_stopped_when_no_command_arrives(
     pipe: tuple[Connection, Connection], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -65,14 +65,6 @@ def test_deviation_is_measured_from_the_line_and_from_its_end() -> None:
     assert follower.deviation((1.02, 0.0, 0.0)) == pytest.approx(0.02)
 
 
-def test_the_travelled_distance_never_decreases() -> None:
-    follower = PathFollower(arc(0.03), 0.05, 0.5)
-    follower.velocity(arc(0.03)[20])
-    way = follower.travelled
-    follower.velocity(arc(0.03)[3])
-    assert follower.travelled == way > 0.035
-
-
 def test_a_line_of_equal_points_is_refused() -> None:
     with pytest.raises(ParameterError):
         PathFollower([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], 0.05, 0.5)

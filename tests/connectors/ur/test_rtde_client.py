@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 from itertools import pairwise
 from math import inf, nan
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given
@@ -19,7 +19,7 @@ from connectors.ur.rtde_client import RtdeClient
 from connectors.ur.ur_motion import OUTPUTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
-from operators import EndpointError, Motion, ms, s
+from operators import EndpointError, Motion
 from tests.emulators.rtde_recipe import Recipe, Request, version_payload
 from tests.emulators.ur_controller import CB3, E_SERIES
 
@@ -86,19 +86,6 @@ def controller(*stamps: float, version: Version = E_SERIES, types: tuple[str, ..
         return pack(kind, b"\1") + (b"".join(data) if kind == Kind.START else b"")
 
     return answer
-
-
-def test_repeated_packages_are_dropped_and_counted() -> None:
-    taken, reason, source = against(controller(0.008, 0.016, 0.016, 0.016, 0.024))
-    assert [batch.device_time.tolist() for batch in taken] == [[8 * ms, 16 * ms, 24 * ms]]
-    assert source.describe()["repeated"] == 2
-    assert reason == "sent nothing for 1.0 s: check that it runs and is connected"
-
-
-def test_rows_before_the_clock_went_back_are_kept() -> None:
-    taken, reason, _ = against(controller(7.0, 7.008, 0.008, 7.016))
-    assert [batch.device_time.tolist() for batch in taken] == [[7 * s, 7 * s + 8 * ms]]
-    assert "went back" in reason
 
 
 @pytest.mark.parametrize("stamp", [nan, inf, -1.0, 1e300])
@@ -274,18 +261,3 @@ def test_a_full_backlog_pauses_reading(monkeypatch: pytest.MonkeyPatch) -> None:
         assert transport.reads
 
     run_virtually(main())
-
-
-def test_nagles_algorithm_is_off() -> None:
-    async def main() -> int:
-        async with await serve(controller(0.008)) as server:
-            port = server.sockets[0].getsockname()[1]
-            reader = RtdeClient(LoopClock(), HOST, port, OUTPUTS, rate=125.0, timeout=1.0)
-            await reader.connect()
-            await reader.receive()
-            connection = cast("Any", reader)._transport.get_extra_info("socket")
-            option: int = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-            await reader.close()
-            return option
-
-    assert run_virtually(main())

@@ -8,7 +8,7 @@ import re
 import signal
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from typing import Any, cast
@@ -18,7 +18,7 @@ import pytest
 
 from connectors.ur.control_process import Command, Move, Signal
 from connectors.ur.rtde import Version
-from connectors.ur.ur_arm import UrArm
+from connectors.ur.ur_arm import UrArm, request_stop
 from connectors.ur.ur_state import ArmState, Bounds
 from flows.graph.testing import VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
@@ -27,7 +27,7 @@ from operators.batch import Reals
 from tests.connectors.ur.direct_control import DirectControl
 from tests.emulators.free_arm import FreeArm, PressedArm
 from tests.emulators.ur_control_box import Arm, RuntimeState
-from tests.emulators.ur_controller import UrController
+from tests.emulators.ur_controller import ANYWHERE, UrController
 from tests.emulators.ur_program import Program
 from tests.loopback import own_host
 
@@ -233,26 +233,9 @@ def test_contact_search_needs_a_force() -> None:
     assert "reports no force" in here.arm.fault
 
 
-def test_pressed_too_deep_it_is_stopped() -> None:
-    async def main() -> str:
-        async with lab(replace(DOWN, force=10.0), Leaning()) as here:
-            with pytest.raises(EndpointError):
-                await here.arm.slide((0.0, 0.0, -0.005, 0.0, 0.0, 0.0), 3.0, 0.5)
-            await here.arm.stop()
-            assert here.arm.state.still
-            return here.arm.fault
-
-    assert re.fullmatch(r"a force of 10\.\d N, more than 10 N", run_virtually(main()))
-
-
 def test_a_protective_stop_ends_its_moves() -> None:
     here = refused(lambda here: here.controller.box.stop_protectively("a test"), away)
     assert here.arm.fault == "protective stop"
-
-
-def test_an_emergency_stop_ends_its_moves() -> None:
-    here = refused(lambda here: here.controller.stop_in_emergency(), away)
-    assert here.arm.fault == "emergency stop"
 
 
 def test_it_is_stopped_at_the_bounds_of_its_workspace() -> None:
@@ -337,15 +320,6 @@ def test_an_arm_that_may_not_move_is_not_opened() -> None:
         asyncio.run(main())
 
 
-def test_a_missing_controller_is_an_error() -> None:
-    async def main() -> None:
-        async with UrArm(HOST, BOUNDS, LoopClock()):
-            pass
-
-    with pytest.raises(EndpointError, match=HOST):
-        run_virtually(main())
-
-
 def test_it_is_stopped_when_the_check_of_its_states_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> str:
         raise KeyError("planted")
@@ -359,3 +333,29 @@ def test_it_is_stopped_when_the_check_of_its_states_fails(monkeypatch: pytest.Mo
             assert np.abs(here.controller.box.drive.velocity).max() < 1e-3
 
     run_virtually(main())
+
+
+def test_the_dashboard_stops_the_program_of_an_arm() -> None:
+    async def main() -> tuple[str, int]:
+        async with UrController(FreeArm(np.array(BEGIN)), host=HOST, ports=ANYWHERE) as controller:
+            controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
+            answer = await request_stop(HOST, controller.ports.dashboard)
+            return answer, controller.box.runtime_state
+
+    assert asyncio.run(main()) == ("Stopped", RuntimeState.STOPPED)
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"), [(b"", "closed the connection without an answer"), (bytes(1 << 17), "Separator")]
+)
+def test_an_answer_that_is_no_line_of_a_dashboard_is_an_error(sent: bytes, reason: str) -> None:
+    async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(sent)
+        writer.close()
+
+    async def main() -> None:
+        async with await asyncio.start_server(serve, HOST, 0) as server:
+            await request_stop(HOST, server.sockets[0].getsockname()[1])
+
+    with pytest.raises(ValueError, match=reason):
+        asyncio.run(main())

@@ -155,17 +155,6 @@ def drive(
     return run_virtually(main())
 
 
-@pytest.mark.parametrize("rotations", [False, True])
-def test_a_series_takes_its_planned_path_and_time(rotations: bool) -> None:  # noqa: FBT001
-    planned = session(rotations=rotations)
-    driven = drive(planned)
-    reach = Extent.of(planned.steps, planned.begin.pose)
-    assert driven.seconds == pytest.approx(reach.seconds, abs=1e-6)
-    np.testing.assert_allclose(driven.arm.state.pose, reach.end)
-    assert driven.driver.strokes == 2
-    assert not driven.arm.stops
-
-
 def test_each_contact_is_an_episode() -> None:
     planned = session(3)
     air, *strokes = drive(planned).episodes
@@ -213,22 +202,11 @@ def test_a_stopped_arm_ends_the_series_and_its_episode() -> None:
     assert driven.episodes[-1]["end"] <= driven.seconds * s + 1.5 * s
 
 
-def test_an_arm_stopped_during_a_pause_ends_the_series_at_once() -> None:
-    driven = drive(session(2), (3.5, "pause"), (20.0, ""), fault="interrupted")
-    assert driven.arm.fault == "interrupted"
-    assert 20 <= driven.seconds < 20.1
-
-
 def test_a_stroke_without_contact_is_the_last() -> None:
     driven = drive(session(2), fault="fingertip 1 measured no contact in a stroke", without_contact=[1])
     assert [each["motion"] for each in driven.episodes] == ["hold", "translation"]
     assert "just touch the surface" in driven.arm.fault
     assert driven.arm.state.pose[2] == pytest.approx(0.11)  # in the air again
-
-
-def test_strokes_without_contact_can_be_allowed() -> None:
-    driven = drive(session(2), without_contact=[0], require_contact=False)
-    assert (driven.driver.strokes, driven.arm.fault) == (2, "")
 
 
 def test_a_stroke_with_a_force_keeps_the_depth_of_contact() -> None:

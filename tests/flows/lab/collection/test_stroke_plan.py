@@ -68,15 +68,6 @@ def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) ->
         )
 
 
-def test_a_stroke_begins_and_ends_in_the_air() -> None:
-    for plan in (STROKES, TURNS):
-        for stroke in only(plan).strokes:
-            begin = Extent.of(stroke.approach[:1], PLACE).end
-            end = Extent.of(stroke.steps, PLACE).end
-            assert begin[2] == pytest.approx(0.1 + plan.path.clearance)
-            assert end[2] == pytest.approx(0.1 + plan.path.clearance)
-
-
 def test_rotations_alternate_at_their_rate_in_place() -> None:
     session = only(TURNS)
     slides = [step for stroke in session.strokes for step in stroke.contact if isinstance(step, Slide)]
@@ -148,22 +139,6 @@ def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
             assert math.dist(point, centre) == pytest.approx(0.06)
         assert trace.speed == 0.1
         assert math.dist(down[:2], trace.points[-1][:2]) == pytest.approx(0.06)
-
-
-def test_through_the_air_the_arm_is_above_the_highest_point() -> None:
-    for stroke in only(STROKES, Surface("sphere")).strokes:
-        for step in (stroke.approach[0], *stroke.retreat):
-            assert step.end(PLACE)[2] == pytest.approx(0.11)
-
-
-def test_along_a_cylinder_strokes_are_straight() -> None:
-    strokes = only(STROKES, Surface("cylinder_x")).strokes
-    straight = {
-        math.degrees(each.direction)
-        for each in strokes
-        if any(isinstance(step, Line) for step in each.contact)
-    }
-    assert straight == {0.0, 180.0}
 
 
 def test_with_a_force_a_stroke_tares_and_then_searches_from_above_the_surface() -> None:

@@ -1,22 +1,15 @@
 import math
-from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from connectors.sim.scene import Curvature, Scene
+from connectors.sim.scene import Curvature
 from connectors.ur.ur_state import Pose
 from flows.lab.collection.surfaces import STEEPEST, Surface
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 CURVATURES: list[Curvature] = ["plane", "sphere", "cylinder_x", "cylinder_y"]
-
-
-@pytest.mark.parametrize("curvature", CURVATURES)
-def test_a_surface_is_curved_as_the_simulated_one_by_default(curvature: Curvature) -> None:
-    assert Surface(curvature).curvatures == Scene(curvature=curvature).curvatures
-    assert max(Surface("sphere", 0.1).curvatures) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("place", [PLACE, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
@@ -49,18 +42,7 @@ def test_too_steep_a_path_is_refused_with_the_least_radius() -> None:
     Surface("cylinder_x", 0.02).waypoints(0.03, 0.0)  # along its axis
 
 
-def test_a_planned_surface_without_a_pose_is_where_the_arm_is() -> None:
-    assert Surface().located(PLACE) == Surface("plane", pose=PLACE)
-    there: Pose = (0.1, 0.2, 0.3, math.pi, 0.0, 0.0)
-    assert Surface("sphere", 0.1, there).located(PLACE) == Surface("sphere", 0.1, there)
-
-
 @pytest.mark.parametrize("radius", [0.0, -0.06, math.inf, math.nan])
 def test_an_invalid_radius_is_refused(radius: float) -> None:
     with pytest.raises(ParameterError, match="radius"):
         Surface("sphere", radius)
-
-
-def test_an_unknown_shape_is_refused() -> None:
-    with pytest.raises(ParameterError, match="cylinder_x"):
-        Surface(cast("Any", "cube"))
