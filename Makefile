@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-lerobot test-cluster cluster chaos faults scene scene-fit check docs figures release-check bench models detector-pages clean
+.PHONY: demo test test-slow test-lerobot test-cluster chaos faults scene scene-fit check docs figures release-check bench models detector-pages clean
 
 demo:  ## run the demo without hardware: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -20,10 +20,7 @@ test-lerobot:  ## read an export with LeRobot's own loader: 180 MB more
 	.venv/bin/python -c 'import site; print(*site.getsitepackages())' >$$(echo $(LEROBOT)/lib/python3*/site-packages)/base.pth
 	LEROBOT_PYTHON=$(LEROBOT)/bin/python .venv/bin/python -m pytest tests/test_docs_lerobot.py
 
-cluster:  ## start a Flink cluster that only this machine can reach; deploy/cluster stop ends it
-	@deploy/cluster
-
-test-cluster:  ## run jobs on a real Flink cluster and kill parts of it: about five minutes
+test-cluster:  ## replay on a Dask cluster on this machine and kill its parts: about two minutes
 	@deploy/prepare test
 	.venv/bin/python -m pytest -m cluster
 
@@ -98,4 +95,4 @@ detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `
 	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## delete everything that was set up or built
-	rm -rf .venv .cluster dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

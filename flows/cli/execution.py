@@ -4,14 +4,12 @@ import json
 import logging
 import sys
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
 from flows.cli.event_log import Format, logged
-from flows.cli.replay_batch import replays_as_json
-from flows.cli.terminal import note, progress_bar
+from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from flows.graph import Flow
@@ -33,56 +31,35 @@ def session_name(flow: "Flow") -> str:
 
 
 async def execute(
-    flow: "Flow",
-    *,
-    limit: int | None = None,
-    recording: "Recording | None" = None,
-    pace: float | None = None,
+    flow: "Flow", *, limit: int | None = None, recording: "Recording | None" = None, pace: float = 1.0
 ) -> "Run":
-    """Run a flow live, or replay a recording through it.
+    """Run a flow in real time: live, or over a recording.
 
     Args:
         flow: Flow to run.
-        limit: Longest duration of a live or paced run, ns.
+        limit: Longest duration, ns.
         recording: Recording to replay; None: run live.
-        pace: Speed of the replay as a multiple of real time; None: full speed.
+        pace: Speed of the replay as a multiple of real time.
 
     Raises:
-        SlipflowError: if the run cannot start, or a replay fails.
+        SlipflowError: if the run cannot start.
     """
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
-    from flows.run.replay_runner import (
-        ReplayRunner,
-        first_time,
-        log_replay_destinations,
-        replayed,
-        replayed_recording,
-    )
-    from flows.run.stop_signals import signals_to, stopping
+    from flows.run.replay_runner import first_time, log_replay_destinations, replayed, replayed_recording
+    from flows.run.stop_signals import signals_to
 
-    _log_models(flow)
-    sources = (cast("Source[Any]", node.part) for node in flow.sources())
-    if recording is not None or replayed_recording(sources) is not None:
-        log_replay_destinations(flow)
-    session = session_name(flow)
-    if recording is not None and pace is None:
-        replay = ReplayRunner(flow, recording, session)
-        with stopping() as stopped, progress_bar(f"replaying {recording.name}") as update, logged(replay.run):
-
-            def watch(run: "Run") -> bool:
-                update(sum(source.rows for source in run.sources.values()), None, "(rows)")
-                return stopped()
-
-            return await replay.execute(watch)
-    clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
+    log_models(flow)
+    clock = None if recording is None else LoopClock(first_time(recording), pace)
     flow = flow if recording is None else replayed(flow, recording)
-    live = LiveRunner(flow, session, clock=clock, duration=limit, signals=False)
+    if replayed_recording(cast("Source[Any]", node.part) for node in flow.sources()) is not None:
+        log_replay_destinations(flow)
+    live = LiveRunner(flow, session_name(flow), clock=clock, duration=limit, signals=False)
     with signals_to(live.stop), logged(live.run):  # the log announces a run that signals already end
         return await live.execute()
 
 
-def _log_models(flow: "Flow") -> None:
+def log_models(flow: "Flow") -> None:
     """Log what each shipped model of a flow is meant for."""
     from operators.score import Score
 
@@ -92,18 +69,15 @@ def _log_models(flow: "Flow") -> None:
             models.info("model %s", purpose)
 
 
-def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as_json: bool) -> None:
-    """Print the result of a run that took `seconds` of wall time.
+def report_run(run: "Run", *, log: Format, as_json: bool) -> None:
+    """Print the result of a run.
 
     Exits 130 if it was interrupted, 1 if a source was down or silent at its end, or rows were lost.
     """
-    from flows.run.parallel_replay import Replayed
     from flows.run.run_summary import Summary
 
     summary = Summary.of(run)
-    if as_json and replayed:
-        typer.echo(replays_as_json([Replayed(str(replayed), summary, error=run.error)], seconds))
-    elif as_json:
+    if as_json:
         typer.echo(json.dumps(summary.as_dict()))
     elif log is Format.TEXT:  # a JSON log ends with the same data
         typer.echo(summary.report())

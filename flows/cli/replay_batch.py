@@ -1,4 +1,4 @@
-"""Replay of several recordings: progress, output under each recording's name, and totals."""
+"""Replay of recordings at full speed: progress, output under each recording's name, and totals."""
 
 import json
 from collections.abc import Sequence
@@ -8,65 +8,80 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from flows.cli.execution import log_models
 from flows.cli.terminal import note, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from flows.run.parallel_replay import Replayed
+    from flows.run.replays import Replayed
 
 
 def replay_all(
     target: str,
     settings: "Mapping[str, str]",
-    recordings: Sequence[Path],
-    session: str,
-    jobs: int | None,
+    paths: Sequence[Path],
     *,
+    jobs: int | None,
+    cluster: str | None,
     as_json: bool,
 ) -> None:
-    """Replay several recordings, each to its own session, and print the results in their order.
+    """Replay recordings, each to a session of its name, and print the results in their order.
 
-    Ctrl-C commits what was recorded. Exits 1 if a replay failed or lost rows, 130 if interrupted.
+    Sessions that exist already are omitted. Exits 1 if a replay failed or lost rows; Ctrl-C ends all replays
+    and exits 130.
+
+    Raises:
+        SlipflowError: if the only recording fails, or nothing can be replayed.
     """
     from time import perf_counter
 
-    from flows.run.parallel_replay import Replays
-    from flows.run.stop_signals import stopping
+    from flows.run.executor import workers
+    from flows.run.replays import FlowSource, Replays
+    from operators.errors import SlipflowError
 
-    replays = Replays(target, settings, recordings, session)
-    if jobs is None and (exclusive := replays.exclusive_sinks):
-        note(f"replaying one recording at a time: only one process can write to {', '.join(exclusive)}")
+    replays = Replays(FlowSource(target, tuple(settings.items())), paths)
+    if (existing := len(replays.existing)) and not as_json:
+        note(f"{counted(existing, 'recording')} of {existing + len(replays.recordings)} replayed already")
+    if jobs is None and cluster is None and (exclusive := replays.exclusive_sinks):
+        jobs = 1
+        if len(replays.recordings) > 1:
+            note(f"replaying one recording at a time: only one process can write to {', '.join(exclusive)}")
     began, done = perf_counter(), list["Replayed"]()
-    with stopping() as stopped, progress_bar(f"replaying {target}") as update:
-        for each in replays.run(
-            jobs,
-            stopped=stopped,
-            progress=lambda number: update(number, len(recordings)),
-        ):
-            if each.printed or not (each.error or as_json):
-                typer.echo(_line(each), err=as_json)
-            typer.echo(indent(each.printed, "  "), nl=False, err=as_json)
-            if each.error and (each.summary or not stopped()):
-                note(f"error: {each.recording}: {each.error.removeprefix(f'{each.recording}: ')}")
-            done.append(each)
-        interrupted = stopped()
+    with workers(jobs, cluster) as executor, progress_bar(f"replaying {target}") as update:
+        try:
+            for each in replays.run(executor, progress=update):
+                if each.error and len(replays.recordings) == 1:
+                    raise SlipflowError(each.error)
+                if not done:
+                    log_models(replays.flow)
+                done.append(each)
+                _print(each, as_json=as_json)
+        except KeyboardInterrupt:
+            note("interrupted: repeat the command to continue with the missing sessions")
+            raise
     seconds = perf_counter() - began
-    typer.echo(replays_as_json(done, seconds) if as_json else _total(done, seconds))
-    if interrupted:
-        raise typer.Exit(130)
+    if as_json:
+        sessions = [_as_dict(each) for each in done]
+        typer.echo(json.dumps({"sessions": sessions, "existing": existing, "wall_seconds": seconds}))
+    else:
+        typer.echo(_total(done, seconds))
     if any(each.error or (each.summary and each.summary.lost) for each in done):
         raise typer.Exit(1)
 
 
-def replays_as_json(done: "Sequence[Replayed]", seconds: float) -> str:
-    """Return the results of one or more replays that took `seconds` of wall time as JSON."""
-    return json.dumps({"sessions": [_as_dict(each) for each in done], "wall_seconds": seconds})
+def _print(done: "Replayed", *, as_json: bool) -> None:
+    """Print the output of a replay, on stderr if stdout is for JSON."""
+    if done.printed or not (done.error or as_json):
+        typer.echo(_line(done), err=as_json)
+    typer.echo(indent(done.printed, "  "), nl=False, err=as_json)
+    if done.error:
+        note(f"error: {done.recording}: {done.error.removeprefix(f'{done.recording}: ')}")
 
 
 def _line(done: "Replayed") -> str:
-    if not done.summary:  # what the flow's file printed
+    if not done.summary:
         return f"{done.recording}:"
     sources = ", ".join(f"{source.rows:,} {name}" for name, source in done.summary.sources.items())
     sinks = ", ".join(f"{sink.rows:,} to {name}" for name, sink in done.summary.sinks.items())
@@ -77,8 +92,8 @@ def _total(done: "Sequence[Replayed]", seconds: float) -> str:
     found = [each.summary for each in done if each.summary]
     rows = counted(sum(each.rows_in for each in found), "row")
     failed = sum(1 for each in done if each.error)
-    incomplete = f"; {failed} incomplete" if failed else ""
-    return f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{incomplete}"
+    failures = f"; {failed} failed" if failed else ""
+    return f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}"
 
 
 def _as_dict(done: "Replayed") -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Compilation of a flow: one new operator per node and fingertip, in the order of declaration."""
 
-import pickle
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
@@ -43,7 +42,9 @@ class Stage:
         self._empty = tuple(kind.empty() for kind in self.node.takes)
         self._first, *second = self.inputs
         self._second = second[0] if second else None
-        self.resume(self.operator)
+        ordered = all(isinstance(parent.part, Source) or _is_tested(parent) for parent in self.node.inputs)
+        process: Callable[..., Batch] = self.operator.process if ordered else self.operator.push
+        self._process = process if self.tested else lambda *inputs: self.checked(process(*inputs))
 
     def push(self, values: Values) -> Batch | None:
         """Run the operator on its inputs; return None if there is no input or no output."""
@@ -66,13 +67,6 @@ class Stage:
         pushed, last = self.push(values), self.checked(self.operator.flush())
         out = concat(self.gives, [last] if pushed is None else [pushed, last])
         return out if out.time.size else None
-
-    def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
-        """Set the operator, or replace it by a restored one."""
-        ordered = all(isinstance(parent.part, Source) or _is_tested(parent) for parent in self.node.inputs)
-        process: Callable[..., Batch] = operator.process if ordered else operator.push
-        self.operator = operator
-        self._process = process if self.tested else lambda *inputs: self.checked(process(*inputs))
 
     def checked(self, out: Batch) -> Batch:
         """Return the output after a check of its type, columns, fingertip and order."""
@@ -111,8 +105,6 @@ class CompiledFlow:
 
     Args:
         flow: Declaration to compile.
-        only: Fingertips to compile for, with the streams that belong to all fingertips; None: all fingertips.
-        operators: Operators and joins to compile, with all that they read from; None: all.
 
     Attributes:
         entries: Source nodes with their fingertips.
@@ -125,25 +117,18 @@ class CompiledFlow:
         OperatorError: if an operator cannot be copied or prepared.
     """
 
-    def __init__(
-        self, flow: Flow, only: Collection[int] | None = None, operators: Collection[Node] | None = None
-    ) -> None:
+    def __init__(self, flow: Flow) -> None:
         validate(flow)
         Batch.zeros(2).check_order()  # loads compiled code, as `prepare` of the operators
         self._flow = flow.name
-        fingers = {
-            node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
-            for node in flow.nodes
-            if operators is None or node in operators or isinstance(node.part, Source)
-        }
-        self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
+        self.entries = [(node, finger) for node in flow.sources() for finger in node.fingers]
         self._indices = {entry: index for index, entry in enumerate(self.entries)}
         read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
         self.stages = [  # declared after their inputs
             self._stage(node, finger, delivers=node in read)
             for node in flow.nodes
             if isinstance(node.part, Operator | Join)
-            for finger in fingers.get(node, ())
+            for finger in node.fingers
         ]
         self._entrances = {
             entry: _Entrance(index, entry[0] in read, self._downstream(index))
@@ -203,26 +188,6 @@ class CompiledFlow:
         """End all streams, and return the last batches for sinks, in order."""
         return self._run(self.stages, Stage.flush, {}, [])
 
-    def snapshot(self) -> bytes:
-        """Pickle the state of all operators, for `restore` in this or another process.
-
-        Raises:
-            OperatorError: if an operator's state does not pickle.
-        """
-        operators = [stage.operator for stage in self.stages]
-        try:  # what operators share is in the pickle once
-            return pickle.dumps((operators, [*self.late_filters.values()]), pickle.HIGHEST_PROTOCOL)
-        except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise self._failure(next(filter(_fails_to_pickle, self.stages)).node, error) from error
-
-    def restore(self, snapshot: bytes) -> None:
-        """Restore the state from a snapshot of the same flow; it is a pickle, so load only trusted ones."""
-        operators, filters = pickle.loads(snapshot)  # noqa: S301 - our own
-        for stage, operator in zip(self.stages, operators, strict=True):
-            stage.resume(operator)
-        for entrance, late_filter in zip(self._entrances.values(), filters, strict=True):
-            entrance.late_filter = late_filter
-
     def _run(
         self,
         stages: Sequence[Stage],
@@ -275,11 +240,3 @@ class CompiledFlow:
 def _is_tested(node: Node) -> bool:
     """Return True for an operator of slipflow, whose tests check its output."""
     return type(node.part).__module__.startswith("operators.")
-
-
-def _fails_to_pickle(stage: Stage) -> bool:
-    try:
-        pickle.dumps(stage.operator, pickle.HIGHEST_PROTOCOL)
-    except (pickle.PicklingError, AttributeError, TypeError):
-        return True
-    return False

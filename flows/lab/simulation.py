@@ -27,8 +27,9 @@ from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
-from flows.run.executor import LocalProcesses, map_tasks
+from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
+from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, SlidingMotion, Zero, ms
 from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, Truth, concat, s
 from operators.checks import check_at_least, check_choice
@@ -183,19 +184,16 @@ def simulate(
     with partial_folder(out.resolve()) as root:
         describe_dataset(root)
         work = partial(_record, root, delay)
-        try:
-            for split, counts in map_tasks(work, planned, executor, progress=progress):
-                splits[split].update(counts)
-        except BaseException:
-            if isinstance(executor, LocalProcesses):
-                executor.shutdown()  # else they write into the folder while it is removed
-            raise
+        for split, counts in map_tasks(work, planned, executor, progress=progress):
+            splits[split].update(counts)
+        remove_partial(root, (each.session for each in planned))
     return SimulatedDataset(out, plan, seed, splits, perf_counter() - began)
 
 
 def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, dict[str, int]]:
     """Record one session of a dataset."""
-    asyncio.run(_run(root, delay, planned))
+    with new_session(root, planned.session) as scratch:
+        asyncio.run(_run(scratch, delay, planned))
     session = Session.open(session_folder(root, planned.session))
     label = np.concatenate([batch.label for batch in session.read(Labelled, 0)])  # (n,)
     static, slip = int((label == STATIC).sum()), int((label == SLIP).sum())

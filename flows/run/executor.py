@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import (
     CancelledError,
     Executor,
@@ -17,6 +17,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
     as_completed,
+    wait,
 )
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
@@ -50,7 +51,7 @@ def map_tasks(
 ) -> Generator[Result]:
     """Apply a function to many items and yield the results in the order of the items.
 
-    Closing the generator cancels the tasks that have not started.
+    Closing the generator cancels the tasks that have not started, and ends those in local processes.
 
     Args:
         work: Function of a module. Its errors are raised here.
@@ -80,8 +81,9 @@ def map_tasks(
             while waiting and waiting[0][1].done():
                 yield _result(*waiting.popleft(), lost or _raise_lost)
     finally:
-        for _, task in waiting:
-            task.cancel()
+        running = [task for _, task in waiting if not task.cancel() and not task.done()]
+        if running and isinstance(executor, LocalProcesses):
+            executor.end_tasks(running)
 
 
 @contextmanager
@@ -147,14 +149,23 @@ class LocalProcesses(ThreadPoolExecutor):
         """Schedule a task; its future raises `BrokenProcessPool` if its process dies."""
         return super().submit(self._run, work, *args, **kwargs)
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: FBT001, FBT002
-        """End all processes at once, also those with a task in progress."""
-        super().shutdown(wait=False, cancel_futures=cancel_futures)
+    def end_tasks(self, tasks: Iterable[Future[Any]]) -> None:
+        """End all processes in the middle of these tasks; the next task starts new ones."""
         with self._lock:
             self._ended = True
             for pool, lifeline in self._processes:
                 lifeline.close()
-                pool.shutdown(wait)
+                pool.shutdown()
+        wait(tasks)
+        self._processes.clear()
+        self._pools.clear()
+        self._ended = False
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: FBT001, FBT002
+        """End all processes at once, also those with a task in progress."""
+        super().shutdown(wait=False, cancel_futures=cancel_futures)
+        self.end_tasks(())
+        self._ended = True
         super().shutdown(wait)
         for name, value in self._environment.items():
             if value is None:
@@ -197,11 +208,11 @@ def _block_signals() -> None:
 def _end_with(lifeline: Lifeline) -> None:
     """End this process when the other end of a pipe closes, which also happens when the parent is killed."""
 
-    def wait() -> None:
+    def end() -> None:
         lifeline.poll(None)  # the parent sends nothing
         os._exit(1)
 
-    Thread(target=wait, daemon=True).start()
+    Thread(target=end, daemon=True).start()
 
 
 @contextmanager

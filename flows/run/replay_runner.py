@@ -85,7 +85,6 @@ class ReplayRunner:
         recording: Recorded streams for its sources.
         session: Identifier of the run.
         rows: Maximum number of rows per batch.
-        compile_flow: Compiles the flow; the cluster runner replaces it.
 
     Raises:
         FlowError: if the flow is wired wrongly.
@@ -99,10 +98,9 @@ class ReplayRunner:
         session: str,
         *,
         rows: int = 1000,
-        compile_flow: Callable[[Flow], CompiledFlow] = CompiledFlow,
     ) -> None:
         self._flow = replayed(flow, recording, paced=False)
-        self.compiled = compile_flow(self._flow)
+        self.compiled = CompiledFlow(self._flow)
         check_extras(self._flow.sinks())
         self._consumers = consumers(self._flow.nodes)
         self._recording, self._rows = recording, rows

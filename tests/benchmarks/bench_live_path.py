@@ -219,7 +219,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
             for stage in runner.compiled.stages:
                 name = type(stage.operator).__name__
                 vars(stage.operator)["process"] = spent.timed(name, cast("Any", stage.operator).process)
-                stage.resume(stage.operator)  # it looks process up once
+                stage.__post_init__()  # it looks process up once
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
         first = Used.now(spent)

@@ -24,8 +24,8 @@ import numpy as np
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
-from flows.run.parallel_replay import recordings
 from flows.run.replay_runner import ReplayRunner
+from flows.run.replays import recordings
 from flows.run.stop_signals import stopping
 from operators import Batch, Debounce, Operator, Score, Sink, Slips, Touch, Zero
 from operators.fingertip import Fingertip

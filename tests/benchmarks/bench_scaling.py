@@ -31,9 +31,10 @@ from flows.graph.testing import TestSink
 from flows.lab.simulation import simulate
 from flows.report.figures import MAIN, Figure, grid, save, styled
 from flows.report.table import Table
+from flows.run import executor
 from flows.run.clocks import EventClock
 from flows.run.live_runner import LiveRunner
-from flows.run.parallel_replay import Replays, recordings
+from flows.run.replays import FlowSource, Replays, recordings
 from operators import Batch, Clock, Run, Score, Source, Touch, Zero, s
 from operators.batch import concat
 from storage import Session, load_detector
@@ -211,7 +212,8 @@ def workers(hour: Path, out: Path) -> list[Point]:
     points, walls, printed = list[Point](), list[float](), set[tuple[str, ...]]()
     for jobs in (1, 2, 4):
         began, before = time.perf_counter(), _cpu()
-        found = list(Replays(str(out / "slips.py"), {}, [hour] * 8, "again").run(jobs))
+        with executor.workers(jobs) as processes:
+            found = list(Replays(FlowSource(str(out / "slips.py")), [hour] * 8).run(processes))
         walls.append(time.perf_counter() - began)
         cost = (_cpu() - before) / (8 * 3600 * RATE) * 1e6
         printed.add(tuple(each.printed for each in found))

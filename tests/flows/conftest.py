@@ -1,7 +1,6 @@
 """Fixtures of several modules: a tiny simulated dataset, and a flow to draw."""
 
 import fcntl
-import logging
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
 from operators import Align, Label, Motion, Touch, Zero, ms
+from tests.dask_cluster import two_workers
 
 
 @pytest.fixture(scope="session")
@@ -37,17 +37,7 @@ def drawn() -> Flow:
 
 
 @pytest.fixture(scope="session")
-def dask() -> Iterator[str]:
-    """URL of a Dask scheduler in this process with two workers of one thread."""
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        host="127.0.0.1",
-        dashboard_address=None,
-        worker_dashboard_address=None,
-        silence_logs=logging.CRITICAL,
-    ) as cluster:
-        yield cluster.scheduler_address
+def dask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """URL of a Dask scheduler with two workers, in processes of their own."""
+    with two_workers(tmp_path_factory.mktemp("dask")) as url:
+        yield url

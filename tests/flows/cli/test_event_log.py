@@ -175,7 +175,9 @@ def test_run_with_log_json_prints_only_objects(tmp_path: Path) -> None:
         for k in range(300)
     ]
     trace.write_text("\n".join(["t,s1,s2,s3,s4,s5,s6", *rows, ""]))
-    done = slipflow("run", "live", "--set", "detector=psd", "--replay", trace, "--log", "json")
+    done = slipflow(
+        "run", "live", "--set", "detector=psd", "--replay", trace, "--pace", "100", "--log", "json"
+    )
     assert done.returncode == 0, done.stderr
     events = [each["event"] for each in objects(done.stdout)]
     assert events[-1] == "run_ends"

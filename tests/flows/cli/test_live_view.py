@@ -108,6 +108,6 @@ def test_a_page_for_other_machines_without_a_token_is_a_one_line_error(
     monkeypatch.delenv("SLIPFLOW_PAGE_TOKEN", raising=False)
     trace = tmp_path / "trace.csv"
     trace.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(20)))
-    done = slipflow("run", "live", "--replay", trace, "--listen", "0.0.0.0:0")
+    done = slipflow("run", "live", "--replay", trace, "--pace", "1", "--listen", "0.0.0.0:0")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("error: Page: token is None, must be set")

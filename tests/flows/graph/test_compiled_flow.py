@@ -228,29 +228,6 @@ def test_an_operator_that_cannot_be_prepared_is_named() -> None:
         CompiledFlow(flow)
 
 
-def test_a_compiled_flow_resumes_from_a_snapshot() -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())
-    whole, first, second = CompiledFlow(flow), CompiledFlow(flow), CompiledFlow(flow)
-    batch = scores(0.9, 0.9, 0.9, 0.1, 0.1)
-    [(_, expected)] = whole.push({whole.entries[0]: batch})
-    assert first.push({first.entries[0]: batch[:2]}) == []
-    second.restore(first.snapshot())
-    [(_, found)] = second.push({second.entries[0]: batch[2:]})
-    assert found.time.tolist() == expected.time.tolist()
-    assert cast("Slips", found).start.tolist() == cast("Slips", expected).start.tolist()
-
-
-def test_a_snapshot_remembers_the_newest_row_of_each_source() -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
-    first, second = CompiledFlow(flow), CompiledFlow(flow)
-    first.push({first.entries[0]: scores(0.1, start=10 * ms)})
-    second.restore(first.snapshot())
-    assert second.push({second.entries[0]: scores(0.9, 0.9)}) == []
-    assert second.late_filters[second.entries[0]].late == 1
-
-
 def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_operators() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
@@ -258,27 +235,3 @@ def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_ope
     compiled = CompiledFlow(flow)
     pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 99 * ms, 100 * ms)]
     assert [len(deliveries) for deliveries in pushed] == [0, 0, 1]
-
-
-def test_a_state_that_does_not_pickle_names_its_operator() -> None:
-    @dataclass
-    class Local(Operator[Scores, Scores]):
-        def process(self, batch: Scores) -> Scores:
-            return batch
-
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Local()).to(TestSink())
-    with pytest.raises(OperatorError, match="flow 'f': Local: "):
-        CompiledFlow(flow).snapshot()
-
-
-def test_a_compiled_of_one_fingertip_leaves_the_others_out() -> None:
-    flow = Flow("f")
-    zeroed = flow.source(TestSource(Touch, fingers=(0, 1, 2))) | Zero(baseline=400)
-    (zeroed & flow.source(TestSource(Motion)) | Align(wait=20 * ms)).to(TestSink())
-    compiled = CompiledFlow(flow, only=(1,))
-    assert [(node.name, finger) for node, finger in compiled.entries] == [("touch", 1), ("motion", EVERY)]
-    pushed = compiled.push({compiled.entries[0]: touch(0, finger=1), compiled.entries[1]: motion(0, 10 * ms)})
-    assert [batch.finger for _, batch in pushed] == [1]
-    with pytest.raises(BatchError, match="fingertip 2"):
-        compiled.push({(compiled.entries[0][0], 2): touch(0, finger=2)})

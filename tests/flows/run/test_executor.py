@@ -1,55 +1,18 @@
-"""Workers are real processes; what they do stands in a module that they can import."""
-
 import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor
-from importlib import import_module
 from io import FileIO
 from pathlib import Path
 from time import sleep
-from typing import Any
 
 import pytest
 
 from flows.run.executor import map_tasks, one_thread, workers
 from operators.errors import EndpointError, ParameterError, SlipflowError
-
-WORK = """
-import os, signal, time
-from pathlib import Path
-
-def work(item):
-    what, _, where = item.partition(":")
-    path = Path(where)
-    if what == "make":
-        path.touch()
-    elif what == "await":
-        while not path.exists():
-            time.sleep(0.01)
-    elif what == "die":
-        os._exit(3)
-    elif what == "fail":
-        raise ValueError("no number")
-    elif what == "wait":
-        path.with_suffix(".part").write_text(str(os.getpid()))
-        path.with_suffix(".part").rename(path)
-        time.sleep(600)
-    elif what == "where":
-        masked = {signal.SIGINT, signal.SIGTERM} <= signal.pthread_sigmask(signal.SIG_BLOCK, ())
-        return [os.getpid(), os.environ.get("OMP_NUM_THREADS"), masked]
-    return item
-"""
-
-
-@pytest.fixture
-def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Any]]:
-    (tmp_path / "worked.py").write_text(WORK)
-    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
-    yield import_module("worked").work
-    del sys.modules["worked"]
+from tests.flows.run.worked import work
 
 
 @pytest.fixture(params=["two processes", "two Dask workers"])
@@ -67,23 +30,21 @@ def ended(pid: int) -> bool:
     return not status.exists() or "zombie" in status.read_text()  # not reaped in a container
 
 
-def test_workers_work_at_once_and_results_come_in_order(
-    work: Callable[[str], Any], two: Executor, tmp_path: Path
-) -> None:
+def test_workers_work_at_once_and_results_come_in_order(two: Executor, tmp_path: Path) -> None:
     items = [f"await:{tmp_path}/there", f"make:{tmp_path}/there", "last"]  # the first needs the second to end
     done = list[tuple[int, int]]()
     assert list(map_tasks(work, items, two, progress=lambda *each: done.append(each))) == items
     assert done == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
-def test_the_error_of_an_item_is_raised_in_its_turn(work: Callable[[str], Any], two: Executor) -> None:
+def test_the_error_of_an_item_is_raised_in_its_turn(two: Executor) -> None:
     results = map_tasks(work, ["one", "fail", "two"], two)
     assert next(results) == "one"
     with pytest.raises(ValueError, match="no number"):
         next(results)
 
 
-def test_a_process_that_dies_costs_its_item_only(work: Callable[[str], Any]) -> None:
+def test_a_process_that_dies_costs_its_item_only() -> None:
     items = ["one", "die", "two", "three"]
     with workers(2) as executor:
         found = list(map_tasks(work, items, executor, lost=lambda item, reason: f"{item} {reason}"))
@@ -94,7 +55,7 @@ def test_a_process_that_dies_costs_its_item_only(work: Callable[[str], Any]) -> 
             list(map_tasks(work, items, executor))
 
 
-def test_one_job_or_one_item_runs_in_this_process(work: Callable[[str], Any]) -> None:
+def test_one_job_or_one_item_runs_in_this_process() -> None:
     with workers(1) as executor:
         assert [each[0] for each in map_tasks(work, ["where", "where"], executor)] == [os.getpid()] * 2
     with workers(2) as executor:
@@ -102,7 +63,7 @@ def test_one_job_or_one_item_runs_in_this_process(work: Callable[[str], Any]) ->
 
 
 def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
-    work: Callable[[str], Any], monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     with workers(2) as executor:
@@ -112,9 +73,7 @@ def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
-def test_an_error_in_the_block_ends_the_workers_in_the_middle_of_a_task(
-    work: Callable[[str], Any], tmp_path: Path
-) -> None:
+def test_an_error_in_the_block_ends_the_workers_in_the_middle_of_a_task(tmp_path: Path) -> None:
     place = tmp_path / "pid"
 
     def interrupt(done: int, _total: int) -> None:
@@ -130,13 +89,10 @@ def test_an_error_in_the_block_ends_the_workers_in_the_middle_of_a_task(
 
 
 def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
-    (tmp_path / "worked.py").write_text(WORK)
     place = tmp_path / "pid"
     script = f"""
-import sys
-sys.path.insert(0, {str(tmp_path)!r})
 from flows.run.executor import map_tasks, workers
-from worked import work
+from tests.flows.run.worked import work
 if __name__ == "__main__":
     with workers(2) as executor:
         list(map_tasks(work, ["wait:{place}", "wait:{place}-other"], executor))

@@ -1,0 +1,324 @@
+"""Replays of many recordings, each a task that writes a session of the recording's name.
+
+A task writes the session into a temporary folder of the dataset and moves it when it is complete. So a task
+can be repeated, on any machine, and an interrupted command continues with the missing sessions.
+"""
+
+import asyncio
+import logging
+import sys
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack, chdir, redirect_stdout
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from io import StringIO
+from itertools import islice
+from pathlib import Path
+from re import sub
+from tempfile import TemporaryDirectory
+from threading import Lock
+from typing import Any, Final, cast
+
+from flows.graph import Flow
+from flows.graph.drawing import streams
+from flows.graph.loading import SHIPPED, load, loaded_modules
+from flows.graph.node import Node, Part
+from flows.graph.validation import validate
+from flows.run.executor import LocalProcesses, map_tasks
+from flows.run.log_events import reason_of
+from flows.run.replay_runner import ReplayRunner, log_replay_destinations, replayed
+from flows.run.run_summary import Summary
+from flows.run.session_output import new_session, remove_partial, write_errors
+from operators.errors import FlowError, InputError, SlipflowError
+from operators.ports import Recording, Sink, Source
+from storage import Dataset, Session
+from storage.description import describe_dataset
+from storage.files import make_folder
+from storage.layout import SESSION, SESSIONS, session_folder, session_names
+
+_UNPACKED: Final = list[
+    TemporaryDirectory[str]
+]()  # the folder of the flow files that this process has received
+_LOCK: Final = Lock()  # tasks share standard output and the working folder of their process
+
+log = logging.getLogger("slipflow")
+
+
+@dataclass(frozen=True)
+class FlowSource:
+    """Flow as any process can build it.
+
+    Args:
+        target: Flow, as `flows.graph.loading.load` takes it.
+        settings: Parameters of the flow, as text.
+        files: The flow file and the modules next to it that it imports, by their paths in its folder; empty:
+            they are read from `target`.
+        directory: Folder that relative paths refer to.
+    """
+
+    target: str
+    settings: tuple[tuple[str, str], ...] = ()
+    files: tuple[tuple[str, bytes], ...] = ()
+    directory: str = field(default_factory=lambda: str(Path.cwd()))
+
+    def with_files(self) -> "FlowSource":
+        """Return this flow with its files, for machines that do not have them; a shipped flow needs none.
+
+        Raises:
+            SlipflowError: if the flow cannot be built.
+        """
+        declaration = load(self.target)
+        declaration.flow(dict(self.settings))  # may import more modules
+        file = declaration.file
+        if file.parent == SHIPPED:
+            return self
+        paths = {Path(file.name): file, **loaded_modules(file)}
+        files = tuple((name.as_posix(), path.read_bytes()) for name, path in sorted(paths.items()))
+        return FlowSource(f"{file.name}:{declaration.name}", self.settings, files, self.directory)
+
+    @lru_cache(maxsize=1)  # noqa: B019 - one flow per process: the command's or the worker's
+    def flow(self) -> Flow:
+        """Build the flow, once per process.
+
+        Raises:
+            SlipflowError: if it cannot be built.
+        """
+        folder = self._unpack() if self.files else ""
+        return load(folder + self.target).flow(dict(self.settings))
+
+    def _unpack(self) -> str:
+        """Write the files into a new folder; forget those received earlier, which may be older."""
+        while _UNPACKED:
+            with _UNPACKED.pop() as old:
+                sys.path[:] = [each for each in sys.path if each != old]
+                for name, module in [*sys.modules.items()]:
+                    if (getattr(module, "__file__", None) or "").startswith(f"{old}/"):
+                        del sys.modules[name]
+        folder = TemporaryDirectory(prefix="slipflow-")
+        _UNPACKED.append(folder)
+        for name, content in self.files:
+            path = Path(folder.name, name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        return f"{folder.name}/"
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Result of one replay."""
+
+    recording: str  # path
+    summary: Summary | None  # None: not started
+    printed: str = field(default="", repr=False)  # output of the sinks
+    error: str = ""  # reason of a failure; empty: none
+
+
+@dataclass(frozen=True)
+class _Task:
+    source: FlowSource
+    recording: str  # path
+    session: str
+
+
+class Replays:
+    """Replays of one flow over many recordings.
+
+    Args:
+        source: The flow.
+        paths: Sessions, traces, and datasets for all of their sessions.
+
+    Attributes:
+        flow: Flow of this process.
+        recordings: Recordings to replay, in order.
+        existing: Recordings whose sessions are in the datasets already.
+
+    Raises:
+        FlowError: if the flow is wired wrongly.
+        InputError: if a dataset has no session, is also the output, or has another session of a recording's
+            name; if two recordings have the same name.
+        SlipflowError: if the flow cannot be built.
+    """
+
+    def __init__(self, source: FlowSource, paths: Iterable[Path]) -> None:
+        self._source, self.flow = source, source.flow()
+        found = recordings(paths)
+        check_outputs(self.flow, found)
+        self._roots = [Path(n.part.destination) for n in self.flow.sinks() if isinstance(n.part, Dataset)]
+        if self._roots:
+            _check_names(found)
+        self.existing = [path for path in found if self._exists(path)]
+        self.recordings = [path for path in found if path not in self.existing]
+
+    @property
+    def exclusive_sinks(self) -> list[str]:
+        """Sinks that only one process at a time may write to."""
+        return [n.name for n in self.flow.sinks() if isinstance(n.part, Sink) and not n.part.shared]
+
+    def run(
+        self,
+        executor: Executor | None = None,
+        *,
+        progress: Callable[[int, int], object] = lambda _done, _total: None,
+    ) -> Generator[Replayed]:
+        """Replay all recordings and yield the results in order; they do not depend on the executor.
+
+        A recording that fails does not affect the others.
+
+        Args:
+            executor: Executor of `flows.run.executor.workers`; None: this process.
+            progress: Called with the number of finished recordings and of all recordings.
+
+        Raises:
+            FlowError: if there is an executor and an exclusive sink.
+            EndpointError: if a dataset cannot be written to, or the scheduler of a cluster was lost.
+        """
+        if executor is not None and (exclusive := self.exclusive_sinks):
+            reason = "cannot be shared by processes: replay with --jobs 1 and without --cluster"
+            raise FlowError(self.flow.name, ", ".join(exclusive), reason)
+        log_replay_destinations(self.flow)
+        local = executor is None or isinstance(executor, LocalProcesses)
+        source = self._source if local else self._source.with_files()
+        tasks = [_Task(source, str(path), session_of(path)) for path in self.recordings]
+        with ExitStack() as stack:
+            for root in self._roots:
+                with write_errors(root):
+                    make_folder(root, parents=True)
+                    describe_dataset(root)
+                stack.callback(remove_partial, root, [task.session for task in tasks])
+            yield from map_tasks(replay, tasks, executor, progress=progress, lost=_lost)
+
+    def _exists(self, path: Path) -> bool:
+        """Return True if all datasets have the session that this flow derives from a recording."""
+        folders = [session_folder(root, session_of(path)) for root in self._roots]
+        written = [folder for folder in folders if (folder / SESSION).exists()]
+        for folder in written:
+            about = Session.open(folder).about
+            if (about["start_ns"], about["declaration"]) != (self._start(path), streams(self.flow.nodes)):
+                reason = "is of another recording or flow: write to another dataset, or remove it"
+                raise InputError(str(folder), reason)
+        return bool(folders) and written == folders
+
+    def _start(self, path: Path) -> int:
+        """Return the time (ns) of the first row of a recording that the flow reads."""
+        recording = open_recording(path, log.warning)
+        first = (
+            int(batch.time[0])
+            for node in replayed(self.flow, recording, paced=False).sources()
+            for finger in node.fingers
+            for batch in islice(recording.read(cast("Source[Any]", node.part).kind, finger, 1), 1)
+        )
+        return min(first, default=0)
+
+
+def replay(task: _Task) -> Replayed:
+    """Replay one recording; any error becomes part of the result."""
+    runner, printed, error = None, StringIO(), ""
+    with _LOCK:
+        try:
+            with ExitStack() as stack:
+                if task.source.directory != str(Path.cwd()):
+                    stack.enter_context(chdir(task.source.directory))
+                with redirect_stdout(StringIO()):  # the command has printed it
+                    flow = task.source.flow()
+                stack.enter_context(redirect_stdout(printed))
+                scratch = {
+                    node: stack.enter_context(new_session(Path(node.part.destination), task.session))
+                    for node in flow.sinks()
+                    if isinstance(node.part, Dataset)
+                }
+                recording = open_recording(Path(task.recording), log.warning)
+                flow = flow.replaced(partial(_written_to, scratch))
+                runner = ReplayRunner(flow, recording, task.session)
+                asyncio.run(runner.execute())
+        except (SlipflowError, OSError) as failure:
+            error = reason_of(failure)
+        except Exception as failure:
+            log.exception("%s", task.recording)
+            error = reason_of(failure)
+    summary = None if runner is None else Summary.of(runner.run)
+    return Replayed(task.recording, summary, printed.getvalue(), error)
+
+
+def recordings(paths: Iterable[Path]) -> list[Path]:
+    """Return the sessions and traces in `paths`; a dataset is replaced by all of its sessions, sorted.
+
+    Raises:
+        InputError: if a dataset has no session.
+    """
+    found = list[Path]()
+    for path in paths:
+        if path.suffix == ".csv" or (path / SESSION).exists() or not (path / SESSIONS).is_dir():
+            found.append(path)  # opening reports the error if it is not a recording
+        elif names := session_names(path):
+            found += [session_folder(path, name) for name in names]
+        else:
+            raise InputError(str(path), "has no session: give a dataset, a session's folder, or a trace")
+    return found
+
+
+def session_of(recording: Path) -> str:
+    """Return the name of the session that a replay of a recording writes.
+
+    >>> session_of(Path("lab/sessions/plane-050-01")), session_of(Path("data/grip 3.csv"))
+    ('plane-050-01', 'grip-3')
+    """
+    name = recording.resolve().name
+    stem = name if (recording / SESSION).exists() else name.removesuffix(recording.suffix)
+    return sub(r"[^A-Za-z0-9._-]+", "-", stem).lstrip("._-")[:128] or "recording"
+
+
+def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
+    """Check that a flow is valid and does not record into a dataset that it replays.
+
+    The fingertips of its sources are checked for a live run only: a replay has those of its recordings.
+
+    Raises:
+        FlowError: if the flow is wired wrongly.
+        InputError: if a recording is in the dataset of a sink.
+    """
+    paths = list(paths)
+    validate(flow, fingertips=not paths)
+    written = {Path(node.part.destination) for node in flow.sinks() if isinstance(node.part, Dataset)}
+    for path in paths:
+        if written & set(path.resolve().parents):
+            raise InputError(str(path), "is in the dataset that the flow records into: choose another folder")
+
+
+def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
+    """Open a session or a trace in a file; report warnings about a trace with `warn`.
+
+    Raises:
+        InputError: if it is neither, or damaged.
+    """
+    from connectors.files.container import ENDINGS  # noqa: PLC0415 - slow import, rarely needed
+    from connectors.files.trace import Trace  # noqa: PLC0415 - slow import, rarely needed
+
+    if not path.name.endswith(ENDINGS):
+        return Session.open(path)
+
+    try:
+        trace = Trace(path)
+    except InputError as error:
+        reason = f"{error.reason} (convert it with slipflow import --map, then replay the result)"
+        raise InputError(error.where, reason) from error
+    for each in trace.warnings:
+        warn(f"warning: {path}: {each} (slipflow import --map states units)")
+    return trace
+
+
+def _written_to(scratch: Mapping[Node, Path], node: Node) -> Part:
+    return node.part.with_path(scratch[node]) if isinstance(node.part, Dataset) else node.part
+
+
+def _check_names(paths: Sequence[Path]) -> None:
+    """Require that each recording has a name of its own, which becomes that of its session."""
+    often = Counter(map(session_of, paths))
+    same = [str(path) for path in paths if often[session_of(path)] > 1]
+    if same:
+        raise InputError(same[1], f"has the same name as {same[0]}: replay it into another dataset")
+
+
+def _lost(task: _Task, reason: str) -> Replayed:
+    return Replayed(task.recording, None, error=reason)

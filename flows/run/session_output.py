@@ -1,0 +1,59 @@
+"""Sessions that appear in a dataset as a whole, so that the task that writes one can be repeated."""
+
+import os
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from shutil import rmtree
+from typing import Final
+from uuid import uuid4
+
+from operators.errors import EndpointError, InputError, os_error_reason
+from storage.files import make_folder, sync
+from storage.layout import MANIFEST, SESSIONS, session_folder
+
+_PARTIAL: Final = ".partial"  # folder in a dataset: sessions that are being written
+
+
+@contextmanager
+def new_session(root: Path, session: str) -> Generator[Path]:
+    """Yield a temporary dataset; if the block succeeds, move its session to the dataset `root`.
+
+    If `root` has a session with the same data, nothing changes.
+
+    Raises:
+        InputError: if it has another session of that name.
+        EndpointError: if it cannot be written to.
+    """
+    scratch, target = root / _PARTIAL / session / uuid4().hex, session_folder(root, session)
+    with write_errors(root):
+        scratch.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(root / SESSIONS)
+    try:
+        yield scratch
+        complete = session_folder(scratch, session)
+        with write_errors(root):
+            if not target.exists():
+                os.rename(complete, target)  # noqa: PTH104 - unlike Path.replace, never replaces files
+                sync(root / SESSIONS)
+            elif (target / MANIFEST).read_bytes() != (complete / MANIFEST).read_bytes():
+                raise InputError(str(target), "another session has this name: write to another dataset")
+    finally:
+        rmtree(scratch, ignore_errors=True)
+
+
+def remove_partial(root: Path, sessions: Iterable[str]) -> None:
+    """Remove what killed tasks have left."""
+    for session in sessions:
+        rmtree(root / _PARTIAL / session, ignore_errors=True)
+    with suppress(OSError):
+        (root / _PARTIAL).rmdir()
+
+
+@contextmanager
+def write_errors(root: Path) -> Generator[None]:
+    """Convert errors of the operating system to an `EndpointError` of a dataset."""
+    try:
+        yield
+    except OSError as error:
+        raise EndpointError(str(root), f"cannot be written: {os_error_reason(error)}") from error

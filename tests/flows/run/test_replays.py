@@ -1,0 +1,273 @@
+import sys
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree, rmtree
+from typing import Any
+
+import pytest
+
+from connectors import Event
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from flows.run.executor import workers
+from flows.run.replay_runner import ReplayRunner
+from flows.run.replays import FlowSource, Replayed, Replays, _Task, check_outputs, recordings
+from flows.run.replays import replay as replay_task
+from operators import Debounce, Score, Touch, Zero
+from operators.detectors import Psd
+from operators.errors import FlowError, InputError
+from operators.fingertip import TAKKTILE, Fingertip
+from storage import Session
+from storage.layout import session_folder, session_names
+from storage.parts import read_part
+from tests.connectors.mqtt.broker_process import TestBroker
+from tests.flows.run.recorder import Recorder
+
+FLOW = """
+from connectors import Console, Mqtt
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from operators import Debounce, Score, Touch, Zero
+from storage import Dataset, load_detector
+
+def felt(out: str = "out", broker: str = "", spoilt: bool = False, least: float = 0.5) -> Flow:
+    flow = Flow("felt")
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    slips = zeroed | Score(load_detector("psd")) | Debounce(threshold=least)
+    dataset = Dataset(out)
+    zeroed.to(dataset)
+    slips.to(dataset)
+    slips.to(Console())
+    if broker:
+        slips.to(Mqtt(broker))
+    if spoilt:
+        slips.to(TestSink(failures=[ValueError("no number")] * 2))
+    return flow
+"""
+
+
+@pytest.fixture(scope="module")
+def felt(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("flow") / "felt.py"
+    path.write_text(FLOW)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of four sessions."""
+    root = tmp_path_factory.mktemp("dataset")
+    for seconds in (5, 12, 6, 11):
+        recorder = Recorder(root, f"{seconds:02d}-seconds")
+        recorder.record(seconds, (0,))
+        recorder.close()
+    return root
+
+
+@pytest.fixture(scope="module")
+def four(dataset: Path) -> list[Path]:
+    return recordings([dataset])
+
+
+def source(target: str, **settings: str) -> FlowSource:
+    return FlowSource(target, tuple(settings.items()))
+
+
+def replay(felt: str, paths: list[Path], out: Path, **settings: str) -> list[Replayed]:
+    return list(Replays(source(felt, out=str(out), **settings), paths).run())
+
+
+def test_each_file_of_a_short_session_is_read_once(
+    felt: str, four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = [path for path in four if path.name in {"05-seconds", "06-seconds"}]
+    stated = [Session.open(path).about["fingertips"] for path in short]
+    assert stated == [{}, {}]  # so they are measured
+    opened = list[Path]()
+
+    def counted(path: Path, *args: Any) -> Any:  # noqa: ANN401 - as `read_part`
+        opened.append(path)
+        return read_part(path, *args)
+
+    monkeypatch.setattr("storage.session.read_part", counted)
+    assert [each.error for each in replay(felt, short, tmp_path / "out")] == ["", ""]
+    assert opened == [path / "touch/part-000000.parquet" for path in short]
+
+
+def written(out: Path) -> list[tuple[str, dict[str, bytes]]]:
+    """The Parquet files of each session."""
+    return [
+        (
+            name,
+            {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))},
+        )
+        for name in session_names(out)
+        for folder in [session_folder(out, name)]
+    ]
+
+
+@pytest.fixture(params=["two processes", "two Dask workers"])
+def two(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
+    local = request.param == "two processes"
+    with workers(2) if local else workers(cluster=request.getfixturevalue("dask")) as executor:
+        yield executor
+
+
+def test_two_workers_give_the_bytes_and_lines_that_one_process_gives(
+    felt: str, four: list[Path], tmp_path: Path, two: Executor
+) -> None:
+    one = replay(felt, four, tmp_path / "1")
+    more = list(Replays(source(felt, out=str(tmp_path / "2")), four).run(two))
+    assert [each.error for each in (*one, *more)] == [""] * 8
+    assert [each.recording for each in more] == list(map(str, four))
+    assert [each.printed for each in one] == [each.printed for each in more]
+    assert "slip onset" in "".join(each.printed for each in one)
+    assert [each.summary for each in one] == [each.summary for each in more]
+    files = written(tmp_path / "1")
+    assert files == written(tmp_path / "2")
+    assert [name for name, _ in files] == [path.name for path in four]
+    assert all("touch/part-000000.parquet" in parts and "slips.parquet" in parts for _, parts in files)
+    assert sorted(path.name for path in (tmp_path / "2").iterdir()) == ["dataset.json", "sessions"]
+
+
+def test_a_flow_takes_its_file_and_modules_along_and_newer_ones_replace_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    code = FLOW.replace("threshold=least", "threshold=chosen.LEAST") + "import chosen\n"
+    sent = list[FlowSource]()
+    for least in ("0.5", "0.75"):
+        place = tmp_path / least
+        place.mkdir()
+        (place / "felt.py").write_text(code)
+        (place / "chosen.py").write_text(f"LEAST = {least}\n")
+        sent.append(source(f"{place / 'felt.py'}:felt", out=str(tmp_path / "out")).with_files())
+        assert [name for name, _ in sent[-1].files] == ["chosen.py", "felt.py"]
+        rmtree(place)
+        sys.modules.pop("chosen")
+        sys.path.remove(str(place))
+    received = [n.part for each in sent for n in each.flow().nodes]
+    assert [each.threshold for each in received if isinstance(each, Debounce)] == [0.5, 0.75]
+    assert source("relabel").with_files().files == ()
+
+
+def test_a_repeated_task_changes_nothing_and_another_flow_is_refused(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    [first] = replay(felt, four[:1], tmp_path)
+    before = written(tmp_path)
+    again = Replays(source(felt, out=str(tmp_path)), four[:2])
+    assert (again.existing, again.recordings) == (four[:1], four[1:2])
+    task = _Task(source(felt, out=str(tmp_path)), str(four[0]), four[0].name)
+    assert replay_task(task) == first  # as after the loss of the worker that had finished it
+    assert written(tmp_path) == before
+    assert "another session has this name" in replay_task(replace(task, recording=str(four[1]))).error
+    assert written(tmp_path) == before
+    other = source(felt, out=str(tmp_path), least="0.6")
+    with pytest.raises(InputError, match="is of another recording or flow: write to another dataset"):
+        Replays(other, four[:1])
+
+
+def test_recordings_of_one_name_need_two_datasets(felt: str, four: list[Path], tmp_path: Path) -> None:
+    other = copytree(four[0], tmp_path / four[0].name)
+    with pytest.raises(InputError, match=r"has the same name as .*: replay it into another dataset"):
+        Replays(source(felt, out=str(tmp_path / "out")), [four[0], other])
+
+
+def test_a_damaged_session_is_reported_and_the_others_go_on(felt: str, dataset: Path, tmp_path: Path) -> None:
+    paths = recordings([copytree(dataset, tmp_path / "dataset")])[:3]
+    part = paths[1] / "touch/part-000000.parquet"
+    part.write_bytes(part.read_bytes()[:-1] + b"x")
+    found = replay(felt, paths, tmp_path / "out")
+    assert "part-000000.parquet: is damaged" in found[1].error
+    assert found[1].summary is None
+    assert [each.error for each in found[::2]] == ["", ""]
+    assert session_names(tmp_path / "out") == [paths[0].name, paths[2].name]
+
+
+def test_an_error_of_a_sink_ends_its_own_replay_only_and_leaves_no_session(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    found = replay(felt, four[:2], tmp_path / "out", spoilt="true")
+    assert [each.error for each in found] == ["ValueError: no number"] * 2
+    assert session_names(tmp_path / "out") == []
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["dataset.json", "sessions"]
+
+
+def test_a_sink_that_publishes_as_one_rig_needs_one_process(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    replays = Replays(source(felt, out=str(tmp_path), broker="mqtt://localhost"), four)
+    assert replays.exclusive_sinks == ["mqtt"]
+    with (
+        workers(2) as executor,
+        pytest.raises(FlowError, match="mqtt: cannot be shared by processes: replay"),
+    ):
+        list(replays.run(executor))
+
+
+@pytest.mark.broker
+def test_recordings_are_published_in_order_as_one_rig_and_the_destination_is_logged_once(
+    felt: str, four: list[Path], tmp_path: Path, broker: TestBroker, caplog: pytest.LogCaptureFixture
+) -> None:
+    listener = broker.listen("slip/v1/lab/+/0/event")
+    found = replay(felt, four[:2], tmp_path / "out", broker=broker.url)
+    assert [each.error for each in found] == ["", ""]
+    assert caplog.messages == [f"mqtt: the replay is written to {broker.url}/slip/v1/lab/rig-replay"]
+    events = [Event.decode(received.payload.encode()) for received in listener.rest()]
+    assert {each.rig for each in events} == {"rig-replay"}
+    assert [each.seq for each in events] == list(range(1, len(events) + 1))
+    assert [each.session for each in events] == sorted(each.session or "" for each in events)
+    assert {each.session for each in events} == {path.name for path in four[:2]}
+
+
+def test_a_flow_that_cannot_be_built_is_reported_before_any_replay(felt: str, four: list[Path]) -> None:
+    with pytest.raises(
+        InputError, match=r"^felt: has no parameter 'speed'; it has out, broker, spoilt, least$"
+    ):
+        Replays(source(felt, speed="1"), four)
+
+
+def test_an_interrupted_replay_leaves_no_part_of_a_session(
+    felt: str, four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replays = Replays(source(felt, out=str(tmp_path / "out")), four)
+
+    def interrupt(_self: Session, *_args: Any) -> None:  # noqa: ANN401 - as `read`
+        raise KeyboardInterrupt
+
+    results = replays.run()
+    next(results)
+    monkeypatch.setattr(Session, "read", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+    assert session_names(tmp_path / "out") == [four[0].name]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["dataset.json", "sessions"]
+
+
+def test_a_dataset_names_its_sessions_in_order(dataset: Path, tmp_path: Path) -> None:
+    trace, gone = tmp_path / "trace.csv", tmp_path / "gone"
+    found = recordings([trace, dataset, gone])
+    assert found == [trace, *(session_folder(dataset, name) for name in session_names(dataset)), gone]
+    (tmp_path / "empty/sessions").mkdir(parents=True)
+    with pytest.raises(InputError, match="empty: has no session"):
+        recordings([tmp_path / "empty"])
+
+
+def test_a_replay_needs_a_detector_for_its_recording_not_for_the_live_source(four: list[Path]) -> None:
+    class Faster(TestSource[Touch]):
+        @property
+        def fingertip(self) -> Fingertip:
+            return replace(TAKKTILE, rate=200.0)
+
+    flow = Flow("faster")
+    (flow.source(Faster(Touch, fingers=(0,))) | Zero() | Score(Psd())).to(TestSink())
+    check_outputs(flow, four[:1])
+    assert ReplayRunner(flow, Session.open(four[0]), "again").compiled.entries
+    with pytest.raises(FlowError, match="psd needs 100 Hz; the data has 200 Hz"):
+        check_outputs(flow, [])
+    flow.source(TestSource(Touch, fingers=(1,)))
+    with pytest.raises(FlowError, match="is unconnected"):
+        check_outputs(flow, four)
