@@ -9,8 +9,13 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
+import distributed
+
+from tests.waiting import PATIENCE
+
+Client: Any = distributed.Client
 DASK = Path(sys.executable).with_name("dask")
 
 
@@ -42,6 +47,11 @@ class DaskCluster:
         """Start a worker, which restarts when it is killed."""
         arguments = self.url, "--nthreads", "1", "--local-directory", str(self.folder)
         self.workers.append(self._start("worker", *arguments))
+
+    def wait(self, workers: int) -> None:
+        """Wait until the scheduler has so many workers."""
+        with Client(self.url, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=PATIENCE)
 
     def _start(self, kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         command = [str(DASK), kind, "--host", "127.0.0.1", "--no-dashboard", *arguments]

@@ -21,7 +21,9 @@ def run(
     duration: Duration = None,
     replay: Annotated[
         list[Path] | None,
-        typer.Option(metavar="PATH", help="Replay a session, all sessions of a dataset, or a trace: .csv or .parquet."),
+        typer.Option(
+            metavar="PATH", help="Replay a session, all sessions of a dataset, or a trace: .csv or .parquet."
+        ),
     ] = None,
     more: Annotated[
         list[Path] | None, typer.Argument(metavar="PATH", help="Further recordings, with --replay.")

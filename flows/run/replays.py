@@ -13,6 +13,7 @@ from concurrent.futures import Executor
 from contextlib import ExitStack, chdir, redirect_stdout
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from importlib import invalidate_caches
 from io import StringIO
 from itertools import islice
 from pathlib import Path
@@ -96,12 +97,13 @@ class FlowSource:
                 for name, module in [*sys.modules.items()]:
                     if (getattr(module, "__file__", None) or "").startswith(f"{old}/"):
                         del sys.modules[name]
-        folder = TemporaryDirectory(prefix="slipflow-")
+        folder = TemporaryDirectory(prefix="slipflow-flow-")
         _UNPACKED.append(folder)
         for name, content in self.files:
             path = Path(folder.name, name)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(content)
+        invalidate_caches()
         return f"{folder.name}/"
 
 

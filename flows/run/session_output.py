@@ -52,7 +52,11 @@ def remove_partial(root: Path, sessions: Iterable[str]) -> None:
 
 @contextmanager
 def write_errors(root: Path) -> Generator[None]:
-    """Convert errors of the operating system to an `EndpointError` of a dataset."""
+    """Convert errors of the operating system to that of a dataset.
+
+    Raises:
+        EndpointError: if the block raises an OSError.
+    """
     try:
         yield
     except OSError as error:

@@ -23,10 +23,10 @@ class Stopped:
 class Recorder:
     """Records a session step by step, in parts of 10 s."""
 
-    def __init__(self, root: Path, session: str = "one") -> None:
+    def __init__(self, root: Path, session: str = "one", seed: int = 0) -> None:
         self.folder = root / "sessions" / session
         self._dataset, self._second = Dataset(root, part_span=10 * s, host="test"), 0
-        self._random = np.random.default_rng(0)
+        self._random = np.random.default_rng(seed)
         self._loop = asyncio.new_event_loop()
         run = Run(session, "recorded", Stopped(), START, live=False)
         self._loop.run_until_complete(self._dataset.open(run))

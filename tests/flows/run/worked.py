@@ -4,9 +4,10 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 
-def work(item: str) -> str | list[object]:
+def work(item: str) -> Any:  # noqa: ANN401
     """Do what an item says."""
     what, _, where = item.partition(":")
     path = Path(where)

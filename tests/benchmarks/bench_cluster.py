@@ -1,0 +1,91 @@
+"""Replays on a Dask cluster on this machine, relative to one process.
+
+The flow `relabel` replays recordings of many fingertips: in one process, then on a cluster with one worker
+and with two. The start of a job is the time for one short recording. All outputs must be the same bytes.
+"""
+
+import argparse
+import os
+import tempfile
+from importlib.metadata import distribution
+from pathlib import Path
+from statistics import median
+from time import perf_counter
+
+from flows.run.executor import workers
+from flows.run.replays import FlowSource, Replays
+from storage.layout import session_folder, session_names
+from tests.benchmarks.machine import commit, machine
+from tests.dask_cluster import DaskCluster
+from tests.flows.run.recorder import Recorder
+
+PACKAGES = [
+    *("distributed", "dask", "tornado", "msgpack", "cloudpickle", "toolz", "partd", "locket", "zict"),
+    *("tblib", "psutil", "sortedcontainers", "click", "fsspec", "pyyaml"),
+]
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    """Return all files of a dataset."""
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def replay(paths: list[Path], out: Path, cluster: str | None) -> float:
+    """Replay recordings and return the time it took, s."""
+    began = perf_counter()
+    with workers(None if cluster else 1, cluster) as executor:
+        found = list(Replays(FlowSource("relabel", (("out", str(out)),)), paths).run(executor))
+    if errors := [each.error for each in found if each.error]:
+        raise SystemExit(errors[0])
+    return perf_counter() - began
+
+
+def installed_size() -> float:
+    """Return the size of Dask and of the packages that it needs, MB."""
+    files = [file for name in PACKAGES for file in distribution(name).files or ()]
+    return sum(path.stat().st_size for file in files if (path := Path(str(file.locate()))).exists()) / 1e6
+
+
+def main() -> None:
+    """Measure and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sessions", type=int, default=8)
+    parser.add_argument("--seconds", type=int, default=600)
+    parser.add_argument("--turns", type=int, default=3)
+    options = parser.parse_args()
+    samples = options.sessions * options.seconds * 100 * 8
+    print(f"seed 0, medians of {options.turns} turns, commit {commit()}, load {os.getloadavg()[0]:.1f}")
+    print(f"{machine()}; {options.sessions} sessions, {samples:,} samples of 8 fingertips")
+    print(f"installation of the extra `cluster`: {installed_size():.0f} MB")
+    print(f"{'':16}{'start, s':>10}{'all, s':>10}{'samples/s':>12}{'relative':>10}{'same bytes':>12}")
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for number, seconds in enumerate([1, *[options.seconds] * options.sessions]):
+            recorder = Recorder(root / "in", f"s{number:02d}", seed=number)
+            recorder.record(seconds, tuple(range(8)))
+            recorder.close()
+        short, *long = [session_folder(root / "in", name) for name in session_names(root / "in")]
+        replay([short], root / "first", None)  # compiles
+        speeds, expected = dict[int, float](), dict[str, bytes]()
+        with DaskCluster(root) as cluster:
+            for count in (0, 1, 2):
+                url = cluster.url if count else None
+                if count:
+                    cluster.add_worker()
+                    cluster.wait(count)
+                    replay(long[:2], root / f"warm-{count}", url)
+                walls, starts = list[float](), list[float]()
+                for turn in range(options.turns):
+                    out = root / f"{count}-{turn}"
+                    starts.append(replay([short], out / "short", url))
+                    walls.append(replay(long, out / "long", url))
+                written = contents(root / f"{count}-0" / "long")
+                expected = expected or written
+                speeds[count] = samples / median(walls)
+                name = f"{count} Dask workers" if count else "one process"
+                print(f"{name:16}{median(starts):10.1f}{median(walls):10.1f}{speeds[count]:12.0f}", end="")
+                print(f"{speeds[count] / speeds[0]:10.2f}{written == expected!s:>12}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,174 @@
+"""Replays on a Dask cluster whose parts are killed: `make test-cluster`."""
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from storage.layout import session_folder, session_names
+from tests.command import SLIPFLOW, slipflow
+from tests.dask_cluster import DaskCluster, kill
+from tests.flows.run.recorder import Recorder
+from tests.waiting import PATIENCE
+
+pytestmark = pytest.mark.cluster
+
+FLOW = """
+import time
+from dataclasses import dataclass
+from connectors import Console
+from flows.graph import Flow
+from flows.graph.testing import TestSource
+from operators import Debounce, Operator, Score, Touch, Zero
+from pauses import PAUSE
+from storage import Dataset, load_detector
+
+@dataclass
+class Slow(Operator[Touch, Touch]):
+    def process(self, batch: Touch) -> Touch:
+        time.sleep(PAUSE)
+        return batch
+
+def felt(out: str = "out") -> Flow:
+    flow, dataset = Flow("felt"), Dataset(out)
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Slow() | Zero()
+    slips = zeroed | Score(load_detector("psd")) | Debounce(threshold=0.5)
+    zeroed.to(dataset)
+    slips.to(dataset)
+    slips.to(Console())
+    return flow
+"""
+RECORDINGS = 12
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with recordings and a flow of two files."""
+    root = tmp_path_factory.mktemp("lab")
+    for number in range(RECORDINGS):
+        recorder = Recorder(root / "in", f"session-{number:02d}", seed=number)
+        recorder.record(15)
+        recorder.close()
+    (root / "felt.py").write_text(FLOW)
+    (root / "pauses.py").write_text("PAUSE = 0.1  # s\n")
+    return root
+
+
+@pytest.fixture(scope="module")
+def expected(lab: Path) -> tuple[dict[str, bytes], list[str]]:
+    """Files and lines of one process."""
+    done = slipflow(*command(lab, lab / "one"), "--jobs", "1")
+    assert done.returncode == 0, done.stderr
+    assert "slip onset" in done.stdout
+    return contents(lab / "one"), lines(done.stdout)
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+    with DaskCluster(tmp_path) as running:
+        running.add_worker()
+        running.add_worker()
+        running.wait(2)
+        yield running
+
+
+def command(lab: Path, out: Path) -> list[str]:
+    return ["run", str(lab / "felt.py"), "--replay", str(lab / "in"), "--set", f"out={out}"]
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def lines(printed: str) -> list[str]:
+    """Return the printed lines without the last one, which has the wall time."""
+    return printed.splitlines()[:-1]
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def children(process: subprocess.Popen[bytes]) -> list[int]:
+    """Return the processes that compute, which the worker's nanny starts again if they die."""
+    found = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(pid) for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+
+
+def test_four_processes_give_the_files_and_lines_of_one(
+    lab: Path, expected: tuple[dict[str, bytes], list[str]], tmp_path: Path
+) -> None:
+    done = slipflow(*command(lab, tmp_path / "out"), "--jobs", "4")
+    assert done.returncode == 0, done.stderr
+    assert (contents(tmp_path / "out"), lines(done.stdout)) == expected
+
+
+def test_a_killed_worker_and_a_later_one_change_nothing(
+    lab: Path, expected: tuple[dict[str, bytes], list[str]], cluster: DaskCluster, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    arguments = [*SLIPFLOW, *command(lab, out), "--cluster", cluster.url]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        until(lambda: out.exists() and len(session_names(out)) > 1)
+        for pid in children(cluster.workers[0]):
+            os.kill(pid, signal.SIGKILL)
+        kill(cluster.workers[1])
+        cluster.add_worker()
+        printed, errors = running.communicate(timeout=PATIENCE)
+    assert running.returncode == 0, errors
+    assert (contents(out), lines(printed)) == expected
+
+
+def test_after_a_killed_scheduler_the_same_command_continues(
+    lab: Path, expected: tuple[dict[str, bytes], list[str]], cluster: DaskCluster, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    arguments = [*command(lab, out), "--cluster", cluster.url]
+    with subprocess.Popen([*SLIPFLOW, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        until(lambda: out.exists() and len(session_names(out)) > 1)
+        kill(cluster.scheduler)
+        _, errors = running.communicate(timeout=PATIENCE)
+    assert running.returncode == 2
+    assert b"error: --cluster: the Dask scheduler was lost: when it is back, repeat the command" in errors
+    kept = {name: session_folder(out, name).stat().st_ino for name in session_names(out)}
+    assert 0 < len(kept) < RECORDINGS
+    cluster.start_scheduler(int(cluster.url.rpartition(":")[2]))
+    cluster.add_worker()
+    done = slipflow(*arguments)
+    assert done.returncode == 0, done.stderr
+    assert f"of {RECORDINGS} replayed already" in done.stderr
+    assert contents(out) == expected[0]
+    assert {name: session_folder(out, name).stat().st_ino for name in kept} == kept
+
+
+def test_a_recording_that_kills_its_workers_is_named_and_the_others_are_written(
+    lab: Path, cluster: DaskCluster, tmp_path: Path
+) -> None:
+    deadly = "len(batch) != 100 or __import__('os')._exit(1)"  # its only batch has 100 rows
+    (tmp_path / "felt.py").write_text(FLOW.replace("time.sleep(PAUSE)", deadly))
+    (tmp_path / "pauses.py").write_text("PAUSE = 0\n")
+    recorder = Recorder(tmp_path / "in", "deadly")
+    recorder.record(1)
+    recorder.close()
+    for name, where in (("local", ["--jobs", "2"]), ("dask", ["--cluster", cluster.url])):
+        arguments = command(tmp_path, tmp_path / name)
+        done = slipflow(*arguments, str(session_folder(lab / "in", "session-03")), *where)
+        assert done.returncode == 1, done
+        assert "in/sessions/deadly: its " in done.stderr
+        assert session_names(tmp_path / name) == ["session-03"]
+
+
+def test_a_simulation_on_the_cluster_gives_the_bytes_of_one_process(
+    cluster: DaskCluster, tmp_path: Path
+) -> None:
+    for name, where in (("one", ["--jobs", "1"]), ("many", ["--cluster", cluster.url])):
+        done = slipflow("simulate", tmp_path / name, "--plan", "tiny", *where)
+        assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "one") == contents(tmp_path / "many")
