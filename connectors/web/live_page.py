@@ -1,7 +1,7 @@
 """Sink that serves a live page of a running flow."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
@@ -16,12 +16,14 @@ from operators.extras import software_version
 from operators.ports import Json, Run, Sink
 
 if TYPE_CHECKING:
-    from aiohttp.web import WebSocketResponse
+    from aiohttp.web import Request, Response, WebSocketResponse
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
 GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
 REPORT_EVERY: Final = 1.0  # s
+SILENCE: Final = 20.0  # s without a request of a browser until its connection is closed
 FEW: Final = 500  # rows that are encoded in the event loop; more are encoded in a thread
+_MESSAGE_MAX: Final = 1024  # bytes of a request
 _POLL: Final = 0.02  # s, between checks while the page closes
 _POLLS: Final = 25  # until all browsers have received the end of the run
 
@@ -91,7 +93,9 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
             InputError: if the file with the token cannot be read.
         """
-        from connectors.web.web_server import json_answer, page_server  # noqa: PLC0415 - aiohttp is slow to import
+        from aiohttp import web  # noqa: PLC0415 - slow to import
+
+        from connectors.web.web_server import json_response, page_server  # noqa: PLC0415 - imports aiohttp
 
         self._run, self._frames, self._reports = run, Frames(run), HealthReports(run)
         self._report, self._reported = self._health(), 0  # newest report, and its number
@@ -100,10 +104,17 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
         self._changed, self._changes, self._browsers, self._ended = asyncio.Event(), 0, 0, False
         self._server = page_server(self._host, self._port, self._token)
 
-        async def about(query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG001 - a constant
-            return json_answer({"mode": "live"})
+        async def about(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
+            return json_response({"mode": "live"})
 
-        await self._server.open({"/about.json": about}, sockets={"/live": self._follow})
+        async def live(request: "Request") -> "WebSocketResponse":
+            socket = web.WebSocketResponse(receive_timeout=SILENCE, compress=False, max_msg_size=_MESSAGE_MAX)
+            await socket.prepare(request)
+            with suppress(TimeoutError):  # the browser is gone
+                await self._follow(socket)
+            return socket
+
+        await self._server.open(web.get("/about.json", about), web.get("/live", live))
         if self._opened:
             self._opened(self._server.url)
 

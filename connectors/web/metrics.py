@@ -1,12 +1,15 @@
 """Sink that serves metrics of a run to Prometheus."""
 
-from collections.abc import Callable, Mapping
-from typing import Final
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final
 
 from connectors.web.access import METRICS_PORT, Access, http_url, is_loopback
 from operators.batch import Clocks, Faults, Scores, Slips
 from operators.checks import check_between
 from operators.ports import Run, Sink
+
+if TYPE_CHECKING:
+    from aiohttp.web import Request, Response
 
 PATH: Final = "/metrics"
 
@@ -63,13 +66,27 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
             InputError: if the file with the token cannot be read.
         """
-        from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - prometheus_client is slow to import
-        from connectors.web.web_server import HEALTH, READY, WebServer  # noqa: PLC0415 - aiohttp too
+        from aiohttp import web  # noqa: PLC0415 - slow to import
 
-        self._run, self._metrics = run, RunMetrics(run)
+        from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - imports prometheus_client
+        from connectors.web.web_server import HEALTH, READY, WebServer  # noqa: PLC0415 - imports aiohttp
+
+        self._metrics = RunMetrics(run)
+
+        async def metrics(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
+            headers = {"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
+            return web.Response(body=self._metrics.text(), headers=headers)
+
+        async def healthy(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
+            return web.Response(text="ok\n")
+
+        async def ready(request: "Request") -> "Response":
+            failing = unready(run)
+            return web.Response(status=503, text=f"{failing}\n") if failing else await healthy(request)
+
         access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
         self._server = WebServer(self._host, self._port, access, "metrics")
-        await self._server.open({PATH: self._respond, HEALTH: self._healthy, READY: self._ready})
+        await self._server.open(web.get(PATH, metrics), web.get(HEALTH, healthy), web.get(READY, ready))
         if self._opened:
             self._opened(self.url)
 
@@ -81,22 +98,6 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
     async def close(self) -> None:
         """Stop serving, so that Prometheus marks the run as down."""
         await self._server.close()
-
-    async def _respond(self, query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG002 - no parameters
-        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - slow to import
-
-        return self._metrics.text(), CONTENT_TYPE_PLAIN_0_0_4
-
-    async def _healthy(self, query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG002 - no parameters
-        return b"ok\n", "text/plain"
-
-    async def _ready(self, query: Mapping[str, str]) -> tuple[bytes, str]:
-        from connectors.web.web_server import UnavailableError  # noqa: PLC0415 - slow to import
-
-        failing = unready(self._run)
-        if failing:
-            raise UnavailableError(failing)
-        return await self._healthy(query)
 
 
 def unready(run: Run) -> str:

@@ -2,14 +2,16 @@
 
 import asyncio
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from time import time_ns
 from typing import Any, Final
 
+from aiohttp import web
+
 from connectors.events import finger_name
 from connectors.web.session_curves import SessionCurves
-from connectors.web.web_server import Answer, Handler, Writer, json_answer
+from connectors.web.web_server import json_response
 from operators.batch import EVERY, ms
 from operators.errors import InputError, ParameterError
 from operators.ports import Json
@@ -40,42 +42,41 @@ class SessionPage:
     def __init__(self, curves: SessionCurves, session: Session | None = None) -> None:
         self.curves, self.session = curves, session
 
-    def handlers(self) -> dict[str, Handler]:
-        """Return the answers to GET requests by path."""
-        return {"/about.json": self._about, "/window": self._window, "/events": self._events}
+    @property
+    def routes(self) -> tuple[web.RouteDef, ...]:
+        """Requests of the page; a POST request stores the next version of the labels by hand."""
+        found = (
+            web.get("/about.json", self._about),
+            web.get("/window", self._window),
+            web.get("/events", self._events),
+        )
+        return found if self.session is None else (*found, web.post("/labels", self._write_labels))
 
-    def writers(self) -> dict[str, Writer]:
-        """Return the answers to POST requests by path: one stores the next version of the labels by hand."""
-        return {} if self.session is None else {"/labels": self._write_labels}
-
-    async def _about(self, query: Mapping[str, str]) -> Answer:  # noqa: ARG002 - no parameters
+    async def _about(self, request: web.Request) -> web.Response:  # noqa: ARG002 - no parameters
         def document() -> dict[str, Json]:
             labels = None if self.session is None else self._labels_json(self.session.hand_labels())
             return {"mode": "recorded", "labels": labels, **self.curves.contents()}
 
         return await _in_thread(document)
 
-    async def _window(self, query: Mapping[str, str]) -> Answer:
+    async def _window(self, request: web.Request) -> web.Response:
         begin, end, at, columns = (
-            _number(query, name, "/window", _WINDOW_USAGE) for name in ("begin", "end", "at", "columns")
+            _number(request, name, _WINDOW_USAGE) for name in ("begin", "end", "at", "columns")
         )
         if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
-            raise InputError("/window", _WINDOW_USAGE)
+            raise InputError(request.path, _WINDOW_USAGE)
         return await _in_thread(
-            lambda: {
-                "rows": self.curves.window(begin, end, int(columns)),
-                "at": self.curves.values_at(at),
-            }
+            lambda: {"rows": self.curves.window(begin, end, int(columns)), "at": self.curves.values_at(at)}
         )
 
-    async def _events(self, query: Mapping[str, str]) -> Answer:
-        threshold = _number(query, "threshold", "/events", _EVENTS_USAGE)
+    async def _events(self, request: web.Request) -> web.Response:
+        threshold = _number(request, "threshold", _EVENTS_USAGE)
         if not 0 < threshold <= 1:
-            raise InputError("/events", _EVENTS_USAGE)
+            raise InputError(request.path, _EVENTS_USAGE)
         return await _in_thread(lambda: self.curves.detected(threshold))
 
-    async def _write_labels(self, body: bytes) -> Answer:
-        session = self.session
+    async def _write_labels(self, request: web.Request) -> web.Response:
+        session, body = self.session, await request.read()
         assert session, "else there is no such request"
 
         def write() -> dict[str, Json]:
@@ -130,20 +131,20 @@ class SessionPage:
         return {"version": labels.version, "spans": spans}
 
 
-async def _in_thread(document: Callable[[], Json]) -> Answer:
-    return await asyncio.to_thread(lambda: json_answer(document()))
+async def _in_thread(document: Callable[[], Json]) -> web.Response:
+    return await asyncio.to_thread(lambda: json_response(document()))
 
 
-def _number(query: Mapping[str, str], name: str, where: str, usage: str) -> float:
+def _number(request: web.Request, name: str, usage: str) -> float:
     """Return a number of a query.
 
     Raises:
         InputError: if it is missing or too large.
     """
     try:
-        value = float(query[name])
+        value = float(request.query[name])
     except (KeyError, ValueError):
-        raise InputError(where, usage) from None
+        raise InputError(request.path, usage) from None
     if not abs(value) <= _TIME_MAX:  # also for NaN
-        raise InputError(where, usage)
+        raise InputError(request.path, usage)
     return value

@@ -4,10 +4,8 @@ import asyncio
 import errno
 import os
 import resource
-from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
+from collections.abc import Awaitable, Callable
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final, TypeAlias
 
 from aiohttp import web
@@ -17,18 +15,14 @@ from connectors.web.access import COOKIE, PAGE_PORT, Access, http_url, local_hos
 from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Json
 
-Answer: TypeAlias = tuple[bytes, str]  # body and content type
-Handler: TypeAlias = Callable[[Mapping[str, str]], Awaitable[Answer]]  # answers the query of a request
-Writer: TypeAlias = Callable[[bytes], Awaitable[Answer]]  # answers the body of a POST request
-Talker: TypeAlias = Callable[[web.WebSocketResponse], Awaitable[None]]  # serves a WebSocket until it returns
+Handler: TypeAlias = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 STATIC: Final = Path(__file__).parent / "static"
 STRANGERS_MAX: Final = 32  # connections without access
-IDLE_TIMEOUT: Final = 20.0  # s without a request or message, after which a connection is closed
+IDLE_TIMEOUT: Final = 20.0  # s without a request, after which a connection is closed
 _DESCRIPTORS: Final = 8  # strangers use at most 1/8 of the process's file descriptors
 _BACKLOG: Final = 16  # connections accepted at once
 _BODY_MAX: Final = 16 << 20  # bytes of a POST request
-_MESSAGE_MAX: Final = 1024  # bytes of a WebSocket message
 _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
 _HEADERS: Final = {
@@ -46,20 +40,17 @@ HEALTH: Final = "/healthz"  # paths for probes, which have no token
 READY: Final = "/readyz"
 
 
-class UnavailableError(Exception):
-    """The service cannot do its task now: status 503."""
-
-
-def json_answer(document: Json) -> Answer:
-    """Return a document as the answer to a request."""
-    return encode(document), "application/json"
+def json_response(document: Json) -> web.Response:
+    """Return a document as the response to a request."""
+    return web.Response(body=encode(document), content_type="application/json")
 
 
 class WebServer:
     """HTTP server for requests that `Access` admits: GET, and from its own pages POST and WebSockets.
 
     A POST request and a WebSocket must have an Origin header that names the same host and port as their Host
-    header. Browsers send the origin of the page, so that no other site can write or listen.
+    header. Browsers send the origin of the page, so that no other site can write or listen. Errors of
+    handlers that the user can fix are responses with their text.
 
     Connections without access are limited to 32, and to an eighth of the process's file descriptors, so that
     a recording can always open its files. A further one replaces the oldest of them.
@@ -100,35 +91,20 @@ class WebServer:
         """URL with the token, if there is one: keep it secret."""
         return f"{self.url}/?token={self._access.token}" if self._access.token else self.url
 
-    async def open(
-        self,
-        handlers: Mapping[str, Handler],
-        writers: Mapping[str, Writer] = MappingProxyType({}),
-        sockets: Mapping[str, Talker] = MappingProxyType({}),
-    ) -> None:
-        """Listen, and serve the static files and the requests.
-
-        Args:
-            handlers: Answers to GET requests, by path.
-            writers: Answers to POST requests, by path.
-            sockets: Functions that serve WebSockets, by path.
+    async def open(self, *routes: web.RouteDef) -> None:
+        """Listen, and serve the static files and the routes.
 
         Raises:
             EndpointError: if the server cannot listen on its address.
         """
         limit = min(STRANGERS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
         self._limit = max(2, limit)  # of connections without access
-        app = web.Application(middlewares=[self._admit], client_max_size=_BODY_MAX)
+        app = web.Application(middlewares=[self._admit, _guard], client_max_size=_BODY_MAX)
         app.on_response_prepare.append(_set_headers)
-        for path, handler in handlers.items():
-            app.router.add_get(path, _responder(handler))
-        for path, writer in writers.items():
-            app.router.add_post(path, _write_responder(writer))
-        for path, talker in sockets.items():
-            app.router.add_get(path, _socket_responder(talker))
+        app.add_routes(routes)
         if self._files:
             self._locked = (self._files / _LOCKED).read_bytes()
-            app.router.add_get("/", _file_responder(self._files / "index.html"))
+            app.router.add_get("/", self._index)
             app.router.add_static("/", self._files)
         self._runner = web.AppRunner(
             app,
@@ -180,9 +156,7 @@ class WebServer:
         return connection
 
     @web.middleware
-    async def _admit(
-        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-    ) -> web.StreamResponse:
+    async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
         if not self._access.is_own_host(request.host):
             text = "Use the IP address, localhost or the host name of this machine.\n"
             return web.Response(status=421, text=text)
@@ -195,9 +169,11 @@ class WebServer:
             self._strangers.pop(request.protocol, None)
         elif request.path not in (_PUBLIC if self._files else {HEALTH, READY}):
             return self._refuse(request)
-        with suppress(ConnectionError):  # the browser disconnected
-            return await handler(request)
-        return web.Response()
+        return await handler(request)
+
+    async def _index(self, request: web.Request) -> web.StreamResponse:  # noqa: ARG002 - aiohttp's signature
+        assert self._files, "else there is no such request"
+        return web.FileResponse(self._files / "index.html")
 
     def _refuse(self, request: web.Request) -> web.Response:
         """Request the token: from browsers with a page, from programs with a line of text."""
@@ -224,60 +200,22 @@ def page_server(host: str, port: int | None, token: str | None = None) -> WebSer
     return WebServer(host, number, access, "the page", any_port=port is None, files=STATIC)
 
 
-async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:  # noqa: ARG001 - aiohttp's signature
-    response.headers.update(_HEADERS)
-
-
-def _file_responder(path: Path) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
-    async def respond(request: web.Request) -> web.StreamResponse:  # noqa: ARG001 - aiohttp's signature
-        return web.FileResponse(path)
-
-    return respond
-
-
-def _responder(handler: Handler) -> Callable[[web.Request], Awaitable[web.Response]]:
-    async def respond(request: web.Request) -> web.Response:
-        return await _response(handler(request.query))
-
-    return respond
-
-
-def _write_responder(writer: Writer) -> Callable[[web.Request], Awaitable[web.Response]]:
-    async def respond(request: web.Request) -> web.Response:
-        if not _is_from_own_page(request):
-            return web.Response(status=403, text="Only pages of this server can write.\n")
-        if request.content_type != "application/json":
-            return web.Response(status=415, text="Send JSON.\n")
-        return await _response(writer(await request.read()))
-
-    return respond
-
-
-def _socket_responder(talker: Talker) -> Callable[[web.Request], Awaitable[web.StreamResponse]]:
-    async def respond(request: web.Request) -> web.StreamResponse:
-        if not _is_from_own_page(request):
-            return web.Response(status=403, text="Only pages of this server can listen.\n")
-        socket = web.WebSocketResponse(
-            receive_timeout=IDLE_TIMEOUT, compress=False, max_msg_size=_MESSAGE_MAX
-        )
-        await socket.prepare(request)
-        with suppress(TimeoutError):  # the browser is gone
-            await talker(socket)
-        return socket
-
-    return respond
-
-
-def _is_from_own_page(request: web.Request) -> bool:
+@web.middleware
+async def _guard(request: web.Request, handler: Handler) -> web.StreamResponse:
+    """Let only the server's own pages write or listen; turn errors into responses."""
     _, _, origin = request.headers.get("Origin", "").partition("://")
-    return bool(origin) and origin.lower() == request.host.lower()
-
-
-async def _response(answer: Awaitable[Answer]) -> web.Response:
+    writes = request.method not in {"GET", "HEAD"} or "Upgrade" in request.headers
+    if writes and origin.lower() != request.host.lower():
+        return web.Response(status=403, text="Only pages of this server can write or listen.\n")
     try:
-        body, kind = await answer
+        return await handler(request)
     except (InputError, ParameterError) as error:
         return web.Response(status=400, text=f"{error}\n")
-    except (UnavailableError, EndpointError) as error:
+    except EndpointError as error:
         return web.Response(status=503, text=f"{error}\n")
-    return web.Response(body=body, headers={"Content-Type": kind})
+    except ConnectionError:  # the browser disconnected
+        return web.Response()
+
+
+async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:  # noqa: ARG001 - aiohttp's signature
+    response.headers.update(_HEADERS)

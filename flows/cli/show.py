@@ -62,7 +62,7 @@ async def _show(session: "Session", detector: str, server: "WebServer", *, brows
 
     note(f"{session.name}: reading" + f" and scoring by {detector}" * (detector != _NONE))
     page = await load(session, detector)
-    await server.open(page.handlers(), page.writers())
+    await server.open(*page.routes)
     announce_page("page, until Ctrl-C", server.url, server.login_url, browse=browse)
     stop = asyncio.Event()
     try:

@@ -182,7 +182,7 @@ class ServedRecording(Served):
         super().__enter__()
         self._server = page_server("127.0.0.1", 0)
         page: SessionPage = self.do(self._recorded)
-        self.do(self._server.open(page.handlers(), page.writers()))
+        self.do(self._server.open(*page.routes))
         self.url = self._server.url
         return self
 

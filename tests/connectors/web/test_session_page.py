@@ -34,7 +34,7 @@ def test_the_server_returns_the_session_and_any_window(run: Run) -> None:
         await recorded.write(slip(90 * s + 50 * ms, 1))
         await recorded.close()
         server, page = page_server("127.0.0.1", 0), SessionPage(recorded)
-        await server.open(page.handlers(), page.writers())
+        await server.open(*page.routes)
         async with asyncio.timeout(PATIENCE), ClientSession() as session:
 
             async def get(path: str) -> tuple[int, str]:
