@@ -33,13 +33,14 @@ LABELS: Final = ((0.02, 0.07, "t"), (0.27, 0.36, "s"), (0.36, 0.42, "u"), (0.62,
 
 def caught(tab: Page, *, slips: bool) -> bytes:
     """Return a picture that was taken within one state."""
-    state = f"#state[data-slip={str(slips).lower()}]"
+    state, newest = f"#state[data-slip={str(slips).lower()}]", tab.locator("#events tr").first
     while True:
         tab.wait_for_selector(f"#state[data-slip={str(not slips).lower()}]")  # just when it changes
         tab.wait_for_selector(state)
-        tab.wait_for_timeout(250)  # the numbers follow
+        tab.wait_for_timeout(150)  # the numbers follow
+        before = newest.inner_text()
         png = tab.screenshot(full_page=True)
-        if tab.locator(state).count():
+        if tab.locator(state).count() and newest.inner_text() == before:
             return png
 
 
