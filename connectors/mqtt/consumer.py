@@ -8,7 +8,7 @@ from pathlib import Path
 from random import uniform
 from secrets import token_hex
 from types import TracebackType
-from typing import TYPE_CHECKING, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from connectors.events import Event
 from connectors.fields import Fields
@@ -28,14 +28,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("slipflow")
 
 REQUEST_EVERY = 3.0  # s; a request without an answer is repeated
-
-
-class _Request(NamedTuple):
-    """Request for missed events, from number `first` of an epoch."""
-
-    epoch: str
-    first: int
-    due: float  # loop time, s, at which it is repeated
 
 
 class Consumer(AsyncIterator[Event]):
@@ -82,7 +74,8 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._dropped = 0
-        self._requests: dict[RigId, _Request] = {}  # without an answer, by rig
+        # requests without an answer, by rig: epoch, first number, and loop time (s) at which it is repeated
+        self._requests: dict[RigId, tuple[str, int, float]] = {}
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
@@ -171,8 +164,7 @@ class Consumer(AsyncIterator[Event]):
             self._change(self._position.announce(rig, read_heads(fields)))
         elif rest == reply and "specversion" not in fields.values:
             answer = GapAnswer.read(fields)
-            request = self._requests.get(rig)
-            if request and (request.epoch, request.first) == (answer.epoch, answer.first):  # else an old one
+            if self._requests.get(rig, ())[:2] == (answer.epoch, answer.first):  # else of an earlier request
                 del self._requests[rig]
                 self._change(self._position.settle(rig, answer))
         else:
@@ -202,10 +194,10 @@ class Consumer(AsyncIterator[Event]):
     def _request_missed(self, link: "Link", rig: RigId) -> None:
         """Request the first missed events of a rig, unless it may still answer a request of the last 3 s."""
         now = asyncio.get_running_loop().time()
-        request = self._requests.get(rig)
-        if (request and now < request.due) or not (gap := self._position.gap(rig)):
+        *_, due = self._requests.get(rig, (0.0,))
+        if now < due or not (gap := self._position.gap(rig)):
             return
-        self._requests[rig] = _Request(*gap[:2], now + REQUEST_EVERY)
+        self._requests[rig] = *gap[:2], now + REQUEST_EVERY
         topic = rig_topic("Consumer", *rig)
         payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
         link.post(Message(f"{topic}/replay/request", payload, retain=False))
@@ -257,10 +249,7 @@ class Consumer(AsyncIterator[Event]):
     async def _save(self, path: Path) -> None:
         while self._changed:
             self._changed = False
-            payload, forgotten = self._position.encode()
-            for text in forgotten:
-                self._report(text)
             try:
-                await asyncio.to_thread(put, path, payload)
+                await asyncio.to_thread(put, path, self._position.encode())
             except OSError as error:
                 self._report(f"{path}: cannot be written: {os_error_reason(error)}")

@@ -131,7 +131,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # newest state of the device clock
-        self._published: dict[str, Entry] = {}  # event in the published state, by finger
+        self._published: dict[str, int] = {}  # time (ns) of the event in the published state, by finger
         self._outbox = Outbox(self._outbox_path(replay=run.recording is not None))
         await self._outbox.open()
         # the same in each live run, so that a new connection cancels the previous will
@@ -212,59 +212,62 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Yield the retained documents that sent events change: state of each fingertip, and head."""
         newest = {entry.finger: entry for entry in sent}
         for finger, entry in newest.items():
-            if self._is_newer(entry, self._published.get(finger)):
-                self._published[finger] = entry
-                yield self._state(Event.decode(entry.payload))
+            event = Event.decode(entry.payload)
+            if event.time >= self._published.get(finger, event.time):  # not an old event that was sent late
+                self._published[finger] = event.time
+                about: dict[str, Json] = {
+                    "since": timestamp(event.time),
+                    "epoch": event.epoch,
+                    "seq": event.seq,
+                }
+                state: dict[str, Json] = {
+                    "slip": event.onset,
+                    "p": event.probability,
+                    "quality": event.quality,
+                }
+                yield self._message(f"{finger}/state", {**state, **about})
         yield self._head()
-
-    def _is_newer(self, entry: Entry, before: Entry | None) -> bool:
-        """Return False for an old event that was sent late, because the disk could not be read."""
-        if before is None or before.epoch == entry.epoch:
-            return before is None or before.seq < entry.seq
-        return before.epoch != self._outbox.epoch
 
     def _message(self, name: str, document: dict[str, Json]) -> Message:
         return Message(f"{self._topic}/{name}", encode(document))
 
-    def _state(self, event: Event) -> Message:
-        state: dict[str, Json] = {"slip": event.onset, "p": event.probability, "quality": event.quality}
-        since: dict[str, Json] = {"since": timestamp(event.time), "epoch": event.epoch, "seq": event.seq}
-        return self._message(f"{event.finger}/state", {**state, **since})
-
-    def _identity(self) -> dict[str, Json]:
-        return {"epoch": self._outbox.epoch, "session": self._run.session}
+    def _about_run(self, name: str, document: dict[str, Json]) -> Message:
+        """Return a document with epoch and session."""
+        return self._message(name, {"epoch": self._outbox.epoch, "session": self._run.session, **document})
 
     def _status(self, state: str, since: int | None) -> Message:
-        document: dict[str, Json] = {
-            "version": software_version(),
-            "since": None if since is None else timestamp(since),  # unknown for a will
-        }
-        return self._message("status", {"state": state, **self._identity(), **document})
+        when = None if since is None else timestamp(since)  # unknown for a will
+        return self._about_run("status", {"state": state, "version": software_version(), "since": when})
 
     def _info(self) -> Message:
-        document: dict[str, Json] = {
-            "flow": self._run.flow,
-            "recording": self._run.recording,
-            "sources": {name: dict(description) for name, description in self._run.describe.items()},
-            "model": {"id": self._model, "sha256": self._sha256},
-            "threshold": self.threshold,
-            "consecutive": self.consecutive,
-            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
-        }
-        return self._message("info", {**self._identity(), **document})
+        return self._about_run(
+            "info",
+            {
+                "flow": self._run.flow,
+                "recording": self._run.recording,
+                "sources": {name: dict(description) for name, description in self._run.describe.items()},
+                "model": {"id": self._model, "sha256": self._sha256},
+                "threshold": self.threshold,
+                "consecutive": self.consecutive,
+                "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
+            },
+        )
 
     def _head(self) -> Message:
-        *before, (epoch, last) = self._outbox.heads()
-        document: dict[str, Json] = {"epoch": epoch, "last_seq": last}
-        if before:
-            document["before"] = [{"epoch": epoch, "last_seq": last} for epoch, last in before]
-        return self._message("head", document)
+        heads: list[dict[str, Json]] = [
+            {"epoch": each, "last_seq": last} for each, last in self._outbox.heads()
+        ]
+        before = {"before": heads[:-1]} if heads[:-1] else {}
+        return self._message("head", {**heads[-1], **before})
 
     def _report(self) -> Message:
-        degraded: dict[str, Json] = {
-            finger: [asdict(fault) for fault in self._degraded(finger)] for finger in self._faults
+        outbox: dict[str, Json] = {
+            "error": self._outbox.error or None,
+            "waiting": self._outbox.waiting,
+            "refused": self._sender.refused,
         }
-        refused: list[Json] = [*self._sender.refused]
-        outbox: dict[str, Json] = {"error": self._outbox.error or None, "waiting": self._outbox.waiting}
-        report = {**self._identity(), **self._health.next(), "degraded": degraded, "clock": self._clock}
-        return self._message("health", {**report, "outbox": {**outbox, "refused": refused}})
+        faults: dict[str, Json] = {
+            finger: [asdict(each) for each in self._degraded(finger)] for finger in self._faults
+        }
+        about: dict[str, Json] = {"degraded": faults, "clock": self._clock, "outbox": outbox}
+        return self._about_run("health", {**self._health.next(), **about})

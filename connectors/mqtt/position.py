@@ -22,7 +22,8 @@ Range: TypeAlias = tuple[int, int]  # first and last number
 
 FORMAT = 2
 FILE_MAX = 16 * 2**20  # bytes
-RIGS_MAX = 1000  # beyond it, the rig without an event for the longest time is forgotten
+SIZE_MAX = 100_000  # numbers; beyond it, the rig without an event for the longest time is forgotten
+EPOCH_SIZE = 10  # numbers that an epoch counts as
 EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
 AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
 
@@ -108,7 +109,7 @@ class Position:
         excess = epoch.ahead[0] - 1 if len(epoch.ahead) > AHEAD_MAX else 0
         return [
             *_lost(rig, event.epoch, epoch.give_up(excess), "given up after too many gaps without an answer"),
-            *self._forget_rest(epochs),
+            *self._limit(epochs),
         ]
 
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
@@ -142,7 +143,7 @@ class Position:
             if missed:
                 which = ", ".join(missed)
                 lost.append(f"{'/'.join(rig)}: epoch {name} is no longer kept; lost events: {which}")
-        return lost + self._forget_rest(epochs)
+        return lost + self._limit(epochs)
 
     def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
         """Close the gaps that an answer lists as missing, and report their events as lost."""
@@ -164,14 +165,8 @@ class Position:
         """Return the known rigs."""
         return list(self._rigs)
 
-    def encode(self) -> tuple[bytes, list[str]]:
-        """Return the position as JSON of at most `FILE_MAX` bytes; report the rigs forgotten for it."""
-        forgotten = list[str]()
-        while len(payload := self._encode()) > FILE_MAX:
-            forgotten.append(self._forget("the file would be too large"))
-        return payload, forgotten
-
-    def _encode(self) -> bytes:
+    def encode(self) -> bytes:
+        """Return the position as JSON."""
         rigs: list[Json] = [
             {
                 "site": site,
@@ -205,17 +200,18 @@ class Position:
             position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
         return position
 
-    def _forget_rest(self, epochs: dict[str, _Epoch]) -> list[str]:
-        """Drop the first epochs and the first rig if there are too many; report a forgotten rig."""
+    def _limit(self, epochs: dict[str, _Epoch]) -> list[str]:
+        """Drop the first epochs of a rig, and forget the first rigs, if there are too many numbers."""
         while len(epochs) > EPOCHS_MAX:
             del epochs[next(iter(epochs))]
-        too_many = len(self._rigs) > RIGS_MAX
-        return [self._forget(f"there are more than {RIGS_MAX} rigs")] if too_many else []
-
-    def _forget(self, why: str) -> str:
-        rig = next(iter(self._rigs))
-        del self._rigs[rig]
-        return f"{'/'.join(rig)}: position forgotten, because {why}"
+        forgotten = list[str]()
+        known = (each for rig in self._rigs.values() for each in rig.values())
+        size = sum(EPOCH_SIZE + len(each.ahead) for each in known)
+        while size > SIZE_MAX:
+            site, rig = next(iter(self._rigs))
+            size -= sum(EPOCH_SIZE + len(each.ahead) for each in self._rigs.pop((site, rig)).values())
+            forgotten.append(f"{site}/{rig}: position forgotten, because there are too many rigs and epochs")
+        return forgotten
 
 
 def read_heads(fields: Fields) -> dict[str, int]:

@@ -23,12 +23,9 @@ log = logging.getLogger("slipflow")
 
 WINDOW = 16  # events, and as many documents, in flight
 CLOSE_TIMEOUT = 3.0  # s, to send what is pending on close
-HEALTH_EVERY = 5.0  # s, between health reports, with some of which refused topics are tried again
-REFUSED_RETRY = 60.0  # s, longest time between two attempts on refused topics
+HEALTH_EVERY = 5.0  # s, between health reports, and between attempts on refused topics
 
-Outgoing: TypeAlias = tuple[
-    Message, Entry | None
-]  # a message, and the event in it if it is one of the outbox
+Outgoing: TypeAlias = tuple[Message, Entry | None]  # a message, and its event if it is one of the outbox
 
 
 class Sender:
@@ -58,8 +55,7 @@ class Sender:
         self._changed: dict[str, Message] = {}  # retained documents to publish, by topic
         self._refused = set[str]()  # topics that are skipped until the next attempt
         self._logged = set[str]()  # topics whose refusal was logged
-        self._retry = BackOff(last=REFUSED_RETRY)
-        self._health_due = self._retry_due = 0.0  # loop time, s
+        self._health_due = 0.0  # loop time, s
         self._link: Link | None = None
         self._wake, self._closing = asyncio.Event(), False
         self._sending: BackgroundTask | None = None
@@ -174,9 +170,7 @@ class Sender:
         if now >= self._health_due:
             self._health_due = now + HEALTH_EVERY
             self._retain(self._health())
-            if self._refused and now >= self._retry_due:
-                self._retry_due = now + self._retry.delay()
-                self._refused.clear()
+            self._refused.clear()
         entries = await self._outbox.next(
             WINDOW, lambda finger: self._event_topic(finger) not in self._refused
         )
@@ -221,7 +215,6 @@ class Sender:
             del self._changed[message.topic]
         if message.topic in self._logged:
             self._logged.discard(message.topic)
-            self._retry.reset()
             log.warning("%s: accepts %s again", self._broker, message.topic)
 
     def _log_once(self, topic: str, text: str) -> None:

@@ -23,7 +23,7 @@ def event(seq: int, epoch: str = "ab") -> Event:
 
 
 def content(position: Position) -> bytes:
-    return position.encode()[0]
+    return position.encode()
 
 
 @given(st.lists(st.tuples(st.sampled_from(["event", "head", "missing"]), st.integers(1, 20))))
@@ -120,35 +120,24 @@ def test_an_epoch_no_longer_kept_is_reported_only_if_events_may_be_lost() -> Non
     assert position.announce(UR10, {"ef": 0}) == []
 
 
-def test_memory_is_bounded_and_given_up_gaps_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_bounded_and_what_is_given_up_for_it_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(position, "AHEAD_MAX", 3)
-    monkeypatch.setattr(position, "RIGS_MAX", 2)
+    monkeypatch.setattr(position, "SIZE_MAX", 25)
     here, lost = Position(everything=True), list[str]()
     for number in range(1, 11):
         lost += here.take(event(2 * number))
     assert len(lost) == 7
     assert lost[0] == "lab/ur10: event 1 of epoch ab is lost: given up after too many gaps without an answer"
     assert here.announce(("lab", "a"), {"ab": 5}) == []
-    here.take(event(22))
-    forgotten = "lab/a: position forgotten, because there are more than 2 rigs"
-    assert here.announce(("lab", "b"), {"ab": 5}) == [forgotten]
+    here.take(event(15))
+    assert here.announce(("lab", "b"), {"ab": 5}) == [
+        "lab/a: position forgotten, because there are too many rigs and epochs"
+    ]
     assert here.rigs() == [UR10, ("lab", "b")]
-
-
-def test_a_position_keeps_within_the_limit_of_its_reader(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(position, "FILE_MAX", 10_000)
-    here = Position(everything=True)
-    for rig in range(19):
-        for number in range(1, 400, 2):
-            here.take(replace(event(number), rig=f"rig{rig}"))
-    payload, forgotten = here.encode()
-    assert len(payload) <= 10_000
-    assert forgotten[0].startswith("lab/rig0: ")
-    put(tmp_path / "position", payload)
-    assert content(load(tmp_path / "position")) == payload
-    assert list(tmp_path.iterdir()) == [tmp_path / "position"]
+    put(tmp_path / "position", content(here))
+    assert content(load(tmp_path / "position")) == content(here)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from collections.abc import AsyncGenerator, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -167,37 +166,17 @@ async def test_events_are_sent_once_in_order_and_documents_after_their_acknowled
     assert peer.got[-1] == ("status", "offline")
 
 
-async def test_a_new_connection_gets_retained_documents_and_then_unacknowledged_events(
-    tmp_path: Path, peer: Peer
-) -> None:
-    async with opened(tmp_path) as (sending, outbox):
-        await sending.start("me", WILL, ONLINE)
-        await outbox.append([DRAFT] * 2)
-        await until(lambda: ("head", "2") in peer.got)
-        peer.holds.clear()
-        await outbox.append([DRAFT] * 40)
-        peer.away = True
-        peer.connections[0].lose()
-        peer.holds.set()
-        await outbox.append([DRAFT])
-        peer.away = False
-        await until(lambda: not outbox.waiting and ("head", "43") in peer.got)
-    first, second = peer.connections
-    assert first.disconnected
-    assert [said(each) for each in second.got[:2]] == ["online", "2"]
-    assert [said(each) for each in second.got if each.topic.endswith("/event")] == [
-        str(n) for n in range(3, 44)
-    ]
-    assert max(batch.count(f"{RIG}/0/event") for batch in second.batches) <= sender.WINDOW
-
-
 async def test_without_a_required_connection_a_sender_starts_and_sends_later(
-    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     peer.away = True
     async with opened(tmp_path) as (sending, outbox):
         with pytest.raises(EndpointError, match="no broker"):
             await sending.start("me", WILL, ONLINE)
+        with monkeypatch.context() as patch:
+            patch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
+            with pytest.raises(InputError, match="cannot read the password"):
+                await sending.start("me", WILL, ONLINE, connect_required=False)
         await sending.start("me", WILL, ONLINE, connect_required=False)
         await outbox.append([DRAFT] * 2)
         await until(lambda: bool(caplog.messages))
@@ -209,28 +188,6 @@ async def test_without_a_required_connection_a_sender_starts_and_sends_later(
     away, back = caplog.messages
     assert "no broker, reconnecting; events are kept in" in away
     assert "connected again, 2 events pending" in back
-
-
-async def test_an_unreadable_password_is_an_error_even_without_a_required_connection(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
-    async with opened(tmp_path) as (sending, _):
-        with pytest.raises(InputError, match="cannot read the password"):
-            await sending.start("me", WILL, ONLINE, connect_required=False)
-
-
-async def test_only_the_newest_retained_document_is_sent(
-    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.01)
-    async with opened(tmp_path) as (sending, outbox):
-        await sending.start("me", WILL, ONLINE)
-        await until(lambda: ("health", "3") in peer.got)
-        await outbox.append([DRAFT] * 50)
-        await until(lambda: ("head", "50") in peer.got)
-    heads = [what for topic, what in peer.got if topic == "head"]
-    assert len(heads) < 50 / 16 + 2
 
 
 async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allowed(
@@ -311,27 +268,3 @@ async def test_closing_sends_pending_messages_within_its_timeout(tmp_path: Path,
         peer.holds.set()  # the farewell is bounded by the link
         await stuck
         assert outbox.waiting == 1
-
-
-async def test_an_unavailable_broker_is_logged_once_and_again_when_it_returns(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, peer: Peer, caplog: pytest.LogCaptureFixture
-) -> None:
-    tries = list[Any]()
-    async with opened(tmp_path) as (sending, outbox):
-        await sending.start("me", WILL, ONLINE)
-        peer.away = True
-        connect = module.connect
-
-        async def counted(*arguments: Any) -> Any:  # noqa: ANN401
-            tries.append(arguments)
-            return await connect(*arguments)
-
-        monkeypatch.setattr(module, "connect", counted)
-        peer.connections[0].lose()
-        await outbox.append([DRAFT])
-        await until(lambda: len(tries) > 3)
-        peer.away = False
-        await until(lambda: not outbox.waiting)
-    first, second = caplog.messages
-    assert first.endswith(f"reconnecting; events are kept in {tmp_path}/outbox")
-    assert second.endswith("connected again, 1 events pending")
