@@ -3,7 +3,7 @@
 from typing import Final
 
 from connectors import Console, Gripper, TakkTile
-from connectors.gripper.robotiq import ForceScale
+from connectors.gripper.robotiq import WEAKEST
 from connectors.sim.grasp import least_force
 from connectors.sim.grasp_source import SimulatedGrasp
 from connectors.sim.objects import OBJECTS, named
@@ -15,7 +15,6 @@ from operators.errors import InputError, ParameterError
 from operators.grip import GripController
 from storage import load_debounce, load_detector
 
-WEAKEST: Final = ForceScale().weakest  # N, minimum force of a Robotiq 3-finger gripper
 SIMULATED_SETTLE: Final = 300 * ms  # ns; simulated fingers close at once
 REAL_SETTLE: Final = 2 * s  # ns; real fingers close in 1.4 s
 

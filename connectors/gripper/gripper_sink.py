@@ -3,14 +3,24 @@
 import asyncio
 import logging
 from collections.abc import AsyncGenerator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from connectors.gripper.drive import GripperDrive
 from connectors.gripper.modbus_link import GripperLink
-from connectors.gripper.robotiq import FULL, PORT, UNIT, ForceScale, Request, Status
+from connectors.gripper.robotiq import (
+    FULL,
+    PORT,
+    STRONGEST,
+    UNIT,
+    WEAKEST,
+    Request,
+    Status,
+    force_register,
+    register_force,
+)
 from operators.batch import Commands
 from operators.checks import check_above, check_between
 from operators.errors import EndpointError, FlowError, ParameterError
@@ -45,7 +55,6 @@ class Gripper(Sink[Commands]):
         force: Initial force, N; None: the first command sets the force.
         position: Target of the fingers, 0 open to 255 closed.
         speed: Speed of the fingers, 0 to 255.
-        scale: Scale of the force register.
         timeout: Longest wait for the connection, for each answer, and for the echo of a request, s.
 
     Raises:
@@ -58,11 +67,10 @@ class Gripper(Sink[Commands]):
     host: str
     port: int = PORT
     unit: int = UNIT  # some grippers are set to 0 or 9
-    limits: tuple[float, float] = (15.0, 60.0)
+    limits: tuple[float, float] = (WEAKEST, STRONGEST)
     force: float | None = None
     position: int = FULL
     speed: int = FULL
-    scale: ForceScale = field(default_factory=ForceScale)
     timeout: float = 1.0
 
     extra = "gripper"
@@ -76,8 +84,8 @@ class Gripper(Sink[Commands]):
                 raise ParameterError("Gripper", name, value, f"a whole number from 0 to {highest}")
         check_above("Gripper", "timeout", self.timeout, 0, "s")
         low, high = self.limits
-        if not self.scale.weakest <= low <= high <= self.scale.strongest:
-            must_be = f"two increasing forces from {self.scale.weakest} to {self.scale.strongest} N"
+        if not WEAKEST <= low <= high <= STRONGEST:
+            must_be = f"two increasing forces from {WEAKEST} to {STRONGEST} N"
             raise ParameterError("Gripper", "limits", self.limits, must_be)
         if self.force is not None:
             check_between("Gripper", "force", self.force, low, high, unit="N")
@@ -88,7 +96,7 @@ class Gripper(Sink[Commands]):
         """Set the state before a run."""
         target = Request(active=True, position=self.position, speed=self.speed)
         if self.force is not None:
-            target = replace(target, go=True, force=self.scale.register(self.force))
+            target = replace(target, go=True, force=force_register(self.force))
         self._drive = GripperDrive(self._new_link, target, self._counted, self.timeout)
         self._batch: Commands | None = None  # newest batch
         self._failure = ""
@@ -115,8 +123,7 @@ class Gripper(Sink[Commands]):
             "gripper": "Robotiq 3-finger",
             "address": self.destination,
             "limits_n": list(self.limits),
-            "scale": [list(point) for point in self.scale.points],
-            "force_n": self.scale.force(request.force) if request.go else None,
+            "force_n": register_force(request.force) if request.go else None,
             "object_detected": status.object_detected if status else None,
             "fault": self._failure or (status.reason if status else ""),
             "positions": list(status.positions) if status else None,
@@ -209,7 +216,7 @@ class Gripper(Sink[Commands]):
         newest = float(forces[-1])
         self._counted["taken"] += 1
         self._counted["limited"] += not low <= newest <= high
-        self._drive.grip(self.scale.register(min(max(newest, low), high)))
+        self._drive.grip(force_register(min(max(newest, low), high)))
 
     async def _serve(self) -> None:
         """Keep the gripper on target until cancelled."""

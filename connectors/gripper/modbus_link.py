@@ -5,7 +5,7 @@ import logging
 from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING, Any
 
-from connectors.gripper.robotiq import PACE, SETTLE, STATUS, Request, Status, octets, registers
+from connectors.gripper.robotiq import PACE, SETTLE, STATUS, Request, Status
 from operators.errors import EndpointError
 from operators.extras import require_extra
 
@@ -83,7 +83,7 @@ class GripperLink:
         Raises:
             EndpointError: if the connection is lost, or the gripper refuses or does not answer.
         """
-        values = registers(request.encode())
+        values = request.encode()
         await self._exchange(lambda: self._client.write_registers(0, values, device_id=self._unit))
         self._settled = self._loop.time() + SETTLE
 
@@ -99,7 +99,7 @@ class GripperLink:
             lambda: self._client.read_input_registers(0, count=STATUS, device_id=self._unit)
         )
         try:
-            return Status.decode(octets(answer.registers))
+            return Status.decode(answer.registers)
         except ValueError as error:
             raise EndpointError(self.endpoint, f"sends {error}: is it a 3-finger gripper?") from None
 

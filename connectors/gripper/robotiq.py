@@ -1,16 +1,7 @@
-"""Registers of a Robotiq 3-finger gripper in simplified control mode, and their force scale. No I/O.
+"""Requests and status of a Robotiq 3-finger gripper in simplified control mode. No I/O.
 
 A request is written to registers 0 to 2 (Modbus function 16), the status is read from registers 0 to 7
-(function 4); a register holds two bytes. The manual's example closes the gripper at full speed and force:
-
->>> Request(active=True, go=True, position=255, speed=255, force=255).encode().hex(" ")
-'09 00 00 ff ff ff'
-
-and later reads that all fingers were stopped by an object:
-
->>> status = Status.decode(bytes.fromhex("B9EA 00FF BC00 00C1 0000 BD00 0089 0000"))
->>> status.phase.name, status.fingers.name, status.object_detected, status.positions
-('READY', 'ALL_STOPPED', True, (188, 193, 189))
+(function 4); a register holds two bytes.
 
 Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual", 4.3 to 4.8. The names in brackets
 below are the manual's.
@@ -19,19 +10,16 @@ below are the manual's.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from struct import Struct
 from types import MappingProxyType
 from typing import Final, Self
-
-import numpy as np
-
-from operators.errors import ParameterError
 
 PORT: Final = 502
 UNIT: Final = 2  # unit in the manual's examples
 REQUEST: Final = 3  # registers
 STATUS: Final = 8  # registers
 FULL: Final = 255  # maximum position, speed and force
+WEAKEST: Final = 15.0  # N, minimum grip force
+STRONGEST: Final = 60.0  # N, maximum grip force
 PACE: Final = 0.005  # s between requests: the gripper reads its registers at 200 Hz
 SETTLE: Final = 0.010  # s until the status shows a request
 
@@ -49,7 +37,6 @@ FAULTS: Final[Mapping[int, str]] = MappingProxyType(
     }
 )
 
-_BYTES: Final = Struct("6B")
 _RELEASING: Final = 0x0B  # lowest code of the faults that need a reset
 
 
@@ -80,10 +67,10 @@ class Request:
         go: Move to the position; False: stay [rGTO].
         position: 0 open to 255 closed [rPRA].
         speed: 0 slowest to 255 fastest [rSPA].
-        force: 0 weakest to 255 strongest, see `ForceScale` [rFRA].
+        force: 0 weakest to 255 strongest, see `force_register` [rFRA].
 
-    >>> Request(active=True).encode().hex(" ")
-    '01 00 00 00 00 00'
+    >>> [hex(each) for each in Request(active=True, go=True, position=255, speed=255, force=255).encode()]
+    ['0x900', '0xff', '0xffff']
     """
 
     active: bool = False
@@ -92,10 +79,9 @@ class Request:
     speed: int = 0
     force: int = 0
 
-    def encode(self) -> bytes:
-        """Return the 6 bytes of its registers."""
-        action = self.active | self.go << 3
-        return _BYTES.pack(action, 0, 0, self.position, self.speed, self.force)
+    def encode(self) -> list[int]:
+        """Return its registers."""
+        return [(self.active | self.go << 3) << 8, self.position, self.speed << 8 | self.force]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +107,15 @@ class Status:
     positions: tuple[int, int, int] = (0, 0, 0)
 
     @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Return the status in the 16 bytes from register 0 on.
+    def decode(cls, registers: Sequence[int]) -> Self:
+        """Return the status in the 8 registers from 0 on.
 
         Raises:
-            ValueError: if there are not 16.
+            ValueError: if there are not 8.
         """
-        if len(data) != 2 * STATUS:
-            raise ValueError(f"a status of {len(data)} bytes")
+        if len(registers) != STATUS:
+            raise ValueError(f"a status of {len(registers)} registers")
+        data = b"".join(value.to_bytes(2, "big") for value in registers)
         gripper = data[0]
         return cls(
             active=bool(gripper & 1),
@@ -165,63 +152,19 @@ class Status:
         return FAULTS.get(self.fault, f"reports the unknown fault {self.fault:#04x}") if self.fault else ""
 
 
-def registers(data: bytes) -> list[int]:
-    """Return the 16-bit registers of an even number of bytes.
+def force_register(force: float) -> int:
+    """Return the greatest register value whose force is at most `force` (N), or 0.
 
-    >>> registers(bytes.fromhex("09 00 00 ff"))
-    [2304, 255]
+    Robotiq's manual states the ends, `WEAKEST` and `STRONGEST`, and a relation of about 0.175 N per count,
+    which is not quite linear.
+
+    >>> [force_register(force) for force in (15.0, 37.5, 60.0)]
+    [0, 127, 255]
     """
-    return [int.from_bytes(data[start : start + 2], "big") for start in range(0, len(data), 2)]
+    share = (force - WEAKEST) / (STRONGEST - WEAKEST)
+    return int(min(max(share, 0.0), 1.0) * FULL + 1e-6)  # 1e-6: inverts `register_force` exactly
 
 
-def octets(values: Sequence[int]) -> bytes:
-    """Return the bytes of 16-bit registers."""
-    return b"".join(value.to_bytes(2, "big") for value in values)
-
-
-@dataclass(frozen=True)
-class ForceScale:
-    """Grip force (N) for each value of the force register, linear between points.
-
-    Robotiq's manual states the ends, 15 N and 60 N, and a nonlinear relation of about 0.175 N per count. The
-    default is linear; replace it by points measured with a force gauge.
-
-    Args:
-        points: Register value and force (N), both increasing, from register 0 to 255.
-
-    Raises:
-        ParameterError: if the points are invalid.
-
-    >>> scale = ForceScale()
-    >>> scale.register(15.0), scale.register(37.5), scale.register(60.0), scale.force(127)
-    (0, 127, 255, 37.411764705882355)
-    """
-
-    points: tuple[tuple[int, float], ...] = ((0, 15.0), (FULL, 60.0))
-
-    def __post_init__(self) -> None:
-        points = np.array(self.points, np.float64).reshape(-1, 2)  # (n, 2)
-        ends = [*points[:1, 0], *points[-1:, 0]] == [0, FULL] and points[0, 1] > 0 and points[-1, 1] < np.inf
-        if not (ends and (np.diff(points, axis=0) > 0).all() and len(points) > 1):
-            must_be = f"registers that increase from 0 to {FULL}, and forces that increase from above 0 N"
-            raise ParameterError("ForceScale", "points", self.points, must_be)
-
-    @property
-    def weakest(self) -> float:
-        """Minimum grip force, N."""
-        return self.points[0][1]
-
-    @property
-    def strongest(self) -> float:
-        """Maximum grip force, N."""
-        return self.points[-1][1]
-
-    def register(self, force: float) -> int:
-        """Return the greatest register value whose force is at most `force` (N), or 0."""
-        registers, forces = zip(*self.points, strict=True)
-        return int(np.interp(force, forces, registers) + 1e-6)  # 1e-6: inverts `force` exactly
-
-    def force(self, register: int) -> float:
-        """Return the force (N) of a register value."""
-        registers, forces = zip(*self.points, strict=True)
-        return float(np.interp(register, registers, forces))
+def register_force(register: int) -> float:
+    """Return the force (N) of a register value."""
+    return WEAKEST + register / FULL * (STRONGEST - WEAKEST)

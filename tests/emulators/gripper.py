@@ -25,12 +25,10 @@ from connectors.gripper.robotiq import (
     STATUS,
     UNIT,
     Fingers,
-    ForceScale,
     Phase,
     Request,
     Status,
-    octets,
-    registers,
+    register_force,
 )
 from operators.batch import Commands, s
 from storage.background_task import BackgroundTask
@@ -62,7 +60,6 @@ class Mechanism:
         now: Instant of power-up.
         contact: Position, 0 to 255, at which the fingers meet an object; None for no object.
         activation: Duration of an activation (s), during which the fingers open.
-        scale: Force of the force register's values.
 
     Attributes:
         contact: Position of contact, as above; change it only while the fingers are open.
@@ -76,10 +73,9 @@ class Mechanism:
         *,
         contact: int | None = 120,
         activation: float = 2.0,
-        scale: ForceScale | None = None,
     ) -> None:
         self.contact, self.force = contact, 0.0
-        self._scene, self._scale = scene, scale or ForceScale()
+        self._scene = scene
         self._activation = round(activation * s)
         self._time, self._position = now, 0.0
         self._pending = deque[tuple[int, Request]]()  # (time of effect in ns, request)
@@ -164,7 +160,7 @@ class Mechanism:
         distance = end - self._position
         self._position = end if distance <= travel else self._position + travel
         if distance <= travel and end < goal:
-            force = max(self.force, self._scale.force(self._current.force))
+            force = max(self.force, register_force(self._current.force))
             self._grip(force, since + round(distance / speed * s))
 
     def _fingers(self) -> Fingers:
@@ -296,11 +292,12 @@ class GripperServer:
         if self.refusing:
             return ExcCodes.DEVICE_FAILURE
         if function == WRITE and written is not None:
-            data = octets(written)
+            data = b"".join(int(value).to_bytes(2, "big") for value in written)
             self._written[2 * address : 2 * address + len(data)] = data
             self.mechanism.request(decode_request(bytes(self._written)), self._now())
         elif function == READ:
-            current[:STATUS] = registers(encode_status(self.mechanism.status(self._now())))
+            status = encode_status(self.mechanism.status(self._now()))
+            current[:STATUS] = [int.from_bytes(status[i : i + 2], "big") for i in range(0, 2 * STATUS, 2)]
         else:
             return ExcCodes.ILLEGAL_FUNCTION
         return None

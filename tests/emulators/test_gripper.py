@@ -8,7 +8,7 @@ pytest.importorskip("pymodbus")
 
 from pymodbus.client import AsyncModbusTcpClient
 
-from connectors.gripper.robotiq import Fingers, Phase, Request, Status, octets, registers
+from connectors.gripper.robotiq import Fingers, Phase, Request, Status
 from operators import s
 from operators.batch import Commands
 from tests.emulators.gripper import GripperServer
@@ -32,7 +32,7 @@ class Hand:
 
 async def look(modbus: AsyncModbusTcpClient) -> Status:
     answer = await modbus.read_input_registers(0, count=8, device_id=9)
-    return Status.decode(octets(answer.registers))
+    return Status.decode(answer.registers)
 
 
 def test_it_answers_the_frames_in_the_manual_byte_for_byte() -> None:
@@ -72,10 +72,10 @@ def test_the_client_of_pymodbus_activates_grips_lets_go_and_is_refused() -> None
             modbus = AsyncModbusTcpClient(server.host, port=server.port, retries=0, reconnect_delay=0)
             assert await modbus.connect()
             assert await look(modbus) == Status()
-            await modbus.write_registers(0, registers(Request(active=True).encode()), device_id=9)
+            await modbus.write_registers(0, Request(active=True).encode(), device_id=9)
             hand.time += 3 * s
             assert (await look(modbus)).phase is Phase.READY
-            await modbus.write_registers(0, registers(CLOSE.encode()), device_id=9)
+            await modbus.write_registers(0, CLOSE.encode(), device_id=9)
             hand.time += 3 * s
             status = await look(modbus)
             assert (status.fingers, status.positions[0], hand.forces) == (Fingers.ALL_STOPPED, 120, [60.0])

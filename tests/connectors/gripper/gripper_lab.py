@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from connectors import Gripper
-from connectors.gripper.robotiq import ForceScale, Request
+from connectors.gripper.robotiq import Request
 from flows.run.clocks import LoopClock
 from operators import s
 from operators.batch import Commands
@@ -19,7 +19,6 @@ from tests.emulators.gripper import GripperServer, decode_request
 
 IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' transport without sockets, for virtual time
 PORT = 5020
-SCALE = ForceScale()
 
 
 @dataclass

@@ -4,9 +4,9 @@ from math import nan
 
 import pytest
 
-from connectors.gripper.robotiq import Request
+from connectors.gripper.robotiq import Request, register_force
 from operators import EndpointError
-from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
+from tests.connectors.gripper.gripper_lab import commands, counted, lab
 from tests.emulators.gripper import Mechanism
 
 pytestmark = pytest.mark.virtual
@@ -28,7 +28,7 @@ async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
         await asyncio.sleep(10)
         await gripper.write(commands(40.0))
         await asyncio.sleep(1)
-        assert at.scene.forces == [SCALE.force(85), 0.0, SCALE.force(85), SCALE.force(141)]
+        assert at.scene.forces == [register_force(85), 0.0, register_force(85), register_force(141)]
         assert (counted(gripper)["restarts"], counted(gripper)["failures"]) == (1, drop)
     logged = [
         record.message.split(" ", 1)[1] for record in caplog.records if record.levelno >= logging.WARNING
@@ -44,7 +44,7 @@ async def test_a_command_to_a_restarted_gripper_is_sent_once_it_is_ready() -> No
         at.server.restart(drop=False)
         await gripper.write(commands(30.0))  # starts the activation
         await asyncio.sleep(10)
-        assert at.scene.forces == [15.0, 0.0, SCALE.force(85)]
+        assert at.scene.forces == [15.0, 0.0, register_force(85)]
         assert [each.force for each in at.writes[2:]] == [85, 85]
         assert counted(gripper)["restarts"] == 1
 

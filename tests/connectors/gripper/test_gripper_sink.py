@@ -8,7 +8,7 @@ import pytest
 
 from connectors import Gripper
 from connectors.gripper.drive import GripperDrive
-from connectors.gripper.robotiq import Request
+from connectors.gripper.robotiq import Request, force_register, register_force
 from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.run.diagnosis import diagnose
@@ -16,7 +16,7 @@ from flows.run.live_runner import LiveRunner
 from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
 from operators.ports import Run
-from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
+from tests.connectors.gripper.gripper_lab import commands, counted, lab
 from tests.emulators.gripper import RELEASED
 
 pytestmark = pytest.mark.virtual
@@ -46,12 +46,12 @@ async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() ->
         await gripper.write(commands(30.0))
         await asyncio.sleep(10)
         assert at.writes[1:] == [Request(active=True, go=True, position=180, speed=200, force=85)]
-        assert at.scene.forces == [SCALE.force(85)]
+        assert at.scene.forces == [register_force(85)]
         assert gripper.status
         assert gripper.status.object_detected
         about = gripper.describe()
         assert (about["object_detected"], about["positions"], about["fault"]) == (True, [51, 51, 51], "")
-        assert about["force_n"] == SCALE.force(85)
+        assert about["force_n"] == register_force(85)
         await gripper.close()
         assert gripper.status is None
 
@@ -63,7 +63,7 @@ async def test_a_ready_gripper_keeps_its_object() -> None:
             await gripper.open(at.run)
             await asyncio.sleep(10)
             await gripper.close()
-        assert at.scene.forces == [SCALE.force(28), SCALE.force(85)]
+        assert at.scene.forces == [register_force(28), register_force(85)]
         assert len(at.writes) == 3
 
 
@@ -72,7 +72,7 @@ async def test_requests_are_paced_and_the_newest_force_is_sent() -> None:
         await asyncio.sleep(5.05)  # between two looks
         begun = asyncio.get_running_loop().time()
         for register in range(1, 250):  # one each ms
-            await gripper.write(commands(SCALE.force(register)))
+            await gripper.write(commands(register_force(register)))
             await asyncio.sleep(0.001)
         await asyncio.sleep(0.02)
         instants = [instant for instant, _ in at.asked]
@@ -84,7 +84,7 @@ async def test_requests_are_paced_and_the_newest_force_is_sent() -> None:
         newest = [min(249, 1 + round(instant * 1000)) for instant in written]  # when each was sent
         assert all(fresh - force <= 1 for fresh, force in zip(newest, sent, strict=True))
         assert counted(gripper)["taken"] == 249
-        assert at.scene.forces[-1] == SCALE.force(249)
+        assert at.scene.forces[-1] == register_force(249)
 
 
 async def test_rows_without_a_force_have_no_effect() -> None:
@@ -123,7 +123,7 @@ async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:
         at.server.silent = False
         await asyncio.sleep(4)
         assert [each.force for each in at.writes[2:]] == [85]
-        assert at.scene.forces == [15.0, SCALE.force(85)]
+        assert at.scene.forces == [15.0, register_force(85)]
         await gripper.write(commands(30.0))
 
 
@@ -159,7 +159,7 @@ async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
         await gripper.open(at.run)
         await asyncio.sleep(5)
         assert at.writes[2:4] == [Request(), Request(active=True)]
-        assert at.scene.forces == [SCALE.force(28), 0.0, SCALE.force(28)]
+        assert at.scene.forces == [register_force(28), 0.0, register_force(28)]
         await gripper.close()
 
 
@@ -208,9 +208,9 @@ async def test_a_flow_continues_when_the_gripper_works_again() -> None:
         assert (status.rows, status.dropped, status.error) == (40, 0, "")
         assert status.failures > 0
         assert (counted(gripper)["restarts"], counted(gripper)["failures"]) == (1, 1)
-        assert at.writes[-1].force == SCALE.register(54.0)
+        assert at.writes[-1].force == force_register(54.0)
         await asyncio.sleep(5)
-        assert at.scene.forces[-1] == SCALE.force(SCALE.register(54.0))
+        assert at.scene.forces[-1] == register_force(force_register(54.0))
         assert at.scene.forces.count(0.0) == 1
 
 
