@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
+from flows.learn.datasets import SPLITS, TURNS
 from flows.learn.sampling import Sampling
-from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Label, Resample, SlidingMotion, Zero, ms
 from operators.batch import (
     EVERY,

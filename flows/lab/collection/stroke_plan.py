@@ -32,7 +32,7 @@ from flows.lab.collection.arm_path import (
     spin_velocity,
 )
 from flows.lab.collection.surfaces import Surface
-from flows.learn.splits import TURNS
+from flows.learn.datasets import TURNS
 from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Json

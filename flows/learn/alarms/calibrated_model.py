@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from flows.learn.alarms.alarm_calibration import Calibrated, calibrated, try_settings
+from flows.learn.datasets import learned_from
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.provenance import learned_from
 from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import provenance
 from flows.report.table import counted

@@ -2,18 +2,23 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from importlib import import_module
 from typing import Any, Final, Self
 
 import numpy as np
 
 from flows.learn.sampling import USUAL, Sampling
-from flows.learn.train_extra import sklearn
 from operators.batch import Counts, Flags, Reals
 
 _STEPS: Final = 16  # number of newest steps that are separate features
 _SPANS: Final = (5, 10, 20, 40)  # samples at 100 Hz
 _LAGS: Final = (3, 8, 20, 50)  # samples at 100 Hz
 _BINS: Final = 255  # of a feature, most that scikit-learn takes
+
+
+def sklearn(module: str) -> Any:  # noqa: ANN401 - scikit-learn has no type annotations
+    """Import a module of scikit-learn, which is an extra and takes a second the first time."""
+    return import_module(f"sklearn.{module}")
 
 
 def activity(windows: Counts | Reals, sampling: Sampling) -> Reals:

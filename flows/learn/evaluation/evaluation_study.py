@@ -10,6 +10,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 import polars as pl
 
+from flows.learn.datasets import learned_from
 from flows.learn.evaluation.detector_speed import speed_results
 from flows.learn.evaluation.event_metrics import DECISION, PAUSE
 from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
@@ -30,7 +31,6 @@ from flows.learn.labelled_recordings import (
     load,
     targets,
 )
-from flows.learn.provenance import learned_from
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 from flows.run.executor import map_tasks, one_thread

@@ -11,11 +11,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from flows.learn.datasets import dataset_digest
 from flows.learn.evaluation.event_metrics import DECISION
 from flows.learn.evaluation.measures import BALANCED, confusion_counts
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined, result_rows
 from operators.batch import SLIP, UNKNOWN

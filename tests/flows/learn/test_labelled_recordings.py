@@ -15,6 +15,7 @@ from connectors.sim.scene import Move, Moves, Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
+from flows.learn.datasets import SPLITS, TURNS
 from flows.learn.evaluation.stress_fields import stressed
 from flows.learn.labelled_recordings import (
     LabelledRecording,
@@ -26,7 +27,6 @@ from flows.learn.labelled_recordings import (
     simulated_recordings,
     targets,
 )
-from flows.learn.splits import SPLITS, TURNS
 from flows.learn.training.trained_model import provenance
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from flows.learn.evaluation.baselines import sklearn
 from flows.learn.evaluation.sample_metrics import (
     Confusion,
     calibration_error,
@@ -11,7 +12,6 @@ from flows.learn.evaluation.sample_metrics import (
     precision,
 )
 from flows.learn.sampling import Sampling
-from flows.learn.train_extra import sklearn
 from operators.batch import Flags, Reals
 
 PAIRS = st.lists(st.tuples(st.integers(0, 20), st.booleans()), min_size=2, max_size=60)

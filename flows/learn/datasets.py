@@ -1,11 +1,15 @@
-"""Identity of datasets."""
+"""Datasets of recordings: their splits, and their identity."""
 
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from storage.layout import MANIFEST, SESSIONS
+
+SPLITS: Final = ("train", "validation", "test")
+# of recordings without a split, in turn
+TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 
 
 def dataset_digest(dataset: Path) -> str:
