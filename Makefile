@@ -87,12 +87,10 @@ models:  ## train the models in storage/trained and those that its pages compare
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 
-detector-pages:  ## regenerate the pages of docs/explanations/detectors, after `make models`: half an hour; strokes=DATASET: benchmark too
-	slipflow evaluate models/paper-0 --out models/pages
-	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
-	slipflow stress --out models/pages
-	$(if $(strokes),slipflow benchmark $(strokes) $(addprefix --group ,dvp_flat fabric still tkan) --out models/pages)
-	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
+detector-pages:  ## print the tables and figures of docs/explanations/detectors into models/pages, after `make models`: half an hour
+	slipflow evaluate models/paper-0 --chart --out models/pages
+	slipflow evaluate --stress $(addprefix --method ,tcn tcn_wide paper_tcn frequency_cnn_interleaved gradient_boosting psd) --out models/pages
+	cp models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## delete everything that was set up or built
 	rm -rf .venv dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

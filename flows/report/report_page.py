@@ -29,7 +29,6 @@ class Section:
     text: str  # how it was measured
     tables: Sequence[Table] = ()
     draw: Callable[[], Figure] | None = None  # called at most once, and only if matplotlib is installed
-    terminal: bool = True  # False: left out of the terminal text
 
     @cached_property
     def svg(self) -> str:
@@ -80,8 +79,7 @@ class Report:
 
     def terminal(self) -> str:
         """Return the headings and tables as text for a terminal."""
-        shown = [section for section in self.sections if section.terminal]
-        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in shown]
+        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in self.sections]
         return "\n\n".join("\n\n".join(each) for each in parts)
 
     def write(self, folder: Path, name: str) -> list[Path]:

@@ -47,7 +47,7 @@ class Tags(HTMLParser):
 
 def report() -> Report:
     sections = [Section(name, f"{name} & so <on>", "text", [TABLE], figure) for name in ("one", "two")]
-    sections.append(Section("three", "detail", "text", [TABLE], terminal=False))
+    sections.append(Section("three", "detail", "text", [TABLE]))
     return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'", {"split": "test"})
 
 
@@ -98,10 +98,11 @@ def test_json_has_facts_and_unrounded_numbers_by_section() -> None:
     assert data["sections"]["one"]["tables"][0]["rows"][1] == {"method": "psd", "F1 < 90": 3.25}
 
 
-def test_the_terminal_omits_sections_of_detail() -> None:
+def test_a_terminal_shows_headings_and_tables() -> None:
     text = report().terminal()
     assert "one & so <on>" in text
-    assert "detail" not in text
+    assert text.count("| psd ") == 3
+    assert "Printed by" not in text
 
 
 def test_the_figures_in_the_markdown_file_are_written_next_to_it(tmp_path: Path) -> None:
