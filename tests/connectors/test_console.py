@@ -47,90 +47,52 @@ def printed(
     return stream.getvalue().splitlines()
 
 
-def test_each_onset_and_each_end_is_one_line_with_its_latency(run: Run) -> None:
-    assert printed(io.StringIO(), run, slips(run.clock.now() - 12 * ms)) == [
+def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in printed(io.StringIO(), run, *batches, form="json")]
+
+
+def test_each_slip_and_fault_is_one_line(run: Run) -> None:
+    saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
+    assert printed(io.StringIO(), run, slips(run.clock.now() - 12 * ms), FAULTS, saturated) == [
         "1970-01-01 00:01:39.988  finger 0  slip onset  p 0.93  12.0 ms",
         "1970-01-01 00:01:39.998  finger 0  slip end    p nan  2.0 ms",
+        "1970-01-01 00:00:01.000  finger 2  barometer 3 stuck begins",
+        "1970-01-01 00:00:02.000  finger 2  barometer 3 stuck ends",
+        "1970-01-01 00:00:01.000  finger 2  barometer 3 range limit begins",
+        "1970-01-01 00:00:02.000  finger 2  barometer 3 range limit ends",
     ]
-
-
-def test_a_replay_prints_no_latency(run: Run) -> None:
     run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))
     assert onset == "1970-01-01 00:00:00.000  finger every  slip onset  p 0.93"
-
-
-def test_each_change_of_a_fault_is_one_line(run: Run) -> None:
-    assert printed(io.StringIO(), run, FAULTS) == [
-        "1970-01-01 00:00:01.000  finger 2  barometer 3 stuck begins",
-        "1970-01-01 00:00:02.000  finger 2  barometer 3 stuck ends",
-    ]
-
-
-def test_a_saturated_cell_is_at_its_limit_rather_than_faulty(run: Run) -> None:
-    saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
-    first, _ = printed(io.StringIO(), run, saturated)
-    assert first == "1970-01-01 00:00:01.000  finger 2  barometer 3 range limit begins"
-    assert [each["event"] for each in objects(run, saturated)] == ["limit_begins", "limit_ends"]
 
 
 def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.delenv("NO_COLOR", raising=False)
     plain, coloured = printed(io.StringIO(), run, slips(0)), printed(Terminal(), run, slips(0))
-    assert len(coloured) == len(plain)
     for line, colour in zip(plain, coloured, strict=True):
         assert colour.startswith("\x1b[")
         assert line in colour
 
 
-def test_the_destination_of_a_console_is_its_stream() -> None:
-    assert Console().destination == Console().destination
-    assert Console(io.StringIO()).destination != ""
-
-
-def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in printed(io.StringIO(), run, *batches, form="json")]
-
-
 def test_as_json_each_event_is_one_object_and_unknown_numbers_are_null(run: Run) -> None:
-    assert objects(run, slips(run.clock.now() - 12 * ms)) == [
-        {
-            "time": "1970-01-01T00:01:39.988000000Z",
-            "event": "slip_onset",
-            "finger": "0",
-            "p": 0.931,
-            "latency_ms": 12.0,
-        },
-        {
-            "time": "1970-01-01T00:01:39.998000000Z",
-            "event": "slip_end",
-            "finger": "0",
-            "p": None,
-            "latency_ms": 2.0,
-        },
-    ]
-
-
-def test_as_json_faults_are_events_too_and_a_replay_has_no_latency(run: Run) -> None:
-    run.live = False
-    begins, ends = objects(run, FAULTS)
-    assert begins == {
-        "time": "1970-01-01T00:00:01.000000000Z",
-        "event": "fault_begins",
-        "finger": "2",
-        "barometer": 3,
-        "fault": "stuck",
-    }
+    onset, end, begins, ends = objects(run, slips(run.clock.now() - 12 * ms), FAULTS)
+    about = {"finger": "0", "time": "1970-01-01T00:01:39.988000000Z"}
+    assert onset == {"event": "slip_onset", "p": 0.931, "latency_ms": 12.0, **about}
+    assert (end["event"], end["p"]) == ("slip_end", None)
+    about = {"finger": "2", "time": "1970-01-01T00:00:01.000000000Z"}
+    assert begins == {"event": "fault_begins", "barometer": 3, "fault": "stuck", **about}
     assert ends["event"] == "fault_ends"
-    assert "latency_ms" not in objects(run, slips(0))[0]
+    saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
+    assert [each["event"] for each in objects(run, saturated)] == ["limit_begins", "limit_ends"]
 
 
-def test_as_json_a_replay_names_its_recording(run: Run) -> None:
-    run.live, run.recording = False, "stroke-9"
-    assert [each["recording"] for each in objects(run, slips(0), FAULTS)] == ["stroke-9"] * 4
-    run.live, run.recording = True, None
+def test_as_json_a_replay_names_its_recording_and_has_no_latency(run: Run) -> None:
     assert "recording" not in objects(run, slips(0))[0]
+    run.live, run.recording = False, "stroke-9"
+    found = objects(run, slips(0), FAULTS)
+    assert [each["recording"] for each in found] == ["stroke-9"] * 4
+    assert "latency_ms" not in found[0]
 
 
 def test_an_unknown_format_is_rejected() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from connectors.health_report import HealthReports
 from operators.batch import ms, s
-from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
+from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 
 
 class Present:
@@ -29,77 +29,38 @@ def run(clock: Present) -> Run:
     return Run("run1", "live", clock, 90 * s)
 
 
-def touch_of(reports: HealthReports) -> dict[str, Json]:
-    sources = reports.next()["sources"]
-    assert isinstance(sources, dict)
-    touch = sources["touch"]
-    assert isinstance(touch, dict)
-    return touch
-
-
-def test_a_rate_is_since_the_previous_report(run: Run, clock: Present) -> None:
-    run.sources["touch"] = touch = SourceStatus(rows=1000, up=True)
-    reports = HealthReports(run)
-    reports.next()
-    clock.time += 2 * s
-    touch.rows += 100
-    assert touch_of(reports)["rate_hz"] == 50
-
-
-def test_a_rate_excludes_the_time_before_the_first_row(run: Run, clock: Present) -> None:
+def test_a_rate_is_since_the_previous_report_that_has_rows(run: Run, clock: Present) -> None:
     run.sources["touch"] = touch = SourceStatus(up=True)
-    reports = HealthReports(run)
-    assert touch_of(reports)["rate_hz"] is None
-    clock.time += s
-    touch.rows += 83  # it began 0.17 s late
-    assert touch_of(reports)["rate_hz"] is None
-    clock.time += s
-    touch.rows += 100
-    assert touch_of(reports)["rate_hz"] == 100
-    clock.time += s
-    assert touch_of(reports)["rate_hz"] == 0  # it gives nothing any more
+    reports, rates = HealthReports(run), list[Any]()
+    for rows, seconds in (0, 0), (83, 1), (100, 1), (0, 1), (50, 2), (5, 0):  # the first 83 began late
+        touch.rows, clock.time = touch.rows + rows, clock.time + seconds * s
+        reports.next()
+        rates.append(reports.rates["touch"])
+    assert rates == [None, None, 100, 0, 25, None]
 
 
-def test_a_rate_over_zero_time_is_unknown(run: Run) -> None:
-    run.sources["touch"] = SourceStatus(rows=1000, up=True)
-    reports = HealthReports(run)
-    reports.next()
-    assert touch_of(reports)["rate_hz"] is None
+@pytest.mark.parametrize(
+    ("up", "stale", "state"), [(True, False, "up"), (False, True, "stale"), (False, False, "down")]
+)
+def test_a_source_is_up_stale_or_down(run: Run, state: str, *, up: bool, stale: bool) -> None:
+    run.sources["touch"] = SourceStatus(rows=10, up=up, stale=stale)
+    report: Any = HealthReports(run).next()
+    assert report["sources"]["touch"]["state"] == state
 
 
-def test_a_source_is_up_stale_or_down(run: Run) -> None:
-    run.sources["touch"] = touch = SourceStatus(rows=10, up=True)
-    reports = HealthReports(run)
-    assert touch_of(reports)["state"] == "up"
-    assert touch_of(reports)["state"] == "up"  # between two rows of a slow source
-    touch.up, touch.stale = False, True
-    assert touch_of(reports)["state"] == "stale"
-    touch.stale = False
-    assert touch_of(reports)["state"] == "down"
-
-
-def test_a_report_has_lag_gaps_and_dropped_rows(run: Run) -> None:
+def test_a_report_has_lag_gaps_dropped_rows_and_the_newest_clock_steps(run: Run) -> None:
     gap = Gap(91 * s, 92 * s, "unplugged")
     run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
     run.sources["motion"] = SourceStatus()
-    run.sinks["dataset"] = SinkStatus(rows=9, queued=1, dropped=3, failures=2, error="disk full")
+    counters = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
+    run.sinks["dataset"] = SinkStatus(**counters, error="disk full")
     run.sinks["mqtt"] = SinkStatus()
+    run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
     report: Any = HealthReports(run).next()
     assert report["time_ns"] == 100 * s
     touch, motion = report["sources"]["touch"], report["sources"]["motion"]
     assert (touch["rows"], touch["late"], touch["gaps"], touch["lag_ms"]) == (10, 2, 1, 5)
     assert motion["lag_ms"] is None
-    assert report["sinks"]["dataset"] == {
-        "rows": 9,
-        "queued": 1,
-        "dropped": 3,
-        "failures": 2,
-        "error": "disk full",
-    }
+    assert report["sinks"]["dataset"] == {**counters, "error": "disk full"}
     assert report["sinks"]["mqtt"]["error"] is None
-
-
-def test_a_report_has_the_newest_steps_of_the_host_clock(run: Run) -> None:
-    run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
-    steps = HealthReports(run).next()["clock_steps"]
-    assert steps == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]
+    assert report["clock_steps"] == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]

@@ -75,46 +75,21 @@ def test_all_rows_are_replayed_with_their_recorded_timestamps(time: list[int], s
     assert rows(replayed) == (time, recording.streams[0].probability.tolist())
 
 
-def test_a_paced_row_is_its_own_batch_when_due() -> None:
+def test_each_row_is_a_batch_when_it_is_due_and_streams_of_one_origin_stay_synchronous() -> None:
     source = Replay(Recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
-    assert [(now, len(batch)) for now, batch in replay(source, VirtualClock(100 * s))] == [
-        (100 * s, 1),
-        (100 * s + 10 * ms, 1),
-        (100 * s + 30 * ms, 1),
-    ]
-
-
-def test_streams_with_one_origin_stay_in_step() -> None:
-    origin = 7 * s
-    early, late = (Replay(Recorded({0: [t]}), Scores, origin=origin) for t in (7 * s, 9 * s))
-    assert [now for now, _ in replay(early, VirtualClock(0))] == [0]
+    due = [(100 * s + time, 1) for time in (0, 10 * ms, 30 * ms)]
+    assert [(now, len(batch)) for now, batch in replay(source, VirtualClock(100 * s))] == due
+    late = Replay(Recorded({0: [9 * s]}), Scores, origin=7 * s)
     assert [now for now, _ in replay(late, VirtualClock(0))] == [2 * s]
 
 
-def test_fingertips_are_merged_by_timestamp() -> None:
-    source = Replay(Recorded({0: [0, 2, 4], 1: [1, 2, 3]}), Scores)
-    assert source.fingers == (0, 1)
-    batches = replay(source, VirtualClock(0))
-    assert [(batch.time.item(), batch.finger) for _, batch in batches] == [
-        (0, 0),
-        (1, 1),
-        (2, 0),
-        (2, 1),
-        (3, 1),
-        (4, 0),
-    ]
-
-
-def test_only_the_given_fingertips_are_replayed() -> None:
-    source = Replay(Recorded({0: [0], 1: [1]}), Scores, (1,))
-    assert source.fingers == (1,)
-    assert [batch.finger for _, batch in replay(source, VirtualClock(0))] == [1]
-
-
-def test_a_second_connection_repeats_the_stream() -> None:
-    source, clock = Replay(Recorded({0: [0, s]}), Scores), VirtualClock(0)
-    assert rows(replay(source, clock)) == rows(replay(source, clock))
-    assert clock.time == 2 * s
+def test_the_chosen_fingertips_are_merged_by_timestamp() -> None:
+    recording = Recorded({0: [0, 2, 4], 1: [1, 2, 3]})
+    both, one = Replay(recording, Scores), Replay(recording, Scores, (1,))
+    assert (both.fingers, one.fingers) == ((0, 1), (1,))
+    found = [(batch.time.item(), batch.finger) for _, batch in replay(both, VirtualClock(0))]
+    assert found == [(0, 0), (1, 1), (2, 0), (2, 1), (3, 1), (4, 0)]
+    assert [batch.time.item() for _, batch in replay(one, VirtualClock(0))] == [1, 2, 3]
 
 
 def test_a_missing_stream_cannot_be_replayed() -> None:
@@ -127,8 +102,4 @@ def test_a_missing_stream_cannot_be_replayed() -> None:
 
 def test_the_source_names_its_recording() -> None:
     source = Replay(Recorded({0: [0]}), Scores)
-    assert (str(source), source.kind, source.describe()) == (
-        "Replay(recorded, Scores)",
-        Scores,
-        {"rig": "ur10"},
-    )
+    assert (str(source), source.describe()) == ("Replay(recorded, Scores)", {"rig": "ur10"})

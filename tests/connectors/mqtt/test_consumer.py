@@ -97,13 +97,6 @@ async def test_a_replay_is_followed_only_by_its_name(broker: TestBroker) -> None
     assert not reports
 
 
-async def test_an_event_without_latency_is_delivered(broker: TestBroker) -> None:
-    old = replace(EVENT, latency=None)
-    broker.publish(f"{UR10}/0/event", old.encode().decode(), "-r")
-    async with Consumer(broker.url) as events:
-        assert await anext(events) == old
-
-
 async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: TestBroker) -> None:
     reports = list[str]()
     bad = [
@@ -131,13 +124,6 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
     assert f"ignoring malformed message: {UR10}/0/event: data is missing, must be an object" in reports
     assert f"ignoring malformed message: {UR10}/2/event: has an event of lab/ur10/0" in reports
     assert f"ignoring malformed message: {UR10}/3/event: is 100000 bytes long; the limit is 65536" in reports
-
-
-async def test_a_duplicate_event_is_not_delivered(broker: TestBroker) -> None:
-    async with Consumer(broker.url) as events:
-        for seq in (1, 1, 2, 1, 2, 3):
-            publish(broker, seq)
-        assert await take(events, 3) == [1, 2, 3]
 
 
 async def test_since_start_delivers_all_kept_events(broker: TestBroker, run: Run) -> None:
@@ -199,20 +185,6 @@ async def test_a_lost_broker_is_reported_and_missed_events_are_fetched(broker: T
         assert sorted(await coming) == [2, 3, 4]
     assert "connection lost" in reports[0]
     assert all(report.endswith("reconnecting") for report in reports[:-1])
-
-
-async def test_messages_received_before_a_lost_connection_are_delivered(
-    broker: TestBroker, links: list[Link]
-) -> None:
-    publish(broker, 1, "ur10", "-r")
-    async with Consumer(broker.url, report=lambda _: None) as events:
-        assert await take(events, 1) == [1]
-        publish(broker, 2)
-        publish(broker, 3)
-        await until(lambda: len(inside(links[0], "_received")) == 2)
-        broker.stop()
-        await until(lambda: not links[0].alive)
-        assert await take(events, 2) == [2, 3]
 
 
 async def test_dropped_messages_are_reported_and_their_events_fetched(

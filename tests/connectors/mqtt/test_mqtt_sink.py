@@ -1,7 +1,7 @@
 import asyncio
 import json
 import signal
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +16,10 @@ from connectors.events import CONTENT_TYPE, Fault
 from connectors.mqtt import broker_link as link
 from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
-from connectors.mqtt.gap_replay import GapRequest
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
-from storage.append_log import AppendLog
 from tests.asyncapi import EVENT_SCHEMA
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.inside import inside
@@ -192,28 +190,6 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
         assert {f"{RIG}/info", f"{RIG}/health"} < set(found)
 
 
-async def test_many_pending_events_arrive_in_order(
-    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sink, gate, connect = Mqtt(broker.url), asyncio.Event(), Link.connect
-
-    async def late(self: Link) -> None:
-        await gate.wait()
-        await connect(self)
-
-    async with opened(sink, run):
-        monkeypatch.setattr(Link, "connect", late)
-        broker.stop()
-        for _ in range(5):
-            await sink.write(slips(*[1, 0] * 20))
-        await asyncio.to_thread(broker.start)
-        listener = broker.listen(f"{RIG}/+/event")
-        gate.set()
-        received = await asyncio.to_thread(lambda: [listener.next(f"{RIG}/0/event") for _ in range(200)])
-        found = [Event.decode(each.payload.encode()).seq for each in received]
-        assert found == list(range(1, 201))
-
-
 async def test_the_next_run_sends_unsent_events_and_begins_an_epoch(
     broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -235,85 +211,6 @@ async def test_the_next_run_sends_unsent_events_and_begins_an_epoch(
     found = [event(listener) for _ in range(3)]
     assert [(each.seq, each.session) for each in found] == [(2, "run1"), (3, "run1"), (1, "run2")]
     assert len({each.epoch for each in found}) == 2
-
-
-async def test_a_cancelled_write_loses_no_event(broker: TestBroker, run: Run) -> None:
-    listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
-    async with opened(sink, run):
-
-        async def keep_writing() -> None:
-            for state in range(300):
-                await sink.write(slips(state % 2))
-
-        writing = asyncio.create_task(keep_writing())
-        await asyncio.to_thread(lambda: [event(listener) for _ in range(10)])
-        writing.cancel()
-        await asyncio.wait([writing])
-    last = inside(sink, "_outbox").heads()[-1][1]
-    again = Mqtt(broker.url)
-    async with opened(again, run):
-        await again.write(slips(1))
-    assert [event(listener).seq for _ in range(last - 9)] == [*range(11, last + 1), 1]
-
-
-async def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) -> None:
-    first, second = Mqtt(broker.url), Mqtt(broker.url)
-    async with opened(first, run):
-        with pytest.raises(EndpointError, match="two runs may not publish as one rig"):
-            await second.open(run)
-        await first.write(slips(1))
-        await sent(first)
-
-
-async def test_events_continue_while_the_outbox_fails_and_the_health_reports_it(
-    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
-    append, full = AppendLog.append, [True]
-
-    def fail(file: AppendLog, records: Iterable[bytes]) -> list[int]:
-        if full:
-            raise OSError(28, "No space left on device")
-        return append(file, records)
-
-    listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
-
-    async def health(*, failing: bool) -> Any:  # noqa: ANN401 - JSON
-        reports = broker.listen(f"{RIG}/health")
-        while True:
-            report = read(await asyncio.to_thread(reports.next))
-            if bool(report["outbox"]["error"]) is failing:
-                return report["outbox"]
-
-    async with opened(sink, run):
-        await sink.write(slips(1))
-        monkeypatch.setattr(AppendLog, "append", fail)
-        await sink.write(slips(0, 1))
-        await sent(sink)
-        assert "No space left on device" in (await health(failing=True))["error"]
-        full.clear()
-        assert (await health(failing=False))["waiting"] == 0
-        await sink.write(slips(0))
-        await sent(sink)
-    found = [event(listener) for _ in range(4)]
-    assert [each.seq for each in found] == [1, 2, 3, 4]
-    caplog.clear()  # that was an error, and meant
-
-
-async def test_requested_events_go_only_to_the_reply_topic(broker: TestBroker, run: Run) -> None:
-    sink = Mqtt(broker.url)
-    async with opened(sink, run):
-        await sink.write(slips(1, 0, 1))
-        await sent(sink)
-        listener = broker.listen(f"{RIG}/replay/me", "elsewhere")
-        for topic in ("elsewhere", f"{RIG}/replay/me"):
-            request = GapRequest(inside(sink, "_outbox").epoch, 2, 3, topic)
-            broker.publish(f"{RIG}/replay/request", request.encode().decode())
-        found = [await asyncio.to_thread(listener.next) for _ in range(3)]
-        assert {(each.topic, each.retained) for each in found} == {(f"{RIG}/replay/me", False)}
-        assert [each.content_type for each in found] == [CONTENT_TYPE, CONTENT_TYPE, ""]
-        assert [Event.decode(each.payload.encode()).seq for each in found[:2]] == [2, 3]
-        assert read(found[2])["missing"] == []
 
 
 async def test_health_is_published_periodically(
@@ -420,52 +317,6 @@ def test_a_run_without_the_right_to_publish_does_not_start(
         assert not links[0].alive
 
 
-async def test_a_refused_topic_delays_no_other_and_is_sent_once_allowed(
-    tmp_path: Path,
-    run: Run,
-    links: list[Link],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.05)
-    rights, refused = tmp_path / "rights", f"{RIG}/1/event"
-    allowed = ("status", "info", "head", "health", "0/event", "0/state", "1/state")
-    some = "".join(f"topic readwrite {RIG}/{name}\n" for name in allowed)
-    rights.write_text(f"{some}topic read #\ntopic write test/#\n")
-    with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
-        sink = Mqtt(broker.url)
-        async with opened(sink, run):
-            listener = broker.listen(f"{RIG}/+/event", f"{RIG}/health")
-            for state in (1, 0):
-                await sink.write(slips(state, finger=1))
-                await sink.write(slips(state))
-            found = [(await asyncio.to_thread(event, listener)).seq for _ in range(2)]
-            assert found == [2, 4]
-            health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
-            while health["outbox"] != {"error": None, "waiting": 2, "refused": [refused]}:
-                health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
-            assert len(links) == 1
-            assert links[0].alive
-            rights.write_text("topic readwrite #\n")
-            assert broker.process
-            broker.process.send_signal(signal.SIGHUP)  # reads the rights again
-            assert [(await asyncio.to_thread(event, listener, "1")).seq for _ in range(2)] == [1, 3]
-            await sent(sink)
-    assert [message.partition("; ")[0] for message in caplog.messages] == [
-        f"{broker.url}: refuses to publish {refused}: Not authorized",
-        f"{broker.url}: accepts {refused} again",
-    ]
-
-
-def test_two_sinks_of_one_rig_have_the_same_destination() -> None:
-    assert (
-        Mqtt("mqtt://localhost").destination
-        == Mqtt("mqtt://localhost:1883").destination
-        == f"mqtt://localhost:1883/{RIG}"
-    )
-    assert Mqtt("mqtt://localhost").destination != Mqtt("mqtt://localhost", rig="other").destination
-
-
 def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None:
     sink, again = Mqtt("mqtt://127.0.0.1:1"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
     assert sink.destination == f"mqtt://127.0.0.1:1/{RIG}"
@@ -479,19 +330,6 @@ def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None
         ParameterError, match="rig is 'rig-replay', must be a name that does not end in -replay"
     ):
         asyncio.run(again.open(run))
-
-
-async def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(
-    broker: TestBroker, run: Run
-) -> None:
-    listener = broker.listen("slip/#")
-    run.recording = "stroke-9"
-    sink = Mqtt(broker.url)
-    async with opened(sink, run):
-        await sink.write(slips(1))
-    document = read(listener.next(f"{RIG}-replay/0/event"))
-    validate(document, EVENT_SCHEMA, Draft202012Validator)
-    assert (document["source"], document["data"]["latency_ms"]) == ("/lab/rig-replay/0", None)
 
 
 @pytest.mark.parametrize(

@@ -18,14 +18,6 @@ def test_a_replay_never_has_the_name_of_a_live_rig(run: Run, rig: str, *, live: 
         name_in_run(run, "Mqtt", name)
 
 
-def test_a_live_rig_keeps_its_name(run: Run) -> None:
-    assert [name_in_run(run, "Mqtt", rig) for rig in ("ur10", "replay", "a-replay-b")] == [
-        "ur10",
-        "replay",
-        "a-replay-b",
-    ]
-
-
 def test_every_rig_has_its_own_outbox_in_the_state_folder(
     state: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -51,9 +43,3 @@ def test_invalid_topic_levels_are_rejected(part: str) -> None:
         rig_topic("Mqtt", part, "rig")
     with pytest.raises(ParameterError, match=r"^Mqtt: rig is"):
         rig_topic("Mqtt", "lab", part)
-
-
-def test_only_the_given_wildcard_is_accepted() -> None:
-    assert rig_topic("watch", "+", "rig", wildcard="+") == "slip/v1/+/rig"
-    with pytest.raises(ParameterError):
-        rig_topic("watch", "#", "rig", wildcard="+")
