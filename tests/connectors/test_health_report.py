@@ -52,7 +52,7 @@ def test_a_report_has_lag_gaps_dropped_rows_and_the_newest_clock_steps(run: Run)
     gap = Gap(91 * s, 92 * s, "unplugged")
     run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
     run.sources["motion"] = SourceStatus()
-    counters = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
+    counters: dict[str, Any] = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
     run.sinks["dataset"] = SinkStatus(**counters, error="disk full")
     run.sinks["mqtt"] = SinkStatus()
     run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
