@@ -8,29 +8,26 @@ from connectors.sim.grasp import Grasp
 from operators.batch import Commands, s
 from operators.checks import check_above, check_at_least
 
-DIRECT, MQTT = 0.001, 0.006  # s, from a command to the gripper (docs/explanations/performance.md, p99)
-
 
 @dataclass(frozen=True, slots=True)
 class GripperModel:
     """Latency, resolution and speed of a gripper.
 
     A Robotiq 3-Finger Gripper grips with at least 15 N, ten times the force that holds the objects of this
-    scene. The model has its 255 steps, refresh rate and delay, but for small forces. If it `locks`, it
-    cannot reduce its force without opening, like the Robotiq.
+    scene, and cannot reduce its force without opening. The model has its 255 steps, refresh rate and delay,
+    but for small forces, and can reduce them.
 
     Raises:
         ParameterError: on a negative duration, or a period, rate or span that is not above 0.
     """
 
     sensing: float = 0.007  # s, from conversion to event: 3 ms to convert, 4 ms to read on a 100 kHz bus
-    path: float = DIRECT  # s, from the command to the gripper
+    path: float = 0.001  # s, from the command to the gripper
     refresh: float = PACE  # s, period at which the gripper reads its registers (manual: 200 Hz)
     settle: float = SETTLE  # s, from a request to its effect (manual: until the status shows it)
     delay: float = 0.0  # s, added to the latency
     rate: float = 10.0  # N/s, change of the force; assumed
     span: float = 10.0  # N, for the 255 steps of the register; assumed
-    locks: bool = False
 
     def __post_init__(self) -> None:
         for name in ("sensing", "path", "settle", "delay"):
@@ -62,7 +59,6 @@ class Actuator:
             if math.isnan(force):
                 continue
             self.commanded, target = force, self._model.quantize(force)
-            if target == self._target or (self._model.locks and 0 < target < self._target):
-                continue
-            self._target = target
-            self._grasp.press(target, self._model.effect(time / s), self._model.rate)
+            if target != self._target:
+                self._target = target
+                self._grasp.press(target, self._model.effect(time / s), self._model.rate)
