@@ -48,11 +48,10 @@ def test_force_changes_at_the_rate_of_the_gripper() -> None:
     assert _force(model, _commands(5.0), at=3.0) == pytest.approx(5.0, rel=0.02)
 
 
-def test_force_decreases_on_command_unless_the_gripper_locks() -> None:
+def test_force_decreases_on_command() -> None:
     less = _commands(5.0), _commands(2.0, instant=1.0)
     assert _force(GripperModel(), *less, at=3.0) == pytest.approx(2.0, rel=0.02)
-    assert _force(GripperModel(locks=True), *less, at=3.0) == pytest.approx(5.0, rel=0.02)
-    assert _force(GripperModel(locks=True), *less, _commands(0.0, instant=1.5), at=3.0) == 0
+    assert _force(GripperModel(), *less, _commands(0.0, instant=1.5), at=3.0) == 0
 
 
 def test_a_command_without_a_force_changes_nothing() -> None:
