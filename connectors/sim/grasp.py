@@ -136,7 +136,6 @@ class Grasp:
         passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
         grip: Position of the pad's centre relative to the object's centre (m, m).
         vibration: Vibration of the hand.
-        faults: Faults of the barometers.
 
     Raises:
         ParameterError: if a value is out of its range.
@@ -158,7 +157,6 @@ class Grasp:
         passive: float = PASSIVE_FRICTION,
         grip: tuple[float, float] = (0.0, 0.0),
         vibration: Vibration | None = None,
-        faults: Faults | None = None,
     ) -> None:
         for name, value in (("friction", friction), ("mass", mass), ("rate", rate)):
             check_above("Grasp", name, value, 0)
@@ -178,7 +176,7 @@ class Grasp:
         self._body.table[0] = held.mass * body.GRAVITY
         self._start = float(self._body.pose[1])
         randoms = np.random.default_rng([seed, 2, 0]).spawn(4)  # as for a `Finger`
-        self._cells = Barometers(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
+        self._cells = Barometers(p, Faults(), randoms[0], randoms[2], randoms[3])
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)

@@ -23,12 +23,6 @@ PLAN = Moves(
 FINE = np.arange(0, PLAN_SECONDS := 2.65, 1e-4)
 
 
-def test_place_is_the_integral_of_velocity() -> None:
-    velocity, pose = in_base(*PlannedArm(Scene(PLAN), 0).at(FINE))
-    travelled = np.cumsum(velocity[:, :3], axis=0) * 1e-4
-    np.testing.assert_allclose(pose[:, :3] - pose[0, :3], travelled, atol=2e-5)
-
-
 def test_the_velocity_in_the_fingertip_frame_is_along_the_stroke() -> None:
     drive, local = PlannedArm(Scene(PLAN), 0).at(FINE)
     velocity, pose = in_base(drive, local)
@@ -76,14 +70,6 @@ def test_the_controller_keeps_its_own_time_and_reports_late() -> None:
     assert set(np.diff(motion.time).tolist()) == {8_000_000}
     assert motion.time[0] == 70_000_000
     assert set(np.diff(motion.device_time).tolist()) == {8_000_000}
-
-
-def test_the_controller_stops_when_the_plan_ends() -> None:
-    controller = Controller(Scene(PLAN), 0)
-    motion = controller.take(1000)
-    assert motion is not None
-    assert len(motion) == math.ceil(PLAN_SECONDS * 125)
-    assert controller.take(1) is None
 
 
 @pytest.mark.parametrize(("rest", "kind"), [(-0.1, "hold"), (0.5, "translation")])

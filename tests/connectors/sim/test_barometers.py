@@ -5,7 +5,6 @@ from scipy.integrate import dblquad
 from connectors.sim.barometers import (
     CEILING,
     DECADES,
-    ROOM_TEMPERATURE,
     Barometers,
     cell_positions,
     grid,
@@ -14,16 +13,6 @@ from connectors.sim.barometers import (
 )
 from connectors.sim.scene import Faults, Parameters
 from operators.batch import Reals
-
-MIRROR_X = [2, 1, 0, 5, 4, 3]
-MIRROR_Y = [5, 4, 3, 2, 1, 0]
-
-
-def test_the_cells_lie_as_on_the_fingertip() -> None:
-    x, y = cell_positions(Parameters()).T
-    assert x.tolist() == sorted(x[:3].tolist()) + sorted(x[:3].tolist(), reverse=True)
-    assert (y[:3] < 0).all()
-    assert (y[3:] > 0).all()
 
 
 def test_the_influence_is_the_integral_of_the_point_loads() -> None:
@@ -71,17 +60,6 @@ def pressed(pressure: float, rows: int = 50) -> Reals:
     tractions = np.zeros((rows, 3, QUIET.columns * QUIET.rows))
     tractions[:, 0] = pressure
     return tractions
-
-
-def test_cells_read_their_rest_in_the_air_and_less_under_pressure() -> None:
-    air, temperature, valid = cells(Faults()).read(T, pressed(0.0), 0.0125)
-    touched, _, _ = cells(Faults()).read(T, pressed(5000.0), 0.0125)
-    assert (air == air[0]).all()
-    assert ((air >= QUIET.rest_lowest) & (air <= QUIET.rest_highest)).all()
-    assert (touched < air).all()
-    assert (np.diff(touched.astype(int), axis=0) >= 0).all()  # it relaxes
-    assert np.abs(temperature - ROOM_TEMPERATURE).max() <= 10
-    assert valid.all()
 
 
 def test_each_fault_is_that_of_its_cell() -> None:

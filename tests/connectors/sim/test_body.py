@@ -13,7 +13,7 @@ from connectors.sim.scene import Parameters
 from operators.batch import Reals
 from tests.connectors.sim import body_numpy
 
-BOX, BALL = OBJECTS["box"], OBJECTS["ball"]
+BOX = OBJECTS["box"]
 EVEN = Parameters(texture=0.0, static_friction=1.0, kinetic_friction=1.0, stribeck_speed=1.0)  # Coulomb
 STIFF = replace(EVEN, stiffness=4e5, shear_stiffness=7.6e8, step=1e-4)  # nothing gives
 GLUE = replace(EVEN, static_friction=1e4, kinetic_friction=1e4)

@@ -1,12 +1,9 @@
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import (
-    PASSIVE_FRICTION,
     Grasp,
     GraspState,
     least_force,
@@ -32,15 +29,6 @@ def test_the_least_force_is_where_a_loosening_grip_begins_to_slip(name: str) -> 
     loosening = (grasp.sense(2.01 + k * 0.01)[1] for k in range(1000))
     slipping = next(held for held in loosening if before.slide_y - held.slide_y > 0.002)
     assert slipping.force == pytest.approx(least, rel=0.05)
-
-
-def test_the_least_force_scales_as_weight_over_friction() -> None:
-    can = OBJECTS["metal_can"]
-    least = least_force(can)
-    assert least_force(can, mass=2.0) == pytest.approx(2 * least)
-    assert least_force(can, friction=0.5) == pytest.approx(2 * least)
-    only_passive = can.mass * GRAVITY / (can.friction * PASSIVE_FRICTION)
-    assert least_force(can, Parameters(static_friction=0.0)) == pytest.approx(only_passive)
 
 
 BOX, BALL, CAN = OBJECTS["box"], OBJECTS["ball"], OBJECTS["metal_can"]
@@ -94,18 +82,6 @@ def test_a_grip_that_is_far_too_weak_leaves_it_on_the_table(name: str) -> None:
     assert (np.ptp(touch.counts[:100], axis=0) <= 8).all()
 
 
-def test_a_tap_on_top_makes_it_slip_and_rest_again() -> None:
-    blow = Tap(4.0, 0.05)
-    _, held = watch(Grasp(BALL, force=2 * least_force(BALL), lift=Lift(1.5), taps=[blow]), 6.0)
-    moving = [h.instant for h in held if h.speed > 0.003 and h.instant > 3.5]
-    assert moving[0] == pytest.approx(4.0, abs=0.03)
-    assert moving[-1] < 4.5
-    assert 1e-3 < held[390].slide_y - held[-1].slide_y < 8e-3
-    assert abs(held[-1].slide_x) < 1e-4
-    assert abs(held[-1].turned) < 1e-2
-    assert not held[-1].dropped
-
-
 def test_a_tap_on_the_side_turns_it_and_its_mirror_image_turns_it_back() -> None:
     ends = [
         Grasp(CAN, force=4.0, lift=Lift(1.5), taps=[Tap(4.0, momentum, "side")]).sense(6.0)[1]
@@ -151,13 +127,6 @@ def test_the_same_seed_gives_the_same_and_another_differs_in_its_cells_alone() -
     np.testing.assert_array_equal(one.counts, again.counts)
     assert held == also == truth
     assert (one.counts != other.counts).any()
-
-
-def test_how_often_it_is_asked_changes_nothing_that_happens() -> None:
-    often = Grasp(CAN, force=2.0, lift=Lift(1.5), taps=[Tap(2.0, 0.1)])
-    watch(often, 3.0)
-    seldom = Grasp(CAN, force=2.0, lift=Lift(1.5), taps=[Tap(2.0, 0.1)])
-    assert replace(often.sense(3.0)[1], speed=0.0) == replace(seldom.sense(3.0)[1], speed=0.0)
 
 
 def test_an_instant_that_is_over_is_refused() -> None:

@@ -100,12 +100,6 @@ def test_each_move_is_an_episode() -> None:
     assert np.isnan([episodes.force[2], *episodes.depth]).all()
 
 
-def test_episodes_follow_each_other_without_gap_or_overlap() -> None:
-    episodes = concat(Episodes, cast("Any", asyncio.run(gather(SimulatedRig().episodes, Virtual(), 100))))
-    assert len(episodes) == 100
-    assert (episodes.end[:-1] == episodes.time[1:]).all()
-
-
 def test_descriptions_are_plain_data() -> None:
     rig = SimulatedRig(seed=4)
     for source in (rig.touch, rig.motion):

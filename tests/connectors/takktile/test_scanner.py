@@ -135,15 +135,6 @@ def test_a_bus_error_invalidates_the_scan_and_a_silent_cell_only_itself(rig: Rig
         rig.right(scan)
 
 
-def test_a_stuck_cell_repeats_its_last_count(rig: Rig) -> None:
-    with closing(rig.open()) as scanner:
-        scanner.scan()
-        rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
-        counts = [scanner.scan().counts[1, :2].tolist() for _ in range(3)]
-        assert len({stuck for stuck, _ in counts}) == 1
-        assert len({sound for _, sound in counts}) == 3
-
-
 def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         cell = rig.bus.fingertips[0].cells[3]

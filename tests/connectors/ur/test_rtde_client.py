@@ -101,19 +101,6 @@ def test_variables_of_another_type_are_refused() -> None:
     assert "VECTOR3D" in reason
 
 
-def test_invalid_bytes_end_the_connection_after_the_packages_before_them() -> None:
-    sound = controller(0.008, 0.016)
-
-    def then_rubbish(kind: int) -> bytes:
-        return sound(kind) + (b"\0\0\0" if kind == Kind.START else b"")
-
-    taken, reason, _ = against(then_rubbish)
-    assert [len(batch) for batch in taken] == [2]
-    assert reason == "a package of 0 bytes, must be 3 to 8192"
-    taken, reason, _ = against(lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n")
-    assert (taken, reason) == ([], "is not an RTDE server: a package of 18516 bytes, must be 3 to 8192")
-
-
 def test_a_cb3_controller_that_grants_500_hz_is_refused() -> None:
     taken, reason, _ = against(controller(0.008, version=CB3), rate=500.0)
     assert not taken

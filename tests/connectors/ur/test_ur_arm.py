@@ -228,11 +228,6 @@ def test_it_is_stopped_off_its_path() -> None:
     assert re.fullmatch(r"it is \d\.\d mm off its path", here.arm.fault)
 
 
-def test_contact_search_needs_a_force() -> None:
-    here = refused(None, lambda arm: arm.tare(0.1))
-    assert "reports no force" in here.arm.fault
-
-
 def test_a_protective_stop_ends_its_moves() -> None:
     here = refused(lambda here: here.controller.box.stop_protectively("a test"), away)
     assert here.arm.fault == "protective stop"
@@ -242,13 +237,6 @@ def test_it_is_stopped_at_the_bounds_of_its_workspace() -> None:
     here = refused(None, lambda arm: arm.slide((0.0, 0.1, 0.0, 0.0, 0.0, 0.0), 4.0, 1.0))
     assert "outside its workspace" in here.arm.fault
     assert here.arm.state.pose[1] < 0.2
-
-
-def test_it_is_stopped_by_too_much_force() -> None:
-    def press(here: Lab) -> None:
-        cast("Any", here.controller.box)._arm.push = np.array([3.0, 0.0, -30.0, 0.0, 0.0, 0.0])
-
-    assert refused(press, away).arm.fault == "a force of 30.1 N, more than 20 N"
 
 
 def test_a_target_outside_its_workspace_is_refused() -> None:

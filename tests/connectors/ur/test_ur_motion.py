@@ -111,22 +111,6 @@ def test_every_package_is_received_once_in_order(version: Version, rate: float) 
     assert (about["missed"], about["repeated"], about["restarts"], about["connections"]) == (0, 0, 0, 1)
 
 
-def test_a_burst_is_one_batch_of_one_arrival_and_nothing_is_missing() -> None:
-    async def main() -> tuple[Motion, Any]:
-        async with lab() as here:
-            loop = asyncio.get_running_loop()
-            loop.call_later(0.5, here.controller.stall)
-            loop.call_later(0.9, lambda: here.controller.resume(burst=True))
-            return await here.take(200), here.source.describe()
-
-    motion, about = run_virtually(main())
-    assert (np.diff(motion.device_time) == 8 * ms).all()
-    arrivals, rows = np.unique(motion.time, return_counts=True)
-    assert rows.max() == 50
-    assert len(arrivals) == len(motion) - 49
-    assert about["missed"] == 0
-
-
 def test_missing_packages_are_counted_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> tuple[Motion, Any]:
         async with lab() as here:
@@ -165,18 +149,6 @@ def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 # --- failures ---
-
-
-def test_a_stall_fails_after_the_timeout_and_keeps_earlier_packages() -> None:
-    async def main() -> tuple[Motion, str, float]:
-        async with lab() as here:
-            taken, reason = await here.fail(1.0, here.controller.stall)
-            return concat(Motion, taken), reason, (here.clock.now() - int(taken[-1].time[-1])) / s
-
-    motion, reason, waited = run_virtually(main())
-    assert len(motion) in (124, 125)
-    assert reason == "sent nothing for 1.0 s: check that it runs and is connected"
-    assert waited == pytest.approx(1.0, abs=0.02)
 
 
 def test_a_clock_that_goes_back_ends_the_connection() -> None:

@@ -3,13 +3,11 @@ import math
 import numpy as np
 import pytest
 
-from connectors.sim.scene import Curvature
 from connectors.ur.ur_state import Pose
 from flows.lab.collection.surfaces import STEEPEST, Surface
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
-CURVATURES: list[Curvature] = ["plane", "sphere", "cylinder_x", "cylinder_y"]
 
 
 @pytest.mark.parametrize("place", [PLACE, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
