@@ -93,7 +93,7 @@ class Operator(Step, Generic[In, Out]):
     """Operator with one input stream and one output stream.
 
     Subclasses are dataclasses that implement `process`, and `flush` if the end of the stream completes
-    output. Both must be pure: no I/O, no clock, no waiting. State must pickle, for snapshots.
+    output. Both must be pure: no I/O, no clock, no waiting.
     """
 
     _late_filter: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)

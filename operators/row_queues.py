@@ -14,7 +14,7 @@ _ROWS: Final = 1024  # smallest size of a block
 class Chain(Generic[AnyBatch]):
     """Queue of the rows of one fingertip, ordered by time.
 
-    Batches are stored and returned without copying where possible. A pickle holds the rows as one batch.
+    Batches are stored and returned without copying where possible.
 
     >>> import numpy as np
     >>> from operators.batch import Batch
@@ -24,8 +24,8 @@ class Chain(Generic[AnyBatch]):
     (array([1, 2]), 1)
     """
 
-    def __init__(self, kind: type[AnyBatch], *batches: AnyBatch) -> None:
-        self._kind, self._batches, self._empty = kind, deque(batches), kind.empty()
+    def __init__(self, kind: type[AnyBatch]) -> None:
+        self._kind, self._batches, self._empty = kind, deque[AnyBatch](), kind.empty()
 
     def __len__(self) -> int:
         return sum(map(len, self._batches))
@@ -48,15 +48,12 @@ class Chain(Generic[AnyBatch]):
             batches[0] = batches[0][row:]
         return taken[0] if len(taken) == 1 else concat(self._kind, taken)
 
-    def __reduce__(self) -> tuple[type["Chain[AnyBatch]"], tuple[object, ...]]:
-        return type(self), (self._kind, concat(self._kind, self._batches)) if self._batches else (self._kind,)
-
 
 class Tail(Generic[AnyBatch]):
     """Queue of rows: appended at the end, dropped at the front.
 
     When the block is full, its rows are copied to a new block; nothing is ever overwritten, so views remain
-    valid. Memory is bounded by the rows in use and the largest batch. A pickle holds the rows in use only.
+    valid. Memory is bounded by the rows in use and the largest batch.
 
     Attributes:
         block: Memory; the rows from `start` to `stop` are in use.
@@ -76,7 +73,7 @@ class Tail(Generic[AnyBatch]):
     stop: int
 
     def __init__(self, kind: type[AnyBatch]) -> None:
-        self.__setstate__(kind.empty())
+        self._use(kind.empty())
 
     def __len__(self) -> int:
         return self.stop - self.start
@@ -113,13 +110,10 @@ class Tail(Generic[AnyBatch]):
         if count:
             for array, column in zip(arrays, kept, strict=True):
                 array[:count] = column
-        self.__setstate__(type(self.block)(*arrays, finger=batch.finger))
+        self._use(type(self.block)(*arrays, finger=batch.finger))
         self.stop = count
 
-    def __getstate__(self) -> AnyBatch:
-        return self.rows
-
-    def __setstate__(self, rows: AnyBatch) -> None:
-        self.block, self.start, self.stop = rows, 0, len(rows)
-        self._size, self._finger = len(rows), rows.finger  # of the block
-        self._take = layout(type(rows)).take
+    def _use(self, block: AnyBatch) -> None:
+        self.block, self.start, self.stop = block, 0, 0
+        self._size, self._finger = len(block), block.finger
+        self._take = layout(type(block)).take

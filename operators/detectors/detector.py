@@ -45,7 +45,7 @@ class ForFingertip(Detector, Protocol):
 
 
 class Stream(Protocol):
-    """State of a streaming detector for one or more fingertips; can be pickled."""
+    """State of a streaming detector for one or more fingertips."""
 
     def push(self, counts: Counts | Reals) -> Reals:
         """Process the next samples in order.

@@ -13,7 +13,7 @@ The result of a sample depends neither on the number of samples nor on the numbe
 import math
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 from numba import from_dtype, types
@@ -29,8 +29,6 @@ _VECTORIZED: Final = {"reassoc", "contract", "nsz"}  # sums in any order
 _TOGETHER: Final = 4  # outputs that are computed together
 _TABLE: Final = 2046  # largest step of a 10-bit count; asinh of whole numbers up to it is tabulated
 _ENTRIES: Final = 2 * _TABLE + 1
-_Network: TypeAlias = tuple[tuple[CausalLayer, ...], np.float32, np.float32]  # with its two scales
-_State: TypeAlias = tuple[_Network, Floats, int]
 
 
 @compile_function(fastmath=_VECTORIZED)
@@ -162,7 +160,7 @@ def _packed(
 
 
 class TcnStream:
-    """State of a TCN for one or more fingertips; can be pickled.
+    """State of a TCN for one or more fingertips.
 
     Before the first sample, the inputs of all layers are 0, as if the recording were zero-padded before each
     convolution, and the first step is 0. This has no effect after `length` samples.
@@ -185,19 +183,10 @@ class TcnStream:
         fingers: int = 1,
     ) -> None:
         check_at_least("TcnStream", "fingers", fingers, 1)
-        network = tuple(layers), position_scale, step_scale
-        size = _packed(*network)[2]
-        self.__setstate__((network, np.zeros((fingers, size), np.float32), 0))
+        self._layers, self._weights, size = _packed(tuple(layers), position_scale, step_scale)
+        self._memory, self._seen = np.zeros((fingers, size), np.float32), 0  # samples
+        self._shape = fingers, layers[0].kernel.shape[1] // 2  # of a sample's counts
         _compiled("h")  # before the first sample
-
-    def __getstate__(self) -> _State:
-        return self._network, self._memory, self._seen  # the layers are in the detector's pickle, too
-
-    def __setstate__(self, state: _State) -> None:
-        self._network, self._memory, self._seen = state  # `_seen`: samples
-        layers = self._network[0]
-        self._layers, self._weights, _ = _packed(*self._network)
-        self._shape = len(self._memory), layers[0].kernel.shape[1] // 2  # of a sample's counts
 
     def push(self, counts: Counts | Reals) -> Reals:
         """Return the probability of slip (n, fingers) of the next zeroed counts (n, fingers, cells).

@@ -176,13 +176,6 @@ def test_the_end_of_the_streams_releases_waiting_rows() -> None:
     assert len(align.flush()) == 0
 
 
-def test_previous_without_wait_uses_earlier_motion_at_once() -> None:
-    align = Align(how="previous", wait=0)
-    assert _rows(align.push(_touch(10), _motion(8))) == [0]
-    samples = align.push(_touch(40), NO_MOTION)
-    assert samples.matched.tolist() == [False]
-
-
 @pytest.mark.parametrize("rows", [1, 2])
 def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match(rows: int) -> None:
     align, touch = Align(keep=50 * ms), _touch(49, 50)
@@ -211,14 +204,6 @@ def test_nearest_and_linear_must_wait_for_the_rows_they_may_take() -> None:
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         Align(**parameters)
-
-
-def test_the_memory_of_an_align_is_bounded() -> None:
-    align, rows = Align(keep=s), 100
-    for first in range(0, 100_000, rows):
-        time = (first + np.arange(rows)) * 8 * ms
-        align.push(NO_TOUCH, Motion(time, time, np.zeros((rows, 6)), np.zeros((rows, 6))))
-    assert 10_000 < sum(getattr(each, "nbytes", 0) for each in vars(align).values()) < 200_000
 
 
 @pytest.mark.parametrize("parameters", [{"within": 0.02}, {"within": 20}, {"keep": 10.0}, {"wait": 0.1 * s}])

@@ -136,14 +136,6 @@ def test_a_gap_that_both_clocks_agree_on_changes_nothing() -> None:
     assert np.abs(mapped.time - true[kept])[100 * 125 :].max() < 0.5 * ms
 
 
-def test_rows_of_a_burst_after_a_stall_get_their_own_times() -> None:
-    stream, true = late(woken, 125.0, 50e-6, seconds=60)
-    stalled = (true >= true[0] + 30 * s) & (true < true[0] + 31 * s)
-    arrival = np.where(stalled, true[0] + 31 * s, stream.time)
-    mapped = DeviceClock().push(motion(stream.device_time, np.maximum.accumulate(arrival)))
-    assert np.abs(mapped.time - true)[10 * 125 :].max() < 0.5 * ms
-
-
 @pytest.mark.parametrize("longer", [3, -3])
 def test_a_way_of_another_length_is_followed(longer: int) -> None:
     stream, true = late(woken, 125.0, 50e-6)

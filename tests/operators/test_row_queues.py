@@ -1,5 +1,3 @@
-import pickle
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -49,26 +47,6 @@ def test_a_batch_that_is_taken_whole_is_not_copied() -> None:
     assert chain.take(4) is batch
 
 
-@given(time=stamps, sizes=sizes, before=instants)
-def test_a_pickle_holds_only_the_rows_in_use_and_resumes(
-    time: list[int], sizes: list[int], before: int
-) -> None:
-    scores = _scores(time)
-    chain = _chain(scores, sizes)
-    chain.take(before)
-    again = pickle.loads(pickle.dumps(chain))  # noqa: S301 our own bytes
-    later = Scores(np.array([40]), np.array([99.0]), finger=3)
-    again.append(later)
-    assert _values(again.take()) == _values(scores[scores.time >= before], later)
-
-
-def test_a_pickle_is_small_whatever_the_batches_were_cut_from() -> None:
-    whole, chain = _scores(list(range(100_000))), Chain(Scores)
-    for row in range(10):
-        chain.append(whole[row : row + 1])
-    assert len(pickle.dumps(chain)) < 1000
-
-
 def _numbered(first: int, rows: int) -> Scores:
     return Scores(np.arange(first, first + rows), np.arange(first, first + rows) / 4, finger=3)
 
@@ -101,17 +79,6 @@ def test_its_memory_is_bounded_by_the_rows_kept_and_the_largest_batch() -> None:
         tail.append(Batch(np.zeros(7, np.int64)))
         tail.drop(7)
     assert len(tail.block) < 2000
-
-
-def test_a_pickle_of_a_tail_holds_only_the_rows_in_use_and_resumes() -> None:
-    tail = Tail(Scores)
-    tail.append(_numbered(0, 900))
-    tail.drop(895)
-    pickled = pickle.dumps(tail)
-    assert len(pickled) < 1000
-    again = pickle.loads(pickled)  # noqa: S301 our own bytes
-    again.append(_numbered(900, 2))
-    assert again.rows.time.tolist() == [895, 896, 897, 898, 899, 900, 901]
 
 
 def test_columns_that_the_kind_lacks_fall_away() -> None:
