@@ -1,18 +1,22 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from connectors.events import encode
 from connectors.web.curves import GAP, curve_json, plotted_values, thin_curve
 from operators.batch import Motion, Scores, Touch, ms, s
 
 
-def test_an_invalid_cell_is_null() -> None:
+def test_an_invalid_cell_and_an_unknown_probability_are_null() -> None:
     counts, valid = np.arange(6, dtype=np.int16)[None], np.array([[True, True, True, False, True, True]])
     touch = Touch(np.array([s]), counts, counts, valid)
-    assert (
-        encode(curve_json(touch.time, plotted_values(touch), s))
-        == b'{"t":[0.0],"v":[[0.0,1.0,2.0,null,4.0,5.0]]}'
-    )
+    json = encode(curve_json(touch.time, plotted_values(touch), s))
+    assert json == b'{"t":[0.0],"v":[[0.0,1.0,2.0,null,4.0,5.0]]}'
+    scores = Scores(np.array([s, s + 10 * ms]), np.array([0.5, np.nan]))
+    assert encode(curve_json(scores.time, plotted_values(scores), s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
 
 
 def test_speed_is_that_of_the_tcp_in_mm_per_second() -> None:
@@ -21,51 +25,29 @@ def test_speed_is_that_of_the_tcp_in_mm_per_second() -> None:
     assert plotted_values(motion) == pytest.approx([5.0])
 
 
-def test_an_unknown_probability_is_null() -> None:
-    scores = Scores(np.array([s, s + 10 * ms]), np.array([0.5, np.nan]))
-    assert encode(curve_json(scores.time, plotted_values(scores), s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
-
-
-def test_thinning_loses_no_peak_of_any_column() -> None:
-    time, values = np.arange(10_001), np.zeros((10_001, 2))
-    values[3_333, 0], values[7_777, 1] = 9.0, -9.0
-    thin, kept = thin_curve(time, values, 0, 10_000, 100)
-    assert len(thin) == len(kept) == 200
-    assert kept.max(axis=0).tolist() == [9.0, 0.0]
-    assert kept.min(axis=0).tolist() == [0.0, -9.0]
+@given(
+    st.lists(st.tuples(st.integers(1, 60), st.one_of(st.just(np.nan), st.integers(-9, 9))), max_size=80),
+    st.integers(1, 9),
+)
+def test_thinning_keeps_the_extremes_of_each_column_and_no_line_crosses_a_pause(
+    rows: list[tuple[int, float]], columns: int
+) -> None:
+    """Times step by 5 to 300 ms; a pause is longer than 250 ms."""
+    time = np.cumsum(np.array([5 * ms * step for step, _ in rows], np.int64))
+    values = np.array([value for _, value in rows], np.float64)
+    end = int(time.max(initial=1))
+    thin, kept = thin_curve(time, values, 0, end, columns)
     assert (np.diff(thin) >= 0).all()
-    assert (thin[0], thin[-1]) == (0, 10_000)
-
-
-def test_unevenly_spaced_rows_stay_in_their_pixel_columns() -> None:
-    time = np.concatenate(
-        (np.arange(0, 100), np.arange(900, 1000, 10))
-    )  # of 10 columns the first and the last
-    thin, kept = thin_curve(time, time.astype(np.float64), 0, 1000, 10)
-    assert thin.tolist() == [0, 99, 900, 990]
-    assert kept.tolist() == [0, 99, 900, 990]
-
-
-@pytest.mark.parametrize("columns", [2, 1000])
-def test_no_line_crosses_a_pause(columns: int) -> None:
-    before = np.arange(10) * ms
-    after = before[-1] + GAP + 1 + before
-    time, values = thin_curve(np.concatenate((before, after)), np.ones((20, 6)), 0, 2 * GAP, columns)
-    [gap] = np.flatnonzero(np.isnan(values).any(axis=1)).tolist()
-    assert (time[gap - 1], time[gap], time[gap + 1]) == (before[-1], before[-1] + 1, after[0])
-    assert np.isnan(values[gap]).all()
-
-
-def test_few_rows_are_not_thinned() -> None:
-    time, values = np.arange(4), np.array([1.0, 2.0, 3.0, 4.0])
-    thin, kept = thin_curve(time, values, 0, 3, 2)
-    assert (thin.tolist(), kept.tolist()) == ([0, 1, 2, 3], [1, 2, 3, 4])
-    assert len(thin_curve(time[:0], values[:0], 0, 3, 2)[0]) == 0
-
-
-def test_a_nan_hides_no_other_value_of_its_column() -> None:
-    values = np.full(100, np.nan)
-    values[51] = 7.0
-    _, kept = thin_curve(np.arange(100), values, 0, 99, 5)
-    assert np.nanmax(kept) == 7.0
-    assert np.isnan(kept[:4]).all()
+    inserted = {int(before) + 1 for before, after in pairwise(time.tolist()) if after - before > GAP}
+    edges = np.linspace(0, end, columns, endpoint=False)
+    column, thin_column = (np.searchsorted(edges, at, "right") for at in (time, thin))
+    if len(time) <= 2 * columns:
+        assert set(thin.tolist()) == {*time.tolist(), *inserted}
+    else:
+        assert len(thin) <= 2 * columns + len(inserted)
+    for k in range(1, columns + 1):
+        every, left = values[column == k], kept[thin_column == k]
+        if not np.isnan(every).all():
+            assert (np.nanmin(left), np.nanmax(left)) == (np.nanmin(every), np.nanmax(every))
+    for row, (before, after) in enumerate(pairwise(thin.tolist())):
+        assert after - before <= GAP or np.isnan(kept[[row, row + 1]]).any() or len(time) > 2 * columns

@@ -1,5 +1,4 @@
 import asyncio
-import socket
 
 import numpy as np
 import pytest
@@ -9,28 +8,31 @@ from prometheus_client.parser import text_string_to_metric_families
 from connectors import Metrics
 from connectors.web.access import TOKEN
 from operators.batch import Slips
-from operators.errors import EndpointError, ParameterError
+from operators.errors import ParameterError
 from operators.ports import Run, SinkStatus, SourceStatus
 
 
 async def asked(url: str, **headers: str) -> tuple[int, str, str]:
-    """Status, content type and text of what a server gives."""
+    """Return status, content type and text of a response."""
     async with ClientSession() as session, session.get(url, headers=headers) as response:
         return response.status, response.headers["Content-Type"], await response.text()
 
 
-def test_metrics_are_served_only_during_the_run(run: Run) -> None:
+def test_metrics_are_served_to_this_machine_only_and_only_during_the_run(run: Run) -> None:
     run.sources["touch"] = SourceStatus(rows=5)
     heard = list[str]()
 
     async def main() -> str:
         metrics = Metrics(0, opened=heard.append)
+        assert metrics.destination == "http://127.0.0.1:0"
         await metrics.open(run)
         time = np.array([run.clock.now()])
         await metrics.write(Slips(time, np.array([1], np.int8), time, np.array([0.9]), finger=0))
         status, kind, text = await asked(metrics.url)
         assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
         assert heard == [metrics.url]
+        assert (await asked(metrics.url, Host="evil.example"))[0] == 421
+        assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
         await metrics.close()
         with pytest.raises(OSError, match="Cannot connect"):
             await asked(metrics.url)
@@ -41,7 +43,11 @@ def test_metrics_are_served_only_during_the_run(run: Run) -> None:
     assert families["slipflow_slip_latency_seconds"].type == "histogram"
 
 
-def test_other_machines_need_the_token(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_machines_need_the_token_but_not_for_the_probes(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run.sources["touch"], run.sinks["dataset"] = SourceStatus(), SinkStatus()
+
     async def main() -> None:
         wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
         with pytest.raises(ParameterError, match="Metrics: token is None, must be set"):
@@ -51,19 +57,6 @@ def test_other_machines_need_the_token(run: Run, monkeypatch: pytest.MonkeyPatch
         assert (await asked(wide.url))[0] == 401
         own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
         assert (await asked(wide.url, **own))[0] == 200
-        await wide.close()
-
-    asyncio.run(main())
-
-
-def test_probes_need_no_token_and_name_what_fails(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(TOKEN, "0123456789abcdef")
-    run.sources["touch"] = SourceStatus()
-    run.sinks["dataset"] = SinkStatus()
-
-    async def main() -> None:
-        wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
-        await wide.open(run)
         base = wide.url.removesuffix("/metrics")
         assert (await asked(f"{base}/healthz"))[::2] == (200, "ok\n")
         assert (await asked(f"{base}/readyz"))[::2] == (503, "no source has delivered rows\n")
@@ -75,25 +68,6 @@ def test_probes_need_no_token_and_name_what_fails(run: Run, monkeypatch: pytest.
         await wide.close()
 
     asyncio.run(main())
-
-
-def test_only_this_machine_reaches_it_without_dns_rebinding(run: Run) -> None:
-    async def main() -> None:
-        metrics = Metrics(0)
-        assert metrics.destination == "http://127.0.0.1:0"
-        await metrics.open(run)
-        assert (await asked(metrics.url, Host="evil.example"))[0] == 421
-        assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
-        await metrics.close()
-
-    asyncio.run(main())
-
-
-def test_a_port_in_use_is_one_clear_error(run: Run) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(EndpointError, match=rf"http://127\.0\.0\.1:{port}: cannot serve metrics"):
-            asyncio.run(Metrics(port).open(run))
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
