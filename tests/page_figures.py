@@ -32,16 +32,18 @@ LABELS: Final = ((0.02, 0.07, "t"), (0.27, 0.36, "s"), (0.36, 0.42, "u"), (0.62,
 
 
 def caught(tab: Page, *, slips: bool) -> bytes:
-    """Return a picture that was taken within one state."""
-    state, newest = f"#state[data-slip={str(slips).lower()}]", tab.locator("#events tr").first
+    """Return a picture in a state; meanwhile the page requests no frame."""
+    state = f"[data-link=live] #state[data-slip={str(slips).lower()}]"
+    tab.evaluate("() => { window.send = WebSocket.prototype.send; }")
     while True:
         tab.wait_for_selector(f"#state[data-slip={str(not slips).lower()}]")  # just when it changes
         tab.wait_for_selector(state)
-        tab.wait_for_timeout(150)  # the numbers follow
-        before = newest.inner_text()
-        png = tab.screenshot(full_page=True)
-        if tab.locator(state).count() and newest.inner_text() == before:
-            return png
+        tab.wait_for_timeout(100)  # the numbers follow
+        tab.evaluate("() => { WebSocket.prototype.send = () => {}; }")
+        tab.wait_for_timeout(200)
+        if tab.locator(state).count():
+            return tab.screenshot(full_page=True)
+        tab.evaluate("() => { WebSocket.prototype.send = window.send; }")  # the page reconnects
 
 
 def live_pictures(browser: Browser, url: str, folder: Path) -> None:

@@ -3,7 +3,6 @@
 from bisect import bisect_right
 from collections.abc import Callable
 from dataclasses import replace
-from math import isnan
 from operator import itemgetter
 from typing import Final, TypeAlias
 
@@ -24,7 +23,6 @@ from connectors.web.curves import (
     stream_name,
     thin_curve,
 )
-from connectors.web.page_frames import FINGERS_MAX
 from operators import Debounce
 from operators.batch import (
     SLIP,
@@ -80,7 +78,7 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         self.bands: dict[_Key, list[Json]] = {}
         self._faults: dict[str, list[tuple[int, frozenset[Fault]]]] = {}  # time (ns) and active ones
         self._events: list[_Event] = []
-        self._falls, self._rows = True, 0
+        self._rows = 0
 
     @property
     def destination(self) -> str:
@@ -91,14 +89,12 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         """Set the session and the start of `run`."""
         self._session, self.start = run.session, run.start
         self._fingertip = page_fingertip(run, self.destination)
-        known = run.fingertips.get(self.destination, {})
-        self._falls = all(each.falls is not False for each in known.values())
 
     def take(self, batch: Zeroed | Motion | Scores | Slips | Faults | Truth) -> bool:
         """Keep the rows of a batch.
 
         Raises:
-            InputError: if the session has too many rows, events or fingertips.
+            InputError: if the session has too many rows or events.
         """
         finger = finger_name(batch.finger)
         if isinstance(batch, Slips):
@@ -121,9 +117,8 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             self._arriving.setdefault((stream_name(batch), finger), []).append((batch.time, values))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
-        fingers = len({*self._scored, *(finger for _, finger in self._arriving)})
-        if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX or fingers > FINGERS_MAX:
-            most = f"{ROWS_MAX:,} rows, {EVENTS_MAX:,} events and {FINGERS_MAX} fingertips"
+        if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX:
+            most = f"{ROWS_MAX:,} rows and {EVENTS_MAX:,} events"
             raise InputError(self._session, f"is too long for a page, which shows at most {most}")
         return True
 
@@ -162,7 +157,6 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             "length": (self.end - self.start) / ms,
             "threshold": self.rule.threshold,
             "scored": bool(self.scores),
-            "deepest": self._deepest(),
             "events": self._events_json(self._events),
             "bands": nested(self.bands),
         }
@@ -244,16 +238,6 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         ends = time[np.where(pauses[last], last, np.minimum(last + 1, len(time) - 1))]
         begin, end = (((each - self.start) / ms).round(3).tolist() for each in (time[first], ends))
         return [list(run) for run in zip(begin, end, code[first].tolist(), strict=True)]
-
-    def _deepest(self) -> float | None:
-        """Return the minimum of all cells, for the scale of the pressure maps; None without touch.
-
-        If counts rise with pressure, it is minus their maximum.
-        """
-        touches = [values for (stream, _), (_, values) in self.curves.items() if stream == "touch"]
-        sign = 1 if self._falls else -1
-        least = (float(np.fmin.reduce(sign * values, axis=None)) for values in touches if len(values))
-        return min((each for each in least if not isnan(each)), default=None)
 
 
 def _in_order(time: Times) -> Flags:

@@ -80,6 +80,12 @@ class View {
     this.pads.update(fingers, this.finger, this.layout());
   }
 
+  // Extend the colour ramp to the greatest of some zeroed values.
+  deepen(values) {
+    const deep = this.zeroed ? values.reduce((most, value) => Math.max(most, value), 0) : 0; // null: 0
+    if (deep > this.deepest) this.deepest = nice(deep);
+  }
+
   set threshold(value) {
     this.charts.threshold = value;
     write($("scores-unit"), value === null ? "" : `dashed: threshold, ${value}`);
@@ -145,8 +151,8 @@ class View {
     const { finger, zeroed } = this, of = (stream) => figures.of(stream, finger)?.last?.[0] ?? null;
     const least = zeroed ? 0 : this.range[0], most = Math.abs(this.range[1] - this.range[0]);
     for (const each of this.streams.fingers) {
-      const values = figures.of("touch", each)?.last ?? null, deep = zeroed ? Math.max(0, ...(values ?? [])) : 0;
-      if (deep > this.deepest) this.deepest = nice(deep);
+      const values = figures.of("touch", each)?.last ?? null;
+      this.deepen(values ?? []);
       const share = zeroed ? (value) => value / this.deepest : (value) => (this.sign * (value - least)) / most;
       this.pads.show(each, values, share, this.faults[each] ?? {});
     }

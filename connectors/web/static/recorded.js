@@ -29,7 +29,6 @@ export function recorded(view, about) {
   write($("axis"), "seconds since the start of the session");
   write($("no-events"), "None.");
   Object.assign(view, { name: about.session, fingertip: about.fingertip, hasScores: about.scored, onchange: refresh });
-  view.deepest = Math.max(view.deepest, 100 * Math.ceil(-about.deepest / 100));
   slider.max = about.length;
   slider.value = Math.min(about.length, (events.find((event) => event.onset)?.t ?? 0) + 1000);
   view.scene = () => ({ streams: view.streams, figures, span, until: instant(), origin: 0, at: instant(), selected: dragged ?? labels?.selected });
@@ -55,7 +54,8 @@ export function recorded(view, about) {
       figures = new Streams();
       figures.take(at.rows, view.sign);
       Object.assign(view, { faults: at.faults, quality: at.quality });
-      view.take(rows, "replace");
+      view.take(rows, "replace"); // reduced curves keep the extremes
+      for (const finger of view.streams.fingers) view.deepen(view.streams.of("touch", finger).columns.flat());
       slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);
       notice(remark);
       redraw();
