@@ -67,7 +67,7 @@ def calibrate_model(
 
     Raises:
         InputError: if the model has no file, the recordings cannot be read, are all left out or repeat each
-            other, or a shipped model would replace another one in the current folder.
+            other, or the copy of a shipped model exists.
         FingertipError: if the fingertip of the recordings differs from that of the model.
         ParameterError: if the suffix of `out` differs from that of the model.
         TooLittleDataError: if there are too few static minutes.
@@ -80,8 +80,9 @@ def calibrate_model(
     path = out or (Path(source.name) if shipped(model) else source)
     if path.suffix != source.suffix:
         raise ParameterError("calibrate", "out", str(path), f"a path that ends in {source.suffix}")
+    if out is None and path != source and path.exists():
+        raise InputError(str(path), "exists: calibrate it, or give another file with -o")
     card, weights = load_card(source), files.read(source, LIMIT)
-    known = [*card.get(ALARMS, ()), *_entries_there(path, source, weights, chosen=out is not None)]
     used = [(each, _unseen(model, card, each, log)) for each in paths]
     recordings = [recording for _, found in used for recording in found]
     if not recordings:
@@ -93,7 +94,7 @@ def calibrate_model(
     trials = try_settings(recordings, [probabilities(detector, one) for one in recordings])
     found = calibrated(trials, rate, confidence)
     entry = _entry(found, [provenance(*each) for each in used])
-    entries = {float(each["false_alarms_per_min"]): each for each in (*known, entry)}
+    entries = {float(each["false_alarms_per_min"]): each for each in (*card.get(ALARMS, ()), entry)}
     card |= {
         "file": path.name,
         "sha256": hashlib.sha256(weights).hexdigest(),
@@ -117,21 +118,6 @@ def _unseen(
     left_out = counted(len(recordings) - len(kept), "recording")
     log(f"left out {left_out} of {path}: {model} has learned from them")
     return kept
-
-
-def _entries_there(path: Path, source: Path, weights: bytes, *, chosen: bool) -> list[Mapping[str, Any]]:
-    """Return the settings in the card of a copy of the model that is already at `path`.
-
-    Raises:
-        InputError: if another model is there, unless the user has `chosen` the path.
-    """
-    if path.absolute() == source.absolute() or not path.exists():
-        return []
-    if files.read(path, LIMIT) == weights:
-        return list(load_card(path).get(ALARMS, ()))
-    if not chosen:
-        raise InputError(str(path), f"is not the shipped {source.stem}: give a file with -o")
-    return []
 
 
 def _check_distinct(recordings: Sequence[LabelledRecording]) -> None:

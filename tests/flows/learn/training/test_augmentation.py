@@ -31,10 +31,6 @@ def _only(**chances: float) -> Augmentation:
     return Augmentation(**{"flip": 0.0, "gain": 0.0, "load": 0.0, "noise": 0.0, "dead": 0.0} | chances)  # type: ignore[arg-type]
 
 
-def test_without_any_chance_nothing_changes() -> None:
-    assert torch.equal(_augmented(NOTHING), COUNTS)
-
-
 @pytest.mark.parametrize("mirror", [MIRROR_X, MIRROR_Y])
 def test_a_mirror_undoes_itself_and_keeps_the_middle_cells_in_place(mirror: tuple[int, ...]) -> None:
     assert [mirror[cell] for cell in mirror] == list(range(6))
@@ -92,10 +88,6 @@ def test_a_stretched_recording_is_longer_with_its_labels_in_place(ramp: Labelled
     gain = (GAIN[0] * GAIN[1]) ** 0.5
     np.testing.assert_allclose(found.counts[:, 0], np.arange(199) / 2 * gain, atol=0.51)
     assert abs(int(found.label.argmax()) - 100) <= 1
-
-
-def test_a_recording_that_is_not_stretched_stays_as_it_is(ramp: LabelledRecording) -> None:
-    assert stretched(ramp, 1) is ramp
 
 
 def test_crops_end_at_the_same_sample_whatever_their_stretch(ramp: LabelledRecording) -> None:

@@ -3,7 +3,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.nn import functional
 
 from flows.learn.training.paper_networks import PaperNetwork, PaperTcnNetwork, paper_network
@@ -90,35 +90,7 @@ def test_the_steps_that_the_tcn_leaves_out_change_nothing() -> None:
         torch.testing.assert_close(found, expected, atol=1e-3, rtol=1e-3)
 
 
-def test_the_tcn_would_see_211_samples_and_sees_zeros_before_its_100() -> None:
-    generator = torch.Generator().manual_seed(2)
-    network = _paper_tcn(generator)
-    inputs = torch.randn(1, 300, 6, generator=generator).double().requires_grad_()
-    network = network.double()
-    torch.autograd.backward(_whole(network, inputs)[0, 0])
-    assert inputs.grad is not None
-    seen = inputs.grad[0].abs().sum(1).numpy() > 0  # (300,)
-    assert np.array_equal(np.flatnonzero(seen), np.arange(300 - 211, 300))
-    assert not torch.allclose(network.logits(inputs[:, -100:]), _whole(network, inputs))
-
-
 def _paper_tcn(generator: torch.Generator) -> PaperTcnNetwork:
     network = _network("paper_tcn", generator)
     assert isinstance(network, PaperTcnNetwork)
     return network
-
-
-@every
-def test_dropout_drops_whole_channels_and_scales_the_others(name: str) -> None:
-    network = _network(name, torch.Generator().manual_seed(4)).train()
-    seen = list[tuple[Tensor, Tensor]]()
-
-    def note(_module: nn.Module, given: tuple[Tensor], made: Tensor) -> None:
-        seen.append((given[0].flatten(2), made.flatten(2)))  # (n, channels, steps or pixels)
-
-    network.get_submodule("drop_channels").register_forward_hook(note)
-    network(_counts(100, torch.Generator()))
-    for given, made in seen:
-        dropped = (made == 0).all(2, keepdim=True)
-        assert 0.1 < dropped.float().mean() < 0.3
-        torch.testing.assert_close(made, given / 0.8 * ~dropped)

@@ -6,18 +6,16 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import training_loop
-from flows.learn.training.paper_networks import PaperTcnNetwork, paper_network
+from flows.learn.training.paper_networks import paper_network
 from flows.learn.training.paper_training import MIRRORED, Windows, train_windowed, varied
 from flows.learn.training.recipe import PaperRecipe
-from flows.learn.training.trained_model import Arrays, Check
+from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Trained
 from operators import ParameterError
-from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector, PaperTcn
 from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
@@ -96,33 +94,6 @@ def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: p
         np.testing.assert_array_equal(value, two.arrays[array])
 
 
-def test_dropout_is_on_in_steps_and_off_on_validation(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen = list[tuple[bool, bool]]()
-    logits = PaperTcnNetwork.logits
-
-    def watched(network: PaperTcnNetwork, inputs: Tensor) -> Tensor:
-        seen.append((network.training, torch.is_grad_enabled()))
-        return logits(network, inputs)
-
-    monkeypatch.setattr(PaperTcnNetwork, "logits", watched)
-    train_windowed("paper_tcn", SHORT, SHORT, PaperRecipe(epochs=2))
-    assert seen == [(True, True), (False, False)] * 2  # a step and a block each
-
-
-def test_each_step_is_reported_and_each_epoch_is_checked() -> None:
-    seen = list[tuple[int, int, Check | None]]()
-    steps = len(Windows(SHORT, CPU).balanced(np.random.default_rng(0))) // TWICE.batch
-
-    def note(done: int, of: int, check: Check | None) -> None:
-        seen.append((done, of, check))
-
-    trained = train_windowed("frequency_cnn", SHORT, SHORT, TWICE, note)
-    assert steps > 1
-    assert [(done, of) for done, of, _ in seen] == [(done, 2 * steps) for done in range(1, 2 * steps + 1)]
-    assert tuple(check for _, _, check in seen if check) == trained.curve
-    assert [check.done for check in trained.curve] == [steps, 2 * steps]
-
-
 def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
     def kernel(clip: float) -> NDArray[np.float32]:
         recipe = replace(TWICE, epochs=1, clip=clip)
@@ -153,15 +124,6 @@ def test_a_window_ends_at_its_label_and_stays_within_its_noise() -> None:
     np.testing.assert_array_equal(windows.slip, [slip for _, slip in expected])
 
 
-def test_samples_without_a_label_are_left_out() -> None:
-    recording = _noise(0, 400)
-    label = recording.label.copy()
-    label[200:300] = UNKNOWN
-    windows = Windows([replace(recording, label=label)], CPU)
-    assert len(windows) == 301 - 100
-    assert windows.slip.sum() == (label[99:] == SLIP).sum()
-
-
 @pytest.mark.parametrize("rarer", [0, 1])
 def test_as_many_windows_of_slip_as_of_static_are_drawn_and_anew_each_time(rarer: int) -> None:
     label = np.where(np.arange(400) < 330, 1 - rarer, rarer).astype(np.int8)
@@ -184,17 +146,6 @@ def test_each_symmetry_is_applied_to_a_quarter_of_the_windows_and_noise_is_added
         assert np.array_equal(np.array(symmetry)[pad], expected)
         assert 0.22 < (cell[:, 0] == symmetry).all(axis=1).mean() < 0.28
     assert (counts - 100 * cell).std() == pytest.approx(0.5, abs=0.01)
-
-
-def test_the_counts_of_the_recordings_give_mean_and_standard_deviation() -> None:
-    recordings = [_noise(0, 150), _noise(1, 230)]
-    for recording in recordings:
-        recording.counts[:, 3] = 7
-    mean, std = Windows(recordings, CPU).spread()
-    counts = np.concatenate([recording.counts for recording in recordings])
-    np.testing.assert_allclose(mean, counts.mean(axis=0))
-    np.testing.assert_allclose(np.delete(std, 3), np.delete(counts.std(axis=0), 3))
-    assert std[3] == 1  # a cell that never moved divides nothing by 0
 
 
 @pytest.mark.parametrize("slip", [True, False])
