@@ -120,8 +120,7 @@ class SimulatedArm:
             EndpointError: if the arm had to be stopped.
         """
         del seconds
-        self._check_target(pose)
-        await self._follow(Ride.planned([self._place, self._local(pose)], self._now(), speed, acceleration))
+        await self._move_along([pose], speed, acceleration)
 
     async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
         """Move along a polyline at constant speed and orientation.
@@ -130,11 +129,8 @@ class SimulatedArm:
             EndpointError: if the arm had to be stopped.
         """
         del seconds
-        corners, turned = [self._place], self.state.pose[3:]
-        for point in points:
-            self._check_target((*point, *turned))
-            corners.append(self._local((*point, *turned)))
-        await self._follow(Ride.planned(corners, self._now(), speed, acceleration))
+        turned = self.state.pose[3:]
+        await self._move_along([(*point, *turned) for point in points], speed, acceleration)
 
     async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
         """Move with a velocity (m/s, rad/s) for a time (s), then come to rest.
@@ -243,6 +239,13 @@ class SimulatedArm:
         self._starts.append(float(ride.instants[0]))
         self._rides.append(ride)
 
+    async def _move_along(self, poses: Sequence[Pose], speed: float, acceleration: float) -> None:
+        for pose in poses:
+            if reason := self.bounds.violation(ArmState(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))):
+                self.fail(f"target outside the bounds: {reason}")
+        corners = [self._place, *map(self._local, poses)]
+        await self._follow(Ride.planned(corners, self._now(), speed, acceleration))
+
     async def _follow(self, ride: Ride, force: float = math.inf) -> None:
         """Follow a ride to its end, or until a normal force (N) is reached; stop if cancelled."""
         self._check()
@@ -258,11 +261,6 @@ class SimulatedArm:
         """Come to rest on the path of the current ride."""
         if (now := self._now()) < self._rides[-1].end:
             self._begin(self._rides[-1].braked(now))
-
-    def _check_target(self, pose: Pose) -> None:
-        if reason := self.bounds.violation(ArmState(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))):
-            self.fail(f"target outside the bounds: {reason}")
-        self._check()
 
     def _check(self) -> None:
         if not self.fault and (reason := self.bounds.violation(self.state)):

@@ -4,21 +4,16 @@ A fingertip has six MPL115A2 barometers, all at address 0x60, and an ATtiny with
 to that address connects the barometer to the bus, a read disconnects it.
 
 Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Linux driver.
-
->>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
->>> round(datasheet.pressure(410, 507), 3)
-96.587
 """
 
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from operators.batch import Counts, Reals
-
-Real = TypeVar("Real", float, Reals)
 
 BAROMETER: Final = 0x60  # address of every barometer
 ALL: Final = 0x06  # address of all cells of all fingertips
@@ -88,26 +83,21 @@ class Coefficients(NamedTuple):
         a0, b1, b2, c12 = struct.unpack(">4h", data)
         return cls(a0 / 2**3, b1 / 2**13, b2 / 2**14, (c12 >> 2) / 2**22)
 
-    def pressure(self, pressure: Real, temperature: Real) -> Real:
-        """Return the absolute pressure (kPa) of raw counts, as in the datasheet."""
-        compensated = self.a0 + (self.b1 + self.c12 * temperature) * pressure + self.b2 * temperature
-        return compensated * 65 / 1023 + 50
 
-
-UNKNOWN: Final = Coefficients(np.nan, np.nan, np.nan, np.nan)
-
-
-def compensate(counts: Counts, temperature: Counts, coefficients: list[Coefficients | None]) -> Reals:
-    """Return the absolute pressure (kPa) of a fingertip's raw counts (n, 6); NaN for unknown coefficients.
+def absolute_pressure(
+    counts: Counts, temperature: Counts, coefficients: Sequence[Coefficients | None]
+) -> Reals:
+    """Return the absolute pressure (kPa) of raw counts (n, cells), as in the datasheet; NaN where unknown.
 
     >>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
-    >>> raw = np.full((2, 6), 410, np.int16)
-    >>> compensate(raw, raw + np.int16(97), [datasheet] * 5 + [None])[0].round(3).tolist()
-    [96.587, 96.587, 96.587, 96.587, 96.587, nan]
+    >>> raw = np.array([[410, 410]], np.int16)
+    >>> absolute_pressure(raw, raw + np.int16(97), [datasheet, None]).round(3).tolist()
+    [[96.587, nan]]
     """
+    a0, b1, b2, c12 = np.array([each or (np.nan,) * 4 for each in coefficients], np.float64).T  # (cells,)
     p, t = counts.astype(np.float64), temperature.astype(np.float64)
-    known = enumerate(each or UNKNOWN for each in coefficients)
-    return np.column_stack([cell.pressure(p[:, i], t[:, i]) for i, cell in known])
+    pressure: Reals = (a0 + (b1 + c12 * t) * p + b2 * t) * 65 / 1023 + 50
+    return pressure
 
 
 @dataclass

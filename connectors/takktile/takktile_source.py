@@ -11,7 +11,7 @@ import numpy as np
 
 from connectors.takktile.scan_thread import ScanThread
 from connectors.takktile.scanner import Scan, Scanner, Schedule
-from connectors.takktile.takktile_protocol import ROWS, Coefficients, compensate
+from connectors.takktile.takktile_protocol import ROWS, Coefficients, absolute_pressure
 from operators.batch import BAROMETERS, Reals, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_choice
 from operators.errors import EndpointError, ParameterError
@@ -177,7 +177,7 @@ class TakkTile(Source[Touch]):
         if isinstance(touch, Zeroed):
             raise ParameterError("TakkTile", "touch", type(touch).__name__, "raw counts, a Touch")
         check_choice("TakkTile", "finger", touch.finger, self._fingers)
-        pressure = compensate(touch.counts, touch.temperature, self.coefficients[touch.finger])
+        pressure = absolute_pressure(touch.counts, touch.temperature, self.coefficients[touch.finger])
         return np.where(touch.valid, pressure, np.nan)
 
     @property

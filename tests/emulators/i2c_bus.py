@@ -155,17 +155,14 @@ class Adapter:
 
     Attributes:
         empty: It sends messages without data, as SMBus's quick command is (errno 95 if not).
-        chained: It sends any messages in one transfer. If not, only the last may be a read (errno 95) or
-            without data (errno 5).
         speed: Bits per second; None: transfers take no time.
     """
 
     empty: bool = True
-    chained: bool = True
     speed: float | None = None
 
 
-RASPBERRY_PI: Final = Adapter(chained=False)  # i2c-bcm2835, models 0 to 4
+RASPBERRY_PI: Final = Adapter()  # i2c-bcm2835, models 0 to 4
 DESIGNWARE: Final = Adapter(empty=False)  # i2c-designware; i2c-omap of a BeagleBone alike
 
 
@@ -274,19 +271,10 @@ class EmulatedI2cBus:
         if not self._flowing.is_set():
             self._flowing.wait()
             raise os_error(errno.ETIMEDOUT)
-        self._check(messages)
+        if not self.adapter.empty and any(not message.data and not message.length for message in messages):
+            raise os_error(errno.EOPNOTSUPP)
         self.transfers += 1
         return [self._send(message) for message in messages]
-
-    def _check(self, messages: Sequence[Message]) -> None:
-        """Refuse what the adapter cannot send."""
-        empty = [not message.data and not message.length for message in messages]
-        if any(empty) and not self.adapter.empty:
-            raise os_error(errno.EOPNOTSUPP)
-        if not self.adapter.chained and any(message.length is not None for message in messages[:-1]):
-            raise os_error(errno.EOPNOTSUPP)
-        if not self.adapter.chained and any(empty[:-1]):
-            raise os_error(errno.EIO)
 
     def _send(self, message: Message) -> bytes:
         """Send one message; return the bytes read."""

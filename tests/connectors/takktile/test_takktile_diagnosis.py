@@ -73,7 +73,7 @@ async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: EmulatedI2
 
 
 async def test_a_slow_bus_is_bad(bus: EmulatedI2cBus) -> None:
-    bus.adapter = type(bus.adapter)(chained=False, speed=20_000)
+    bus.adapter = type(bus.adapter)(speed=20_000)
     rate = (await found(0, 5))[-1]
     assert rate.state == "bad"
     assert "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate" in rate.text
