@@ -4,8 +4,8 @@ Only `lock_position` and `load` do I/O.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -135,14 +135,11 @@ class Position:
             if name in heads or epoch.head < 0:
                 continue
             end = epoch.newest
-            missed = [
-                f"{first} to {last}" if first < last else str(first) for first, last in epoch.give_up(end)
-            ]
+            lost += _lost(rig, name, epoch.give_up(end), "no longer kept")
             if name == newest and end:  # its last number was never announced
-                missed.append(f"any after {end}")
-            if missed:
-                which = ", ".join(missed)
-                lost.append(f"{'/'.join(rig)}: epoch {name} is no longer kept; lost events: {which}")
+                lost.append(
+                    f"{'/'.join(rig)}: epoch {name} is no longer kept; events after {end} may be lost"
+                )
         return lost + self._limit(epochs)
 
     def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
@@ -152,7 +149,7 @@ class Position:
         for first, last in answer.missing if epoch else ():
             if epoch and first <= epoch.done + 1:  # else an event of the answer did not arrive: request again
                 lost += epoch.give_up(min(last, epoch.newest))
-        return _lost(rig, answer.epoch, lost, "no longer kept")
+        return [*_lost(rig, answer.epoch, lost, "no longer kept")]
 
     def gap(self, rig: RigId) -> tuple[str, int, int] | None:
         """Return the first missed range of a rig: epoch, first and last number."""
@@ -168,16 +165,9 @@ class Position:
     def encode(self) -> bytes:
         """Return the position as JSON."""
         rigs: list[Json] = [
-            {
-                "site": site,
-                "rig": rig,
-                "epoch": name,
-                "done": each.done,
-                "ahead": each.ahead,
-                "head": each.head,
-            }
+            {"site": site, "rig": rig, "epoch": name, **asdict(epoch)}
             for (site, rig), epochs in self._rigs.items()
-            for name, each in epochs.items()
+            for name, epoch in epochs.items()
         ]
         return encode({"format": FORMAT, "rigs": rigs})
 
@@ -191,10 +181,8 @@ class Position:
         position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
         fields.integer("format", FORMAT, FORMAT)
         for rig in fields.objects("rigs"):
-            epoch, name = (
-                _Epoch(rig.integer("done", 0), head=rig.integer("head", -1)),
-                (rig.text("site"), rig.text("rig")),
-            )
+            name = rig.text("site"), rig.text("rig")
+            epoch = _Epoch(rig.integer("done", 0), head=rig.integer("head", -1))
             for number in rig.integers("ahead"):
                 epoch.add(number)
             position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
@@ -261,15 +249,8 @@ def load(path: Path, *, everything: bool = False) -> Position:
         raise InputError(str(path), f"{error.reason}: {hint}") from None
 
 
-def _lost(rig: RigId, epoch: str, ranges: Iterable[Range], why: str) -> list[str]:
-    """Return the reports of lost events."""
-    return [
-        f"{'/'.join(rig)}: "
-        + (
-            f"event {first} of epoch {epoch} is"
-            if first == last
-            else f"events {first} to {last} of epoch {epoch} are"
-        )
-        + f" lost: {why}"
-        for first, last in ranges
-    ]
+def _lost(rig: RigId, epoch: str, ranges: Iterable[Range], why: str) -> Iterator[str]:
+    """Yield the reports of lost events."""
+    for first, last in ranges:
+        which, verb = (f"event {first}", "is") if first == last else (f"events {first} to {last}", "are")
+        yield f"{'/'.join(rig)}: {which} of epoch {epoch} {verb} lost: {why}"

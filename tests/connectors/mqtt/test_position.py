@@ -114,8 +114,9 @@ def test_an_epoch_no_longer_kept_is_reported_only_if_events_may_be_lost() -> Non
     for number in range(1, 4):
         position.take(event(number, "cd"))
     assert position.announce(UR10, {"ef": 0}) == [
-        "lab/ur10: epoch ab is no longer kept; lost events: 6 to 7, 9 to 10",
-        "lab/ur10: epoch cd is no longer kept; lost events: any after 3",
+        "lab/ur10: events 6 to 7 of epoch ab are lost: no longer kept",
+        "lab/ur10: events 9 to 10 of epoch ab are lost: no longer kept",
+        "lab/ur10: epoch cd is no longer kept; events after 3 may be lost",
     ]
     assert position.announce(UR10, {"ef": 0}) == []
 
