@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 
 from connectors.gripper.drive import GripperDrive
-from connectors.gripper.modbus_link import GripperLink
 from connectors.gripper.robotiq import (
     FULL,
     PORT,
@@ -97,7 +96,7 @@ class Gripper(Sink[Commands]):
         target = Request(active=True, position=self.position, speed=self.speed)
         if self.force is not None:
             target = replace(target, go=True, force=force_register(self.force))
-        self._drive = GripperDrive(self._new_link, target, self._counted, self.timeout)
+        self._drive = self._new_drive(target)
         self._batch: Commands | None = None  # newest batch
         self._failure = ""
         self._serving: BackgroundTask | None = None  # None: not open
@@ -137,12 +136,12 @@ class Gripper(Sink[Commands]):
             EndpointError: if the gripper cannot be reached.
             InputError: if pymodbus is not installed.
         """
-        link = self._new_link()
+        drive = self._new_drive(Request())
         try:
-            await link.connect()
-            status = await link.read_status()
+            await drive.connect()
+            status = await drive.read_status()
         finally:
-            link.close()
+            drive.drop()
         if status.fault:
             text = f"{status.reason}: remove what obstructs it; the start of a run resets the fault"
             yield Finding(self.destination, text, "bad")
@@ -237,5 +236,7 @@ class Gripper(Sink[Commands]):
                     self._failure = ""
                     back_off.reset()
 
-    def _new_link(self) -> GripperLink:
-        return GripperLink(self.destination, self.host, self.port, self.unit, self.timeout)
+    def _new_drive(self, target: Request) -> GripperDrive:
+        address = self.host, self.port
+        counted, timeout = self._counted, self.timeout
+        return GripperDrive(self.destination, address, self.unit, target, counted=counted, timeout=timeout)

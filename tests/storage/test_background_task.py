@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 LINE = r" \(test_background_task\.py:\d+\)$"
 # files that await the tasks they start before they return, or repeat what a task did
 AWAITED = {
-    "connectors/gripper/modbus_link.py",
+    "connectors/gripper/drive.py",
     "connectors/mqtt/broker_link.py",
     "flows/lab/collection/collector.py",
     "flows/lab/collection/stroke_driver.py",
