@@ -60,10 +60,10 @@ class Dataset(Sink[Recordable]):
         self._root = Path(path).resolve()
         self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
+        self._tasks: tuple[BackgroundTask, ...] = ()  # that append and sync rows of a live run
         self._committing: asyncio.Task[None] | None = None
-        self._syncing: BackgroundTask | None = None
-        self._appending: asyncio.Future[None] | None = None
-        self._timer: asyncio.TimerHandle | None = None  # of the next append
+        self._appending = asyncio.Lock()  # held during an append, and a commit that allows none
+        self._waiting, self._urgent = asyncio.Event(), asyncio.Event()  # rows are to be appended; at once
 
     @property
     def destination(self) -> str:
@@ -99,9 +99,13 @@ class Dataset(Sink[Recordable]):
                 files and is not a dataset.
         """
         self._writer = await asyncio.to_thread(self._begin, run)
+        self._tasks, self._appending = (), asyncio.Lock()  # a later run may have another event loop
+        self._waiting, self._urgent = asyncio.Event(), asyncio.Event()
         if self._writer.journalled:
-            work = self._sync_often(self._writer)
-            self._syncing = BackgroundTask(self.destination, "the fsync of new rows", work)
+            works = self._keep_appending(self._writer), self._keep_syncing(self._writer)
+            self._tasks = tuple(
+                BackgroundTask(self.destination, "the writing of new rows", each) for each in works
+            )
 
     def take(self, batch: Recordable) -> bool:
         """Buffer one batch, or return False if that has to wait for the disk.
@@ -115,7 +119,7 @@ class Dataset(Sink[Recordable]):
         assert writer, "open comes first"
         if writer.full(batch) or not writer.add(batch):
             return False
-        self._append_soon()
+        self._notice(writer)
         return True
 
     async def write(self, batch: Recordable) -> None:
@@ -133,13 +137,9 @@ class Dataset(Sink[Recordable]):
             assert writer, "open comes first"
             if writer.full(batch):
                 await self._commit(writer)
-            elif self._appending:
-                await asyncio.wait([self._appending])
             else:
-                appending = self._append(writer, batch)
-                await asyncio.wait([appending])
-                appending.result()
-                return
+                return await self._append(writer, batch)
+        return None
 
     async def close(self) -> None:
         """Commit all rows and end the session; it is complete if the run has no error.
@@ -150,46 +150,54 @@ class Dataset(Sink[Recordable]):
         """
         if self._writer is None:
             return
-        if self._syncing:
-            await self._syncing.end()
+        for task in self._tasks:
+            await task.end()
         if self._committing:
             await asyncio.wait([self._committing])
-        while self._appending:
-            await asyncio.wait([self._appending])
-        self._cancel_timer()
-        await asyncio.to_thread(self._writer.close)
+        async with self._appending:
+            await asyncio.to_thread(self._writer.close)
         self._writer = self._committing = None
-        if self._syncing:
-            self._syncing.check()
+        for task in self._tasks:
+            task.check()
 
-    def _append_soon(self, delay: float = 0.0) -> None:
-        """Append waiting rows, at once if there are several and no `delay` (s) is given."""
-        writer = self._writer
-        if writer and writer.waiting and not self._appending:
-            if writer.urgent and not delay:
-                self._append(writer)
-            elif not self._timer:
-                loop = asyncio.get_running_loop()
-                self._timer = loop.call_later(APPEND_INTERVAL, self._append, writer)
+    def _notice(self, writer: SessionWriter) -> None:
+        """Wake up the task that appends, if rows wait."""
+        if writer.waiting:
+            self._waiting.set()
+        if writer.urgent:
+            self._urgent.set()
 
-    def _append(self, writer: SessionWriter, batch: Recordable | None = None) -> "asyncio.Future[None]":
-        self._cancel_timer()
-        loop = asyncio.get_running_loop()
-        self._appending = loop.run_in_executor(None, writer.append, batch)
-        self._appending.add_done_callback(self._after_append)
-        return self._appending
+    async def _append(self, writer: SessionWriter, batch: Recordable | None = None) -> None:
+        """Append the waiting rows to the journal, then a batch that `take` refused.
 
-    def _after_append(self, appending: "asyncio.Future[None]") -> None:
-        self._appending = None
-        failed = appending.cancelled() or appending.exception() is not None  # the next write reports it
-        self._append_soon(APPEND_INTERVAL if failed else 0.0)
+        A cancellation does not stop the thread, which holds the lock until it has ended.
+        """
 
-    def _cancel_timer(self) -> None:
-        if self._timer:
-            self._timer.cancel()
-        self._timer = None
+        async def append() -> None:
+            async with self._appending:
+                if batch is None or not writer.add(batch):
+                    await asyncio.to_thread(writer.append, batch)
 
-    async def _sync_often(self, writer: SessionWriter) -> None:
+        appending = asyncio.create_task(append())
+        appending.add_done_callback(_ignore_failure)
+        await asyncio.wait([appending])
+        self._notice(writer)
+        appending.result()
+
+    async def _keep_appending(self, writer: SessionWriter) -> None:
+        while True:
+            await self._waiting.wait()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(APPEND_INTERVAL):
+                    await self._urgent.wait()
+            self._waiting.clear()
+            self._urgent.clear()
+            try:
+                await self._append(writer)
+            except EndpointError:  # the next write reports it
+                self._waiting.set()
+
+    async def _keep_syncing(self, writer: SessionWriter) -> None:
         while True:
             await asyncio.sleep(SYNC_INTERVAL)
             if writer.unsynced:
@@ -203,20 +211,17 @@ class Dataset(Sink[Recordable]):
             return
         writer.begin_commit()
         exclusive = writer.exclusive
-        if exclusive:
-            self._cancel_timer()
         self._committing = asyncio.create_task(self._run_commit(writer))
         self._committing.add_done_callback(_ignore_failure)
         if exclusive:
             await asyncio.wait([self._committing])
-            self._append_soon()
             self._committing.result()
 
     async def _run_commit(self, writer: SessionWriter) -> None:
-        if self._appending:  # to a segment that the commit may delete
-            await asyncio.wait([self._appending])
+        async with self._appending:  # wait for an append to a segment that the commit may delete
             if writer.exclusive:
-                self._cancel_timer()
+                await asyncio.to_thread(writer.commit)
+                return
         await asyncio.to_thread(writer.commit)
 
     def _begin(self, run: Run) -> SessionWriter:
@@ -225,6 +230,6 @@ class Dataset(Sink[Recordable]):
 
 
 def _ignore_failure(task: asyncio.Task[None]) -> None:
-    """Retrieve the exception, so that asyncio does not log it: the next write repeats the commit."""
+    """Retrieve the exception, so that asyncio does not log it: the next write repeats the work."""
     if not task.cancelled():
         task.exception()

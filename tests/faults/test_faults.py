@@ -81,7 +81,7 @@ def test_a_task_of_a_sink_that_dies_is_found_without_any_fault(owner: type) -> N
         await asyncio.sleep(0.05)
         raise KeyError("planted")
 
-    method = {Sender: "_keep_sending", Dataset: "_sync_often"}[owner]
+    method = {Sender: "_keep_sending", Dataset: "_keep_syncing"}[owner]
     outcome = simulate(Schedule(0, ()), lambda stack: stack.enter_context(patch.object(owner, method, die)))
     assert any("a background task of the rig died" in each for each in outcome.violations)
     assert not any("killed" in each for each in outcome.violations)
