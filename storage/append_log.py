@@ -70,8 +70,6 @@ class LogReader:
         identity: Identity that the writer gave the log; empty if the header is damaged.
         damage: Unreadable part; known once `records` has ended, or at once if it is the header.
         end: Offset after the last record that was read.
-        crc: CRC before that offset.
-        seed: CRC of the header.
 
     Raises:
         InputError: if the log has another version.
@@ -168,7 +166,7 @@ class LogReader:
 
 
 class AppendLog:
-    """Log that is open for appending: a new one by `create`, an existing one by `resume`.
+    """New log that is open for appending; nobody continues an existing one.
 
     Attributes:
         path: The file.
@@ -198,30 +196,6 @@ class AppendLog:
         data, _, crc = _frames(records, len(head), seed, seed)
         files.put(path, head + data)
         return cls(path, len(head) + len(data), crc, seed)
-
-    @classmethod
-    def resume(cls, reader: LogReader) -> Self:
-        """Open a log for appending at its end, and cut off a torn tail durably.
-
-        Raises:
-            InputError: if it is damaged otherwise.
-            OSError: if it cannot be written.
-        """
-        for _ in reader.records(reader.end):
-            pass
-        damage = reader.damage
-        if damage and not (damage.torn and damage.offset):
-            raise InputError(str(reader.path), f"is damaged at byte {damage.offset}: restore a copy")
-        log = cls(reader.path, reader.end, reader.crc, reader.seed)
-        log._synced = 0  # its writer may have been killed before its last sync
-        if damage:
-            try:
-                files.truncate(log._file, log.end)
-                files.fsync(log._file)
-            except BaseException:
-                log.close()
-                raise
-        return log
 
     def append(self, records: Iterable[bytes]) -> list[int]:
         """Append records, all or none, and return their offsets.

@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, ENXIO, EPERM
+from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM
 from pathlib import Path
 from shutil import rmtree
 from stat import S_ISREG
@@ -67,16 +67,6 @@ def size_of(descriptor: int) -> int:
 def read_at(descriptor: int, size: int, offset: int) -> bytes:
     """Return `size` bytes at `offset`, fewer at the end of the file."""
     return os.pread(descriptor, size, offset)
-
-
-def next_data(descriptor: int, offset: int) -> int:
-    """Return the first offset from `offset` on that is not in a hole of a sparse file, or its size."""
-    try:
-        return os.lseek(descriptor, offset, os.SEEK_DATA)
-    except OSError as error:
-        if error.errno == ENXIO:
-            return size_of(descriptor)
-        raise
 
 
 def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> int:

@@ -7,16 +7,16 @@ version counts. The recorded streams and the label by arm speed stay as they are
 import os
 import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 
 from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
-from operators.checks import check_choice
+from operators.checks import check_between, check_choice
 from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
 from storage import files
 from storage.layout import FINGER_MAX, LABELS, files_of
@@ -24,11 +24,8 @@ from storage.lock import lock
 
 FORMAT: Final = 1
 VALUES: Final = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
-SPANS_MAX: Final = 100_000  # of a version
-TEXT_MAX: Final = 1000  # characters of an author or a note
 
 _FILE: Final = re.compile(r"[0-9]{6,12}\.json")
-_OWNER: Final = "hand labels"
 _TIME_LIMIT: Final = 2**63  # ns
 
 
@@ -52,29 +49,14 @@ class LabelSpan:
         for name in ("begin", "end", "finger", "created"):
             object.__setattr__(self, name, int(getattr(self, name)))  # of numpy, which is not JSON
         if not -_TIME_LIMIT <= self.begin < self.end < _TIME_LIMIT:
-            raise ParameterError(_OWNER, "end", self.end, f"after begin, {self.begin} ns")
-        if not EVERY <= self.finger <= FINGER_MAX:
-            raise ParameterError(_OWNER, "finger", self.finger, "the number of a fingertip")
-        check_choice(_OWNER, "value", self.value, VALUES)
-        for name, text in (("author", self.author), ("note", self.note)):
-            if len(text) > TEXT_MAX:
-                raise ParameterError(_OWNER, name, f"{text[:20]}...", f"at most {TEXT_MAX} characters")
-
-    @property
-    def code(self) -> int:
-        """Code of the value, as in the label of samples."""
-        return VALUES[self.value]
+            raise ParameterError("hand labels", "end", self.end, f"after begin, {self.begin} ns")
+        check_between("hand labels", "finger", self.finger, EVERY, FINGER_MAX)
+        check_choice("hand labels", "value", self.value, VALUES)
 
 
 @dataclass(frozen=True, slots=True)
 class HandLabels:
-    """One version of the hand labels of a session; spans of a fingertip do not overlap.
-
-    >>> labels = HandLabels(1, (LabelSpan(10, 20, 0, "slip"),))
-    >>> code, by_hand = labels.replace(np.zeros(3, np.int8), np.array([9, 10, 20]), finger=0)
-    >>> code.tolist(), by_hand.tolist()
-    ([0, 1, 0], [False, True, False])
-    """
+    """One version of the hand labels of a session; spans of a fingertip do not overlap."""
 
     version: int = 0  # from 1; 0: none was written
     spans: tuple[LabelSpan, ...] = ()  # in order of fingertip and time
@@ -85,7 +67,7 @@ class HandLabels:
         for span in self.spans:
             if span.finger == finger:
                 rows = (time >= span.begin) & (time < span.end)
-                label[rows], by_hand[rows] = span.code, True
+                label[rows], by_hand[rows] = VALUES[span.value], True
         return label, by_hand
 
 
@@ -105,7 +87,7 @@ def label_versions(folder: Path) -> dict[int, Path]:
 
 
 def read_hand_labels(folder: Path, version: int | None = None) -> HandLabels:
-    """Return the newest hand labels of a session, or those of a version.
+    """Return the newest hand labels of a session, or those of a version; version 0: none.
 
     Raises:
         InputError: if there is no such version, or its file is damaged.
@@ -123,14 +105,13 @@ def read_hand_labels(folder: Path, version: int | None = None) -> HandLabels:
     if content.get("format") != FORMAT or content.get("version") != number:
         raise InputError(str(path), f'must have "format": {FORMAT} and "version": {number}; restore a copy')
     try:
-        spans = [_span(each) for each in cast("list[Any]", content["spans"])]
-        return HandLabels(number, _ordered(spans))
+        return HandLabels(number, _ordered(_span(**each) for each in content["spans"]))
     except (KeyError, TypeError, ValueError, ParameterError) as error:
         raise InputError(str(path), f"has an invalid span: {error}; restore a copy") from error
 
 
 def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
-    """Write the next version of the hand labels of a session; earlier versions stay.
+    """Write all spans as the next version of the hand labels of a session; all other files stay.
 
     Args:
         folder: Folder of the session.
@@ -138,7 +119,7 @@ def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int
         based_on: Version that they were derived from, 0 for none; it must be the newest.
 
     Raises:
-        ParameterError: if spans of a fingertip overlap, or there are too many.
+        ParameterError: if spans of a fingertip overlap.
         InputError: if another version was written since `based_on`.
         EndpointError: if the file cannot be written; nothing is changed then.
     """
@@ -152,42 +133,38 @@ def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int
             if newest != based_on:
                 reason = f"has version {newest} of hand labels, not {based_on}: load it and mark again"
                 raise InputError(str(folder), reason)
-            labels = HandLabels(newest + 1, ordered)
-            content = {
-                "format": FORMAT,
-                "version": labels.version,
-                "spans": [asdict(span) for span in ordered],
-            }
-            files.put_checked(folder / label_file(labels.version), content)
+            content = {"format": FORMAT, "version": newest + 1, "spans": [asdict(each) for each in ordered]}
+            files.put_checked(folder / label_file(newest + 1), content)
         finally:
             os.close(held)
     except OSError as error:
         raise EndpointError(str(folder / LABELS), f"cannot be written: {os_error_reason(error)}") from error
-    return labels
+    return HandLabels(newest + 1, ordered)
 
 
-def _span(content: Any) -> LabelSpan:  # noqa: ANN401 - any JSON
-    types = {field.name: field.type for field in fields(LabelSpan)}
-    if not isinstance(content, dict) or set(cast("dict[str, Any]", content)) != set(types):
-        raise TypeError(f"must have {', '.join(types)}")
-    values = cast("dict[str, Any]", content)
-    for name, kind in types.items():
-        if type(values[name]) is not kind:
-            raise TypeError(f"{name} must be {getattr(kind, '__name__', kind)}")
-    return LabelSpan(**values)
+def _span(**values: Any) -> LabelSpan:  # noqa: ANN401 - any JSON
+    """Return a span of a file.
+
+    Raises:
+        TypeError: if a value has another type, or is missing.
+        ParameterError: if a value is invalid.
+    """
+    span = LabelSpan(**values)
+    for name, value in asdict(span).items():
+        if type(values[name]) is not type(value):
+            raise TypeError(f"{name} must be {type(value).__name__}")
+    return span
 
 
 def _ordered(spans: Iterable[LabelSpan]) -> tuple[LabelSpan, ...]:
     """Return spans in order of fingertip and time.
 
     Raises:
-        ParameterError: if they overlap, or there are too many.
+        ParameterError: if they overlap.
     """
     ordered = tuple(sorted(spans, key=lambda span: (span.finger, span.begin)))
-    if len(ordered) > SPANS_MAX:
-        raise ParameterError(_OWNER, "spans", len(ordered), f"at most {SPANS_MAX:,} spans")
     for one, other in pairwise(ordered):
         if one.finger == other.finger and other.begin < one.end:
             must_be = f"at least {one.end} ns, the end of the span before"
-            raise ParameterError(_OWNER, "begin", other.begin, must_be)
+            raise ParameterError("hand labels", "begin", other.begin, must_be)
     return ordered

@@ -14,9 +14,7 @@ import json
 import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import cache
-from operator import attrgetter
 from pathlib import Path
 from struct import Struct
 from typing import Any, Final, NamedTuple
@@ -263,39 +261,17 @@ def identity(session: str, number: int) -> bytes:
     return json.dumps(content).encode()
 
 
-@dataclass(slots=True)
-class _Run:
-    """Consecutive rows of one type and fingertip."""
-
-    first: int  # number within its table
-    end: int  # after the last
-    finger: int
-    batches: list[Batch]
-
-    def encode(self) -> bytes:
-        kind = type(self.batches[0])
-        parts = [_HEAD.pack(_CODES[kind], self.finger, self.end - self.first, self.first)]
-        for column in zip(*map(attrgetter(*columns(kind)), self.batches), strict=True):
-            parts += [values.tobytes() for values in column]
-        return b"".join(parts)
-
-
 def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
-    """Return the records of rows; consecutive rows of a fingertip share one."""
-    runs, newest = list[_Run](), dict[type[Batch], _Run]()
+    """Return the records of rows, one for each batch unless it is larger than a record may be."""
+    records = list[bytes]()
     for first, batch in rows:
-        kind, count = type(batch), len(batch.time)
-        most = (append_log.LIMIT - _HEAD.size) // _row_size(kind, batch.cells)
-        run = newest.get(kind)
-        if run and run.end == first and run.finger == batch.finger and run.end - run.first + count <= most:
-            run.batches.append(batch)
-            run.end += count
-            continue
-        for start in range(0, count, most):
-            part = batch if count <= most else batch[start : start + most]
-            newest[kind] = _Run(first + start, first + start + len(part), batch.finger, [part])
-            runs.append(newest[kind])
-    return [run.encode() for run in runs]
+        kind = type(batch)
+        names, most = columns(kind), (append_log.LIMIT - _HEAD.size) // _row_size(kind, batch.cells)
+        for start in range(0, len(batch), most):
+            part = batch if len(batch) <= most else batch[start : start + most]
+            head = _HEAD.pack(_CODES[kind], batch.finger, len(part), first + start)
+            records.append(b"".join([head, *(getattr(part, name).tobytes() for name in names)]))
+    return records
 
 
 def _decode(record: bytes, kinds: dict[int, type[Batch]], where: str) -> NumberedRows:

@@ -164,12 +164,8 @@ def new_session_folder(root: Path, session: str) -> Path:
         InputError: if a link of that name leads out of the dataset.
     """
     if not _NAME.fullmatch(session):
-        raise ParameterError(
-            "Dataset",
-            "session",
-            session,
-            "a file name of at most 128 letters, digits, '.', '_' or '-' that begins with a letter or digit",
-        )
+        must_be = "a file name of at most 128 letters, digits, '.', '_' or '-', first a letter or digit"
+        raise ParameterError("Dataset", "session", session, must_be)
     return session_folder(root, session)
 
 
@@ -252,11 +248,7 @@ def segments(folder: Path) -> dict[int, Path]:
 
 
 def segment_file(number: int) -> str:
-    """Return the path of a segment within the folder of the session.
-
-    >>> segment_file(7)
-    'journal/000007.wal'
-    """
+    """Return the path of a segment within the folder of the session, such as ``journal/000007.wal``."""
     return f"{JOURNAL}/{number:06d}.wal"
 
 

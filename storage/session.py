@@ -189,25 +189,18 @@ class Session:
         return cast("pl.DataFrame", cast("Any", pl).from_arrow(pa.concat_tables(parts)))
 
     def hand_labels(self, version: int | None = None) -> HandLabels:
-        """Return the newest labels that were given by hand, or those of a version; version 0: none.
+        """Return the newest labels that were given by hand, or those of a version, as `read_hand_labels`.
 
         Raises:
-            InputError: if there is no such version, or its file is damaged.
-            EndpointError: if the disk fails, or memory or file descriptors are short.
+            SlipflowError: as `read_hand_labels`.
         """
         return read_hand_labels(self.folder, version)
 
     def write_hand_labels(self, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
-        """Write all spans as the next version of the hand labels, in a new file; all other files stay.
-
-        Args:
-            spans: Labelled spans.
-            based_on: Newest version, from which they were derived; 0 for none.
+        """Write all spans as the next version of the hand labels, as `write_hand_labels`.
 
         Raises:
-            ParameterError: if spans of a fingertip overlap, or there are too many.
-            InputError: if another version was written since `based_on`.
-            EndpointError: if the file cannot be written; nothing is changed then.
+            SlipflowError: as `write_hand_labels`.
         """
         return write_hand_labels(self.folder, spans, based_on=based_on)
 

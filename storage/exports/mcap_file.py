@@ -41,8 +41,6 @@ def export(
     session: Session,
     path: Path,
     progress: Callable[[int], object] = lambda _rows: None,
-    *,
-    span: tuple[int, int] | None = None,
 ) -> Mapping[str, int]:
     """Write a session; return the number of messages of each topic.
 
@@ -54,7 +52,6 @@ def export(
         session: Session to write.
         path: File to create.
         progress: Called with the number of rows written so far.
-        span: First and last event time of the rows, ns; None: all rows.
 
     Raises:
         InputError: if the library is not installed, the session is damaged, or a row is from before 1970.
@@ -82,7 +79,7 @@ def export(
                 channels[name] = writer.register_channel(name, "json", number)
 
         streams = [
-            _rows(session, register, table, finger, span)
+            _rows(session, register, table, finger)
             for table in TABLES
             for finger in session.fingers(table.kind)
         ]
@@ -151,14 +148,11 @@ def _rows(
     register: Callable[[str, Mapping[str, Any]], None],
     table: Table,
     finger: int,
-    span: tuple[int, int] | None,
 ) -> Iterator[_Message]:
     """Yield the rows of a fingertip; register its topic and schema before the first one."""
     name = topic(table, finger)
-    for read in session.read(table.kind, finger):
-        batch = read if span is None else read[(read.time >= span[0]) & (read.time <= span[1])]
-        if len(batch):
-            register(name, message_schema(table, type(batch), batch.cells))
+    for batch in session.read(table.kind, finger):
+        register(name, message_schema(table, type(batch), batch.cells))
         for time, data in messages(table, batch):
             yield time, name, data
 
