@@ -17,7 +17,7 @@ from flows.cli.show import load
 from flows.lab.simulation import simulate
 from storage import Session
 from tests.benchmarks.bench_page import WARM, demo
-from tests.chaos.latency import real_time_priority
+from tests.benchmarks.machine import real_time_priority
 from tests.connectors.web.browsing import LATE, MOVE, ServedRecording, chromium, drag
 
 SESSION: Final = "plane-050-01"

@@ -29,8 +29,7 @@ from flows.cli.live_view import add_page
 from flows.cli.terminal import note
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from tests.benchmarks.machine import commit
-from tests.chaos.latency import real_time_priority
+from tests.benchmarks.machine import commit, real_time_priority
 from tests.connectors.web.browsing import chromium
 
 if TYPE_CHECKING:

@@ -23,8 +23,8 @@ from flows.graph.testing import TestSink
 from flows.run.live_runner import LiveRunner
 from operators import EVERY, Align, Label, Motion, Slips, Touch, Zero, ms
 from storage import Dataset
-from tests.chaos.devices import Alternating
 from tests.chaos.numbered import Numbered, motion, touch
+from tests.chaos.publish import Alternating
 
 RATE = 400.0  # rows/s of touch
 QUEUE = 200  # batches in the queue of the recorder

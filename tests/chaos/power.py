@@ -5,12 +5,13 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 from unittest.mock import patch
 
 import numpy as np
 
 Tail = Literal["cut", "zeros", "garbage"]
+TAILS: tuple[Tail, ...] = get_args(Tail)
 
 
 @dataclass

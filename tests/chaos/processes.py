@@ -1,27 +1,26 @@
-"""Child processes of tests, and temporary folders."""
+"""Processes that tests start, kill and read, and temporary folders."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
-from collections.abc import Generator
+import time
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from threading import Condition, Thread
+from typing import Final
 
-from tests.chaos.child import PATIENCE, ROOT
-
-MEMORY = Path("/dev/shm")  # noqa: S108 - only the parent of temporary folders
+PATIENCE: Final = 120.0  # s, for anything that a process is expected to do
+ROOT: Final = Path(__file__).parents[2]
+MEMORY: Final = Path("/dev/shm")  # noqa: S108 - only the parent of temporary folders
 
 
 def start(name: str, *arguments: str | Path) -> subprocess.Popen[str]:
-    """Start ``python -m tests.chaos.<name>``."""
-    return start_script("-m", f"tests.chaos.{name}", *arguments)
-
-
-def start_script(*arguments: str | Path) -> subprocess.Popen[str]:
-    """Start ``python <arguments>`` in the repository's root."""
-    command = [sys.executable, *map(str, arguments)]
+    """Start ``python -m tests.chaos.<name>`` in the repository's root."""
+    command = [sys.executable, "-m", f"tests.chaos.{name}", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment
@@ -53,6 +52,76 @@ def finish(child: subprocess.Popen[str], seconds: float = 0) -> str:
     if child.returncode:
         raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {stderr}")
     return stdout
+
+
+class Child:
+    """Process ``python -m tests.chaos.<name>`` whose lines of output are kept over restarts."""
+
+    def __init__(self, folder: Path, name: str, *arguments: str) -> None:
+        """Prepare to run the module; its stderr goes to a file in `folder`."""
+        self._command = [sys.executable, "-m", f"tests.chaos.{name}", *arguments]
+        self._folder = folder
+        self._process: subprocess.Popen[bytes] | None = None
+        self._reader: Thread | None = None
+        self.lines = list[str]()
+        self._news = Condition()
+
+    def start(self) -> None:
+        """Start the process."""
+        environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(self._folder / "state")}
+        with (self._folder / "stderr").open("ab") as stderr:
+            self._process = subprocess.Popen(
+                self._command, stdout=subprocess.PIPE, stderr=stderr, env=environment, cwd=ROOT
+            )
+        self._reader = Thread(target=self._read, args=(self._process,), daemon=True)
+        self._reader.start()
+
+    def stop(self, number: signal.Signals = signal.SIGKILL) -> None:
+        """Send a signal that ends the process, and read the rest of its output.
+
+        Raises:
+            subprocess.TimeoutExpired: if it does not end.
+        """
+        process, reader, self._process = self._process, self._reader, None
+        if process and reader:
+            process.send_signal(number)
+            process.wait(PATIENCE)
+            reader.join()
+
+    def wait_for(self, condition: Callable[[], bool]) -> bool:
+        """Wait until a condition that depends on the output holds; return False after two minutes."""
+        with self._news:
+            return self._news.wait_for(condition, PATIENCE)
+
+    def lines_with(self, keyword: str) -> list[str]:
+        """Return the rest of each line that begins with a keyword."""
+        return [line.partition(" ")[2] for line in self.lines.copy() if line.startswith(f"{keyword} ")]
+
+    def memory(self) -> float:
+        """Return the resident memory of the process, MB."""
+        assert self._process
+        status = Path(f"/proc/{self._process.pid}/status").read_text()
+        [size] = re.findall(r"VmRSS:\s+(\d+) kB", status)
+        return int(size) / 1000
+
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout
+        with process.stdout as lines:
+            for line in lines:
+                if line.endswith(b"\n"):  # else the kill cut the line
+                    with self._news:
+                        self.lines.append(line.decode().rstrip())
+                        self._news.notify_all()
+
+
+def until(condition: Callable[[], bool], *, pause: float = 0.02) -> bool:
+    """Check a condition every `pause` s until it holds; return False after two minutes."""
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(pause)
+    return True
 
 
 @contextmanager

@@ -1,117 +1,82 @@
 """Live flow that publishes an event for each touch sample, as a process.
 
-    python -m tests.chaos.publish URL OUTBOX [--rate HZ] [--record FOLDER] [--score]
+    python -m tests.chaos.publish URL OUTBOX
 
-Prints a line ``event TIME`` for each event that must not be lost from then on, and a line ``status JSON``
-with the state of sources and sinks twice per second and at the end. Runs until SIGTERM.
+Prints a line ``event TIME`` for each event that must not be lost from then on. Runs until SIGTERM.
 """
 
-import argparse
 import asyncio
-import json
 import os
+import sys
 import time
-from dataclasses import asdict
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from connectors import Mqtt
 from flows.graph import Flow
-from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Align, Clocks, Faults, Label, Run, Scores, Sink, Slips, Zero, ms
-from tests.chaos.devices import Alternating, Arm, Fingertip
+from operators import SLIP, STATIC, Clock, Clocks, Faults, Operator, Slips, Source, Touch, Zero, Zeroed, s
 
 SITE, RIG = "chaos", "rig"
-STATUS_EVERY = 0.5  # s
+RATE = 100.0  # events/s
+
+
+class Fingertip(Source[Touch]):
+    """Endless source of single rows, stamped when they are produced."""
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Type of the batches."""
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """The fingertip."""
+        return (0,)
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Yield rows without end; after a pause of the process the missed ones are skipped."""
+        due, counts = clock.now(), np.full((1, 6), 510, np.int16)
+        while True:
+            due = max(due + round(s / RATE), clock.now() - s // 10)
+            await clock.sleep_until(due)
+            yield Touch(np.array([clock.now()]), counts, counts, counts > 0, finger=0)
+
+
+@dataclass
+class Alternating(Operator[Zeroed, Slips]):
+    """Slip event at each row, alternately onset and end."""
+
+    _state: int = field(default=STATIC, init=False)
+
+    def process(self, batch: Zeroed) -> Slips:
+        """Return one event for each row."""
+        states = (self._state + 1 + np.arange(len(batch))) % (SLIP + 1)
+        self._state = int(states[-1])
+        probability = np.full(len(batch), 0.9)
+        return Slips(batch.time, states.astype(np.int8), batch.time, probability, finger=batch.finger)
 
 
 class ReportingMqtt(Mqtt):
-    """Event sink that prints the events that it has accepted."""
+    """Event sink that prints the events that it has accepted, by a write that survives a kill."""
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
         """Publish a batch and print its events."""
         await super().write(batch)
         if isinstance(batch, Slips):
             for each in batch.time.tolist():
-                print_line(f"event {each}")
+                os.write(1, f"event {each}\n".encode())
 
 
-class Discard(Sink[Scores]):
-    """Drops the scores: only the load of the detector counts."""
-
-    @property
-    def destination(self) -> str:
-        """Nowhere."""
-        return "nowhere"
-
-    async def open(self, run: Run) -> None:
-        """Open nothing."""
-
-    def take(self, batch: Scores) -> bool:
-        """Drop the batch."""
-        return True
-
-    async def close(self) -> None:
-        """Close nothing."""
-
-
-def print_line(line: str) -> None:
-    """Print a line, which survives a kill."""
-    os.write(1, f"{line}\n".encode())
-
-
-def declare(options: argparse.Namespace) -> Flow:
-    """Declare the flow for the options."""
-    flow = Flow("chaos")
-    touch = flow.source(Fingertip(options.rate), "touch")
-    zeroed = touch | Zero(515)
-    slips = zeroed | Alternating()
-    if options.score:
-        from operators import Score  # noqa: PLC0415 - delays the start
-        from storage import load_detector  # noqa: PLC0415 - as above
-
-        (zeroed | Score(load_detector("tcn"))).to(Discard())
-    if options.record:
-        from storage import Dataset  # noqa: PLC0415 - as above
-
-        dataset, motion = Dataset(options.record), flow.source(Arm(1.25 * options.rate), "motion")
-        touch.to(dataset)
-        motion.to(dataset)
-        (zeroed & motion | Align(within=20 * ms) | Label(speed=0.003)).to(dataset)
-        slips.to(dataset)
-    slips.to(ReportingMqtt(options.url, SITE, RIG, outbox=options.outbox))
-    return flow
-
-
-def print_status(run: Run) -> None:
-    """Print the state of sources and sinks."""
-    sinks = {name: asdict(sink) for name, sink in run.sinks.items()}
-    rows = {name: source.rows for name, source in run.sources.items()}
-    offset = run.clock.host_offset if isinstance(run.clock, LoopClock) else None
-    print_line(f"status {json.dumps({'sources': rows, 'sinks': sinks, 'host_offset': offset})}")
-
-
-async def print_status_regularly(run: Run) -> None:
-    """Print the state until cancelled."""
-    while True:
-        print_status(run)
-        await asyncio.sleep(STATUS_EVERY)
-
-
-async def main() -> None:
+async def main(url: str, outbox: str) -> None:
     """Run the flow."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("url")
-    parser.add_argument("outbox")
-    parser.add_argument("--rate", type=float, default=100.0)
-    parser.add_argument("--record")
-    parser.add_argument("--score", action="store_true")
-    options = parser.parse_args()
-    runner = LiveRunner(declare(options), f"chaos-{time.time_ns()}")
-    printing = asyncio.create_task(print_status_regularly(runner.run))
-    await runner.execute()
-    printing.cancel()
-    print_status(runner.run)
+    flow = Flow("chaos")
+    zeroed = flow.source(Fingertip(), "touch") | Zero(515)
+    (zeroed | Alternating()).to(ReportingMqtt(url, SITE, RIG, outbox=outbox))
+    await LiveRunner(flow, f"chaos-{time.time_ns()}").execute()
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    asyncio.run(main(*sys.argv[1:]))

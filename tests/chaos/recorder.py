@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from operator import itemgetter
 from pathlib import Path
 
@@ -14,23 +13,18 @@ from numpy.typing import NDArray
 
 from flows.graph.testing import TestSink
 from flows.run.replay_runner import ReplayRunner
-from operators import EVERY, Episodes, Labelled, Motion, SlipflowError, Slips, Touch, concat, ms
-from storage import Session, recover, verify
+from operators import EVERY, Labelled, Motion, SlipflowError, Touch, concat, ms
+from storage import Session, verify
 from tests.chaos import record
-from tests.chaos.child import PATIENCE
 from tests.chaos.numbered import Numbers, motion, prefix, touch
-from tests.chaos.processes import kill, scratch, start
-from tests.chaos.promise import Promise
-from tests.chaos.scale import Scale
-from tests.storage import disk_steps
-from tests.storage.made import new_run
+from tests.chaos.processes import PATIENCE, kill, scratch, start
+from tests.chaos.run import Promise, Scale
 
 BOUND = 10  # rows of a stream
 UNCERTAIN = 60 * ms  # ns; newer samples may depend on motion rows that were lost
 RATES = (100.0, 1000.0)  # rows/s
 SHORTEST, SPREAD = 0.2, 2.0  # s, shortest duration of a recording, and largest addition to it
 COUNTS = 5  # counts of a recorder
-OTHERS = "ParquetWriter: 2,460 rows lost, 0 % recovered; parts of 100 rows: 100, 95.8 %; MCAP: 418, 91.8 %"
 COMPARED = ("time", "counts", "valid", "velocity", "speed", "label")  # columns of a sample
 
 
@@ -56,33 +50,6 @@ def kills(scale: Scale) -> list[Promise]:
     return [_evaluate(rate, each) for rate, each in remains_by_rate.items()]
 
 
-def steps(scale: Scale) -> Promise:
-    """End a recording at each of its disk operations."""
-    del scale  # always all steps
-    worst, all_correct, ends = 0, True, 0
-    with scratch(memory=True) as folder:
-        names = disk_steps.steps_of(partial(disk_steps.record, folder / "whole", new_run(), []))
-        for number in disk_steps.each_kind(names):
-            path, accepted = folder / str(number), list[int]()
-            disk_steps.end_at(number, partial(disk_steps.record, path, new_run(), accepted))
-            if not (path / "sessions/one/session.json").exists():
-                continue
-            ends += 1
-            all_correct &= recover(path / "sessions/one").complete
-            session = Session.open(path)
-            for kind, finger in ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY)):
-                rows = concat(kind, list(session.read(kind, finger)))
-                all_correct &= rows.time.tolist() == [number * 10 * ms for number in range(len(rows))]
-                worst = max(worst, len(accepted) - len(rows))
-            all_correct &= verify(path).code in {0, 3}
-    return Promise(
-        f"recorder: ended at {ends} steps on the disk, of {len(set(names))} kinds",
-        f"at most {worst} rows lost, {'all' if all_correct else 'NOT all'} others correct",
-        f"<= {BOUND} rows, all others correct",
-        passed=worst <= BOUND and all_correct,
-    )
-
-
 def _evaluate(rate: float, results: Sequence[Remains | str]) -> Promise:
     count, remains = len(results), [each for each in results if isinstance(each, Remains)]
     produced = np.array([each.produced for each in remains])  # (n, 2)
@@ -102,7 +69,6 @@ def _evaluate(rate: float, results: Sequence[Remains | str]) -> Promise:
         f" open with correct rows; at most {queued.max()} more rows lost from the queue{errors}",
         f"<= {BOUND} rows of a table, {count} of {count}",
         passed=bool(lost.max() <= BOUND) and correct == count,
-        others=OTHERS,
     )
 
 
@@ -172,6 +138,3 @@ def _derived(session: Session, samples: Labelled, rate: float) -> bool:
         for name in COMPARED
     )
     return same and len(expected) - len(certain) <= BOUND
-
-
-PROMISES = (kills, steps)

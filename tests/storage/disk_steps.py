@@ -93,8 +93,11 @@ def row(kind: type[Batch], number: int) -> Batch:
     return new_episodes((number * 10 * ms, (number + 1) * 10 * ms, "tap"))
 
 
-def record(root: Path, run: Run, taken: list[int]) -> None:
-    """Record as a sink does, without its tasks; `taken` gets the number of each row that was accepted."""
+def record(root: Path, run: Run, taken: list[int], durable: list[int] | None = None) -> None:
+    """Record as a sink does, without its tasks.
+
+    `taken` gets the number of each row that was accepted, `durable` the number of rows after each fsync.
+    """
     root.mkdir()
     writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
     for number in range(ROWS):
@@ -107,7 +110,10 @@ def record(root: Path, run: Run, taken: list[int]) -> None:
         if writer.journalled and number % APPEND_AT == APPEND_AT - 1:
             writer.append()
         if writer.journalled and number % SYNC_EVERY == 0:
+            writer.append()
             writer.sync()
+            if durable is not None:
+                durable.append(number + 1)
         taken.append(number)
     writer.close()
 

@@ -17,8 +17,7 @@ from operators import SlipflowError
 from storage import Session, files, load_debounce, load_detector, recover, verify
 from storage.models import save_card, shipped
 from storage.parts import Part, read_manifest, write_manifest
-from tests.chaos.processes import scratch
-from tests.chaos.session import begin, read, write
+from tests.storage.made import STREAMS, leave, new_run, rows, side_by_side, write
 
 ANY = st.recursive(
     st.none()
@@ -31,18 +30,21 @@ ANY = st.recursive(
 )
 
 
+BATCHES = side_by_side(3)
+
+
 @pytest.fixture(scope="module", params=["killed", "closed"])
-def folder(request: pytest.FixtureRequest) -> Iterator[Path]:
-    """Session that is complete."""
-    with scratch(memory=True) as root:
-        writer = begin(root / "data", part_rows=6)
-        for number in range(9):
-            write(writer, number)
-        copytree(writer.folder, root / "killed")
-        writer.close()
-        copytree(writer.folder, root / "closed")
-        name: str = request.param
-        yield root / name
+def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Session of a killed or closed recorder."""
+    root = tmp_path_factory.mktemp(request.param)
+    if request.param == "closed":
+        write(root / "data", new_run(), BATCHES).close()
+        return root / "data/sessions/one"
+    return leave(root / "data", new_run(), BATCHES)
+
+
+def read(folder: Path) -> None:
+    rows(folder, BATCHES, STREAMS)
 
 
 def value_paths(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:  # noqa: ANN401 - JSON
