@@ -2,122 +2,24 @@
 
 import asyncio
 import logging
-import socket
-from collections.abc import Callable
 from itertools import pairwise
-from math import inf, nan
-from typing import NamedTuple
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors import UrMotion
 from connectors.ur import rtde_client
-from connectors.ur.rtde import Kind, Packages, Version, ask_outputs, pack
+from connectors.ur.rtde import Kind, ask_outputs, pack
 from connectors.ur.rtde_client import RtdeClient
 from connectors.ur.ur_motion import OUTPUTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
-from operators import EndpointError, Motion
+from operators import EndpointError
 from tests.emulators.rtde_recipe import Recipe, Request, version_payload
-from tests.emulators.ur_controller import CB3, E_SERIES
-
-Answer = Callable[[int], bytes]  # to a package, by its kind
+from tests.emulators.ur_controller import CB3
 
 HOST = "127.0.0.1"
 NAMES, TYPES = tuple(OUTPUTS), tuple(OUTPUTS.values())
-
-
-async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], EndpointError]:
-    """Return all batches of a connection, and the error that ended it."""
-    taken = list[Motion]()
-    try:
-        async for batch in source.batches(clock):
-            taken.append(batch)
-    except EndpointError as error:
-        return taken, error
-    raise AssertionError
-
-
-async def serve(answer: Answer) -> asyncio.Server:
-    """Start a peer that answers each package by a function."""
-
-    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        packages = Packages()
-        while data := await reader.read(1000):
-            for kind, _ in packages.feed(data):
-                writer.write(answer(kind))
-        writer.close()
-
-    return await asyncio.start_server(talk, HOST, 0)
-
-
-class Outcome(NamedTuple):
-    taken: list[Motion]
-    reason: str
-    source: UrMotion
-
-
-def against(answer: Answer, rate: float = 125.0) -> Outcome:
-    """Return what a source receives from a peer, and why it fails."""
-
-    async def main() -> Outcome:
-        async with await serve(answer) as server:
-            source = UrMotion(HOST, rate, server.sockets[0].getsockname()[1])
-            taken, error = await exhaust(source, LoopClock())
-            await asyncio.sleep(0.1)  # virtual; the server's side ends as well
-            return Outcome(taken, error.reason, source)
-
-    return run_virtually(main())
-
-
-def controller(*stamps: float, version: Version = E_SERIES, types: tuple[str, ...] = TYPES) -> Answer:
-    """Return the answers of a controller that sends packages with these stamps once started."""
-    recipe = Recipe(3, NAMES, types)
-    zeros = [(0.0,) * 6 if kind == "VECTOR6D" else (0.0,) * 3 for kind in types[1:]]
-
-    def answer(kind: int) -> bytes:
-        if kind == Kind.CONTROLLER:
-            return pack(kind, version_payload(version))
-        if kind == Kind.OUTPUTS:
-            return pack(kind, recipe.answer)
-        data = [pack(Kind.DATA, recipe.pack((stamp, *zeros))) for stamp in stamps]
-        return pack(kind, b"\1") + (b"".join(data) if kind == Kind.START else b"")
-
-    return answer
-
-
-@pytest.mark.parametrize("stamp", [nan, inf, -1.0, 1e300])
-def test_invalid_stamps_are_refused(stamp: float) -> None:
-    taken, reason, _ = against(controller(0.008, stamp))
-    assert not taken
-    assert "stamps" in reason
-
-
-def test_variables_of_another_type_are_refused() -> None:
-    taken, reason, _ = against(controller(0.008, types=("DOUBLE", "VECTOR6D", "VECTOR3D")))
-    assert not taken
-    assert "VECTOR3D" in reason
-
-
-def test_a_cb3_controller_that_grants_500_hz_is_refused() -> None:
-    taken, reason, _ = against(controller(0.008, version=CB3), rate=500.0)
-    assert not taken
-    assert "125.0 Hz at most" in reason
-
-
-def test_a_closed_port_is_an_error() -> None:
-    with socket.socket() as free:
-        free.bind((HOST, 0))
-        source = UrMotion(HOST, port=free.getsockname()[1])
-
-        async def main() -> tuple[list[Motion], EndpointError]:
-            return await exhaust(source, LoopClock())
-
-        taken, error = run_virtually(main())
-    assert not taken
-    assert "refuses the connection: check its address" in error.reason
 
 
 class TestTransport(asyncio.Transport):
@@ -207,6 +109,7 @@ def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
         (0, pack(Kind.DATA, DATA[0]), "'U', expected 'V'"),
         (1, pack(Kind.CONTROLLER, b"\1"), "version has 1 bytes"),
         (2, pack(Kind.OUTPUTS, b"\0DOUBLE,NOT_FOUND"), "actual_TCP_pose NOT_FOUND"),
+        (2, pack(Kind.OUTPUTS, b"\1DOUBLE,VECTOR6D,VECTOR3D"), "actual_TCP_speed as VECTOR3D"),
         (3, pack(Kind.START, b"\0"), "refused to start"),
         (3, pack(Kind.DATA, DATA[0]), "'U', expected 'S'"),
         (4, pack(Kind.DATA, DATA[0][:-1]), "data of 104 bytes"),
