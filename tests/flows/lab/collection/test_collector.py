@@ -231,7 +231,11 @@ def test_rotations_slip_and_sigusr1_pauses_and_resumes(tmp_path: Path) -> None:
     assert done.about["complete"]
     labelled = concat(Labelled, list(done.session.read(Labelled, 0)))
     assert (labelled.label == SLIP).sum() > STROKES * 20
-    assert {each["motion"] for each in done.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
+    air, interrupted, again, last = done.session.frame("episodes").to_dicts()
+    assert [each["motion"] for each in (air, interrupted, again, last)] == ["hold"] + ["rotation"] * 3
+    assert again["angular_speed"] == interrupted["angular_speed"] == -last["angular_speed"]
+    assert interrupted["end"] - interrupted["time"] < again["end"] - again["time"]  # the stroke is repeated
+    assert again["time"] - interrupted["end"] > 1.5 * s
     motion = concat(Motion, list(done.session.read(Motion, EVERY)))
     standing = np.abs(motion.velocity).max(axis=1) < 1e-3  # (n,)
     ends = np.flatnonzero(np.diff(np.r_[0, standing, 0].astype(np.int8)))  # where it begins and ends to stand
