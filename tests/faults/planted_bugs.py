@@ -112,7 +112,8 @@ PLANTED: Final[dict[str, Bug]] = {
     "parts are not synced before they are listed": Bug(_set(files, "replace", _replace_without_fsync), POWER),
     "names are not synced": Bug(_set(files, "sync", _do_nothing), POWER),
     "the journal is deleted before its rows are in parts": Bug(
-        _set(writer.SessionWriter, "_commit_selected", _delete_journal_first), KILLS
+        _set(writer.SessionWriter, "_commit_selected", _delete_journal_first),
+        ("disk full", "kill rig at disk operation"),
     ),
     "a failed fsync is ignored": Bug(_set(append_log.AppendLog, "sync", _forget_failure), LOST_PAGES),
     "the journal is synced every second": Bug(_set(dataset, "SYNC_INTERVAL", 1.0), POWER),
