@@ -11,35 +11,26 @@ from operators.ports import Finding
 from tests.connectors.mqtt.broker_process import TestBroker
 
 
-@pytest.mark.parametrize(
-    ("url", "shown"),
-    [
+def test_a_url_names_scheme_host_and_port() -> None:
+    for url, shown in (
         ("mqtt://localhost", "mqtt://localhost:1883"),
-        ("mqtt://10.0.0.2:1884", "mqtt://10.0.0.2:1884"),
         ("mqtts://broker.example", "mqtts://broker.example:8883"),
-        ("mqtt://[::1]:1883", "mqtt://[::1]:1883"),
-    ],
-)
-def test_a_url_names_scheme_host_and_port(url: str, shown: str) -> None:
-    assert str(Broker.parse(url)) == shown
+        ("mqtt://[::1]:1884", "mqtt://[::1]:1884"),
+    ):
+        assert str(Broker.parse(url)) == shown
 
 
 @pytest.mark.parametrize(
     "url",
     [
         "",
-        "localhost",
         "localhost:1883",
         "http://localhost",
         "mqtt://",
-        "mqtt://:1883",
-        "mqtt://localhost:0",
-        "mqtt://localhost:65536",
-        "mqtt://localhost:port",
-        "mqtt://localhost/topic",
-        "mqtt://localhost?x",
-        "mqtt://local host",
-        "mqtt://[::1",
+        "mqtt://a:0",
+        "mqtt://a:65536",
+        "mqtt://a/b",
+        "mqtt://a?x",
     ],
 )
 def test_malformed_urls_are_rejected(url: str) -> None:
@@ -48,17 +39,12 @@ def test_malformed_urls_are_rejected(url: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "url", ["mqtt://me:secret@localhost", "mqtt://me:secret@localhost:port", "me:secret@host"]
+    "url", ["mqtt://me:secret@localhost", "mqtt://me:secret@host:port", "me:secret@host"]
 )
 def test_a_url_with_credentials_is_rejected_without_showing_them(url: str) -> None:
-    with pytest.raises(ParameterError) as caught:
+    with pytest.raises(ParameterError, match=f"set {USER} and {PASSWORD}") as caught:
         Broker.parse(url)
     assert "secret" not in str(caught.value)
-
-
-def test_the_error_for_credentials_names_the_environment_variables() -> None:
-    with pytest.raises(ParameterError, match=f"set {USER} and {PASSWORD}"):
-        Broker.parse("mqtt://user@localhost")
 
 
 def test_the_password_comes_from_the_environment_or_a_file(
@@ -79,20 +65,16 @@ def test_the_password_comes_from_the_environment_or_a_file(
         broker.login()
 
 
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (None, r"cannot read the CA certificates \(SLIPFLOW_MQTT_CA\): No such file"),
-        ("no certificate", r"contains no CA certificate in PEM format \(SLIPFLOW_MQTT_CA\)"),
-    ],
-)
 def test_unreadable_ca_certificates_are_an_error_that_names_the_variable(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str | None, complaint: str
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    if content:
-        (tmp_path / "ca.pem").write_text(content)
     monkeypatch.setenv(CA, str(tmp_path / "ca.pem"))
-    with pytest.raises(InputError, match=rf"ca\.pem: {complaint}"):
+    with pytest.raises(
+        InputError, match=r"ca\.pem: cannot read the CA certificates \(SLIPFLOW_MQTT_CA\): No such"
+    ):
+        Broker.parse("mqtts://localhost").tls()
+    (tmp_path / "ca.pem").write_text("no certificate")
+    with pytest.raises(InputError, match=r"contains no CA certificate in PEM format \(SLIPFLOW_MQTT_CA\)"):
         Broker.parse("mqtts://localhost").tls()
 
 
