@@ -168,7 +168,7 @@ class Event:
             model=model.text("id"),
             sha256=model.nullable(model.text, "sha256"),
             degraded=tuple(degraded),
-            session=data.optional(data.text, "session"),
+            session=data.nullable(data.text, "session"),
         )
 
 

@@ -79,10 +79,6 @@ class Fields:
         """Return a field with a number from 0 to 1."""
         return self.number(name, 0, 1)
 
-    def positive(self, name: str) -> float:
-        """Return a field with a number of at least 0."""
-        return self.number(name, 0)
-
     def integer(self, name: str, least: int = 1, greatest: int = INT64) -> int:
         """Return a field with an integer from `least` to `greatest`."""
         value = self.values.get(name)
@@ -93,10 +89,6 @@ class Fields:
     def nullable(self, read: Callable[[str], T], name: str) -> T | None:
         """Return a field through `read`, or None for null."""
         return None if self.values.get(name, 0) is None else read(name)
-
-    def optional(self, read: Callable[[str], T], name: str) -> T | None:
-        """Return a field through `read`, or None for null or a missing field."""
-        return None if self.values.get(name) is None else read(name)
 
     def object(self, name: str) -> "Fields":
         """Return a field with an object."""

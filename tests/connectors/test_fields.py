@@ -29,8 +29,8 @@ def test_malformed_ranges_are_rejected_by_name(ranges: list[object]) -> None:
         Fields({"missing": ranges}, "here").ranges("missing")  # type: ignore[dict-item]
 
 
-def test_an_optional_field_may_be_missing_or_null() -> None:
+def test_a_nullable_field_may_not_be_missing() -> None:
     fields = Fields({"a": None, "b": "x"}, "here")
-    assert [fields.optional(fields.text, name) for name in "abc"] == [None, "x", None]
+    assert [fields.nullable(fields.text, name) for name in "ab"] == [None, "x"]
     with pytest.raises(InputError, match="c is missing"):
         fields.nullable(fields.text, "c")
