@@ -34,7 +34,6 @@ class Disk:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.write_error: OSError | None = None
-        self.sync_error: OSError | None = None
         self.writes, self.syncs = threading.Event(), threading.Event()  # cleared: they hang
         self.writes.set()
         self.syncs.set()
@@ -48,14 +47,11 @@ class Disk:
 
         def failing_sync(log: AppendLog) -> None:
             assert self.syncs.wait(PATIENCE)
-            if self.sync_error:
-                log.suspect = True
-                raise self.sync_error
             sync(log)
 
         def failing_create(kind: type[AppendLog], *arguments: Any) -> AppendLog:  # noqa: ANN401
-            if self.write_error or self.sync_error:
-                raise self.write_error or self.sync_error or OSError()
+            if self.write_error:
+                raise self.write_error
             log: AppendLog = create(kind, *arguments)
             return log
 
@@ -233,18 +229,6 @@ async def test_memory_is_bounded_while_the_disk_is_full(
         assert await kept(box, epoch) == [*range(2, 12)]
 
 
-async def test_an_outbox_opens_on_a_full_disk(tmp_path: Path, disk: Disk) -> None:
-    disk.write_error = OSError(ENOSPC, "No space left on device")
-    async with opened(tmp_path / "outbox") as box:
-        await box.append([DRAFT] * 3)
-        assert await send(box) == names(box.epoch, (1, 2, 3))
-        disk.write_error = None
-        await until(lambda: not box.error)
-        epoch = box.epoch
-    async with opened(tmp_path / "outbox") as box:
-        assert await kept(box, epoch) == [1, 2, 3]
-
-
 async def test_events_do_not_wait_for_fsync(tmp_path: Path, disk: Disk) -> None:
     async with opened(tmp_path / "outbox") as box:
         disk.syncs.clear()
@@ -255,25 +239,6 @@ async def test_events_do_not_wait_for_fsync(tmp_path: Path, disk: Disk) -> None:
         disk.syncs.set()
         await until(lambda: stored(box))
         assert not box.error
-
-
-async def test_events_whose_fsync_failed_are_written_again(tmp_path: Path, disk: Disk) -> None:
-    async with opened(tmp_path / "outbox") as box:
-        await box.append([DRAFT] * 3)
-        await until(lambda: stored(box))
-        [first] = segments(tmp_path / "outbox")
-        size = first.stat().st_size
-        disk.sync_error = OSError(EIO, "Input/output error")
-        await box.append([DRAFT] * 3)
-        await until(lambda: bool(box.error))
-        await box.append([DRAFT])
-        disk.sync_error = None
-        await until(lambda: not box.error and stored(box))
-        first.write_bytes(first.read_bytes()[:size])  # the kernel dropped the pages
-        assert await send(box) == names(box.epoch, range(1, 8))
-        epoch = box.epoch
-    async with opened(tmp_path / "outbox") as box:
-        assert (await kept(box, epoch), box.waiting) == (list(range(1, 8)), 0)
 
 
 async def test_damage_in_use_costs_one_event_and_at_the_start_the_rest_of_its_segment(
