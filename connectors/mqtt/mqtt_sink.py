@@ -39,17 +39,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     the newest events that are neither sent nor on disk. `connectors.mqtt.consumer.Consumer` fetches events
     that it missed.
 
-    Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all retained except events:
-
-    - ``<finger>/event``: one CloudEvent per onset and end, see `connectors.events.Event`
-    - ``<finger>/state``: slipping or not, with probability and quality of the newest event
-    - ``head``: number of the newest event, in the current epoch and in earlier ones
-    - ``status``: online or offline, also the last will
-    - ``info``: flow, sources, detector; ``health``: state of sources, sinks, outbox and clocks every 5 s
+    docs/reference/mqtt.md describes the topics below ``slip/v1/<site>/<rig>``: events, state of each
+    fingertip, number of the newest event, status (also the last will), description and health of the run.
 
     An event that is sent again has the same id. While the disk is full or fails, events are sent from memory,
     and stored once the disk works; they may be lost if the process is killed before. Closing waits until all
-    events are stored. Faults mark later events as degraded and appear in ``health``.
+    events are stored. Faults mark later events as degraded and appear in the health document.
 
     A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
     rig do not receive old events. A live rig cannot have such a name.

@@ -211,7 +211,7 @@ class OutboxLog:
             raise InputError(str(reader.path), reason) from error
         if reader.damage and not reader.damage.torn:
             log.error("%s: damaged at byte %d; the rest of it is lost", reader.path, reader.damage.offset)
-        if segment.offsets or acknowledgements:
+        if segment.offsets or acknowledgements or reader.damage:
             self._segments.append(segment)
         else:  # of a run without events
             files.unlink(reader.path)
