@@ -5,7 +5,7 @@ Only `lock_position` and `load` do I/O.
 
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
@@ -22,8 +22,8 @@ Range: TypeAlias = tuple[int, int]  # first and last number
 
 FORMAT = 2
 FILE_MAX = 16 * 2**20  # bytes
-SIZE_MAX = 100_000  # numbers; beyond it, the rig without an event for the longest time is forgotten
-EPOCH_SIZE = 10  # numbers that an epoch counts as
+SIZE_MAX = 1_000_000  # numbers; beyond it, the rig without an event for the longest time is forgotten
+EPOCH_SIZE = 20  # numbers that an epoch counts as
 EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
 AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
 
@@ -107,10 +107,10 @@ class Position:
         epoch = epochs.setdefault(event.epoch, _Epoch())
         epoch.add(event.seq)
         excess = epoch.ahead[0] - 1 if len(epoch.ahead) > AHEAD_MAX else 0
-        return [
-            *_lost(rig, event.epoch, epoch.give_up(excess), "given up after too many gaps without an answer"),
-            *self._limit(epochs),
-        ]
+        lost = _lost(
+            rig, event.epoch, epoch.give_up(excess), "given up after too many gaps without an answer"
+        )
+        return [*lost, *(self._limit(epochs) if epoch.ahead or epoch.head < 0 else ())]
 
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
         """Set the newest number of each epoch that a rig keeps, the current epoch last.
@@ -124,6 +124,7 @@ class Position:
         current, last = list(heads.items())[-1]
         if current != newest and current in epochs and last <= epochs[current].head:
             return []
+        count = len(epochs)
         for name, head in heads.items():
             epoch = epochs.pop(name, None)  # the order of the epochs becomes that of the head
             if epoch is None:
@@ -140,7 +141,7 @@ class Position:
                 lost.append(
                     f"{'/'.join(rig)}: epoch {name} is no longer kept; events after {end} may be lost"
                 )
-        return lost + self._limit(epochs)
+        return lost + (self._limit(epochs) if len(epochs) > count else [])
 
     def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
         """Close the gaps that an answer lists as missing, and report their events as lost."""
@@ -165,9 +166,16 @@ class Position:
     def encode(self) -> bytes:
         """Return the position as JSON."""
         rigs: list[Json] = [
-            {"site": site, "rig": rig, "epoch": name, **asdict(epoch)}
+            {
+                "site": site,
+                "rig": rig,
+                "epoch": name,
+                "done": each.done,
+                "head": each.head,
+                "ahead": each.ahead,
+            }
             for (site, rig), epochs in self._rigs.items()
-            for name, epoch in epochs.items()
+            for name, each in epochs.items()
         ]
         return encode({"format": FORMAT, "rigs": rigs})
 
