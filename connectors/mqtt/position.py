@@ -21,9 +21,9 @@ RigId: TypeAlias = tuple[str, str]  # site and rig
 Range: TypeAlias = tuple[int, int]  # first and last number
 
 FORMAT = 2
-FILE_MAX = 16 * 2**20  # bytes
+FILE_MAX = 32 * 2**20  # bytes
 SIZE_MAX = 1_000_000  # numbers; beyond it, the rig without an event for the longest time is forgotten
-EPOCH_SIZE = 20  # numbers that an epoch counts as
+EPOCH_SIZE = 20  # numbers that an epoch counts as, besides one per character of its name
 EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
 AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
 
@@ -200,14 +200,16 @@ class Position:
         """Drop the first epochs of a rig, and forget the first rigs, if there are too many numbers."""
         while len(epochs) > EPOCHS_MAX:
             del epochs[next(iter(epochs))]
-        forgotten = list[str]()
-        known = (each for rig in self._rigs.values() for each in rig.values())
-        size = sum(EPOCH_SIZE + len(each.ahead) for each in known)
+        forgotten, size = list[str](), sum(map(_size, self._rigs.values()))
         while size > SIZE_MAX:
             site, rig = next(iter(self._rigs))
-            size -= sum(EPOCH_SIZE + len(each.ahead) for each in self._rigs.pop((site, rig)).values())
+            size -= _size(self._rigs.pop((site, rig)))
             forgotten.append(f"{site}/{rig}: position forgotten, because there are too many rigs and epochs")
         return forgotten
+
+
+def _size(epochs: dict[str, _Epoch]) -> int:
+    return sum(EPOCH_SIZE + len(name) + len(epoch.ahead) for name, epoch in epochs.items())
 
 
 def read_heads(fields: Fields) -> dict[str, int]:

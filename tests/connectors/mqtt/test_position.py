@@ -125,7 +125,7 @@ def test_memory_is_bounded_and_what_is_given_up_for_it_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(position, "AHEAD_MAX", 3)
-    monkeypatch.setattr(position, "SIZE_MAX", 45)
+    monkeypatch.setattr(position, "SIZE_MAX", 49)
     here, lost = Position(everything=True), list[str]()
     for number in range(1, 11):
         lost += here.take(event(2 * number))
