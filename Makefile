@@ -89,7 +89,7 @@ models:  ## train the models in storage/trained and those that its pages compare
 
 detector-pages:  ## print the tables and figures of docs/explanations/detectors into models/pages, after `make models`: half an hour
 	slipflow evaluate models/paper-0 --chart --out models/pages
-	slipflow evaluate --stress $(addprefix --method ,tcn tcn_wide paper_tcn frequency_cnn_interleaved gradient_boosting psd) --out models/pages
+	slipflow evaluate --stress $(addprefix --method ,tcn paper_tcn psd) --out models/pages
 	cp models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## delete everything that was set up or built

@@ -4,10 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from io import StringIO
-from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
-
-import numpy as np
 
 from operators.errors import InputError
 from operators.extras import install_command, missing_packages
@@ -121,7 +118,7 @@ def grid(
 
 
 def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tuple[float, float]) -> None:
-    """Write the name of each point to its right; where names would overlap, lower, else higher.
+    """Write the name of each point to its right, higher where it would overlap another name.
 
     Args:
         axis: Panel, whose limits are final.
@@ -132,28 +129,16 @@ def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tu
     marks = list[tuple[float, float, str, float, float]]()
     for name, x, y in points:
         across, up = scaled.transform((x, y)).tolist()
-        marks.append((-up * size[1] * 72, across * size[0] * 72 + 9, name, x, y))
+        marks.append((up * size[1] * 72, across * size[0] * 72, name, x, y))
     taken = list[tuple[float, float, float]]()  # left, right and height of names, points
-    for depth, left, name, x, y in sorted(marks):
-        height = -depth
-        right, best = left + _LETTER * len(name), height + _LINE / 2  # above lines through the point
-        near = [c for a, b, c in taken if a < right and left < b]
-        places = [*np.arange(best, _LINE / 2, -1), *np.arange(best, size[1] * 72)]  # inside the panel
-        place = next((each for each in places if all(abs(each - c) >= _LINE for c in near)), best)
+    for height, left, name, x, y in sorted(marks):
+        right, place = left + _LETTER * len(name), height
+        near = sorted(c for a, b, c in taken if a < right and left < b)
+        for other in near:
+            place = other + _LINE if abs(place - other) < _LINE else place
         taken.append((left, right, place))
         axis.annotate(name, (x, y), (9, place - height), textcoords="offset points", va="center",
                       arrowprops=_LEADER)  # fmt: skip
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of the path's suffix: .svg or .png.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with _style():
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=_DPI)
 
 
 def svg(figure: Figure) -> str:

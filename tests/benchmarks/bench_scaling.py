@@ -29,7 +29,7 @@ import numpy as np
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.lab.simulation import simulate
-from flows.report.figures import MAIN, Figure, grid, save, styled
+from flows.report.figures import MAIN, Figure, grid, styled, svg
 from flows.report.table import Table
 from flows.run import executor
 from flows.run.clocks import EventClock
@@ -275,7 +275,7 @@ def main() -> None:
         points = [*lives(touch, options.turns), *lengths(touch, paths[0], out / "long")]
         points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"), out)
     print(table(points).markdown())
-    save(chart(points), options.figure)
+    options.figure.write_text(svg(chart(points)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from typing import Self, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.evaluation.sample_metrics import confusion, f1
 from flows.learn.labelled_recordings import LabelledRecording
 from operators.batch import Flags, Reals
 
@@ -30,7 +30,7 @@ class MotionConfusions:
 
     kinds: tuple[MotionKind, ...]  # (k,)
     recordings: NDArray[np.intp]  # (k,) index of the recording
-    counts: Reals  # (k, 2, 2) as in `Confusion`
+    counts: Reals  # (k, 2, 2) as of `confusion`
 
     @classmethod
     def of(
@@ -55,13 +55,9 @@ class MotionConfusions:
             for kind, part in kinds if strokes.speed else (("rotation", oblique | ~oblique),):
                 found.append(MotionKind(kind, strokes.speed, strokes.surface))
                 numbers.append(number)
-                counts.append(Confusion.of(slip[part], recording.slip[at][part]).counts)
+                counts.append(confusion(slip[part], recording.slip[at][part]))
         return cls(tuple(found), np.array(numbers, np.intp), np.array(counts).reshape(-1, 2, 2))
 
-    def confusion(self, group: MotionGroup = lambda _: True) -> Confusion:
-        """Return the sum of the predictions over the kinds in a group."""
-        return Confusion(self.counts[[group(kind) for kind in self.kinds]].sum(axis=0))
-
-    def at(self, kind: MotionKind) -> Confusion:
-        """Return the predictions in one kind of motion."""
-        return self.confusion(kind.__eq__)
+    def f1(self, group: MotionGroup = lambda _: True) -> float:
+        """Return the F1 of the predictions in a group of kinds."""
+        return float(f1(self.counts[[group(kind) for kind in self.kinds]].sum(axis=0)))

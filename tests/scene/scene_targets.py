@@ -68,7 +68,7 @@ def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
     statistics = measure(recordings)
     return np.array(
         [
-            *(found.confusion(group).f1 for _, group, _ in groups()[1:]),
+            *(found.f1(group) for _, group, _ in groups()[1:]),
             *(row.distance(statistics[row.key]) for row in TABLE if row.low),
             *relaxed(plan.parameters),
             *_shape(statistics),

@@ -9,10 +9,10 @@ import polars as pl
 from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, onsets
 from flows.learn.evaluation.sample_metrics import (
     BINS,
-    Confusion,
     accuracy,
     balanced,
     calibration_gaps,
+    confusion,
     distance,
     f1,
     precision,
@@ -91,9 +91,9 @@ def judged(
     return joined([*rows, result_rows(found, condition=condition, **key)])
 
 
-def confusion_counts(confusion: Confusion, prefix: str = "") -> dict[str, float | Reals]:
-    """Return the metrics of a confusion, which `BALANCED` and `SHARES` are computed from."""
-    counts = confusion.counts.ravel().tolist()
+def confusion_metrics(predicted: Flags, truth: Flags, prefix: str = "") -> dict[str, float | Reals]:
+    """Count predictions (k,) by truth (k,); `BALANCED` and `SHARES` are computed from these metrics."""
+    counts = confusion(predicted, truth).ravel().tolist()
     return {prefix + name: count for name, count in zip(_CONFUSION, counts, strict=True)}
 
 
@@ -125,7 +125,7 @@ def _known(recording: LabelledRecording, probability: Reals) -> Flags:
 
 
 def _confusion(recording: LabelledRecording, predicted: Flags, part: Flags, prefix: str = "") -> _Found:
-    return confusion_counts(Confusion.of(predicted[part], recording.slip[part]), prefix)
+    return confusion_metrics(predicted[part], recording.slip[part], prefix)
 
 
 def _events(recording: LabelledRecording, raised: Times, prefix: str = "") -> _Found:
@@ -156,7 +156,7 @@ def _distribution(probability: Reals, slip: Flags) -> _Found:
 
 
 def _of_confusion(compute: Callable[[Reals], Reals], prefix: str = "") -> Statistic:
-    """Return a statistic of the counts of a `Confusion` (..., 2, 2)."""
+    """Return a statistic of confusions (..., 2, 2)."""
 
     def of(total: Callable[[str], Reals]) -> Reals:
         counts = np.stack([total(prefix + name) for name in _CONFUSION], axis=-1)

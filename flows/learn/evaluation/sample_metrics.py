@@ -1,7 +1,6 @@
 """Metrics of samples: confusion of slip and static, calibration, and distance from a change of the label."""
 
-from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
@@ -13,57 +12,27 @@ from operators.batch import Codes, Flags, Reals
 BINS: Final = 10  # of the probability, for the calibration error
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Confusion:
-    """Counts of static and slip samples by predicted class.
+def confusion(predicted: Flags, truth: Flags) -> Reals:
+    """Count predictions (k,) by truth (k,).
 
-    >>> confusion = Confusion.of(np.array([True, True, False, False]), np.array([True, False, False, False]))
-    >>> confusion.accuracy, confusion.recalls
-    (75.0, (66.66666666666667, 100.0))
+    Returns:
+        (2, 2) row: static, slip; column: predicted static, slip.
+
+    >>> confusion(np.array([True, True, False, False]), np.array([True, False, False, False])).tolist()
+    [[2.0, 1.0], [0.0, 1.0]]
     """
-
-    counts: Reals  # (2, 2) row: label static, slip; column: predicted static, slip
-
-    @classmethod
-    def of(cls, predicted: Flags, truth: Flags) -> Self:
-        """Count predictions (k,) by truth (k,)."""
-        return cls(np.bincount(2 * truth + predicted, minlength=4).reshape(2, 2).astype(np.float64))
-
-    @property
-    def accuracy(self) -> float:
-        """Share of correct predictions, %."""
-        return float(accuracy(self.counts))
-
-    @property
-    def recalls(self) -> tuple[float, float]:
-        """Recall of static and of slip, %."""
-        static, slip = recalls(self.counts).tolist()
-        return static, slip
-
-    @property
-    def balanced(self) -> float:
-        """Balanced accuracy: mean of the two recalls, %."""
-        return float(balanced(self.counts))
-
-    @property
-    def f1(self) -> float:
-        """F1 averaged over the classes by their share, as in the paper's tables; %."""
-        return float(f1(self.counts))
+    return np.bincount(2 * truth + predicted, minlength=4).reshape(2, 2).astype(np.float64)
 
 
 def accuracy(counts: Reals) -> Reals:
-    """Compute the share of correct predictions of `Confusion.counts` (..., 2, 2); (...) %."""
+    """Compute the share of correct predictions in confusions (..., 2, 2); (...) %."""
     return 100 * ratio(np.trace(counts, axis1=-2, axis2=-1), counts.sum(axis=(-2, -1)))
 
 
-def recalls(counts: Reals) -> Reals:
-    """Compute the recall of static and of slip of `Confusion.counts` (..., 2, 2); (..., 2) %."""
-    return 100 * ratio(np.diagonal(counts, axis1=-2, axis2=-1), counts.sum(axis=-1))
-
-
 def balanced(counts: Reals) -> Reals:
-    """Compute the mean of the two recalls of `Confusion.counts` (..., 2, 2); (...) %."""
-    found: Reals = recalls(counts).sum(axis=-1) / 2
+    """Compute the balanced accuracy of confusions (..., 2, 2): the mean of both recalls; (...) %."""
+    right = np.diagonal(counts, axis1=-2, axis2=-1)
+    found: Reals = 100 * ratio(right, counts.sum(axis=-1)).sum(axis=-1) / 2
     return found
 
 

@@ -1,11 +1,12 @@
 """Trained models on disk: weights and a card with their origin and performance."""
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import polars as pl
@@ -13,8 +14,7 @@ from numpy.typing import NDArray
 
 from flows.learn.datasets import dataset_digest
 from flows.learn.evaluation.event_metrics import DECISION
-from flows.learn.evaluation.measures import BALANCED, confusion_counts
-from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.evaluation.measures import BALANCED, SHARES, confusion_metrics
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined, result_rows
@@ -23,6 +23,7 @@ from operators.detectors import Detector
 from storage import save_weights
 from storage.models import save_card
 
+_SCORES: Final = {"accuracy": SHARES["accuracy %"], "balanced": BALANCED["balanced %"], "f1": SHARES["F1 %"]}
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]  # weights as a detector takes them
 
 
@@ -64,18 +65,17 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
     ``balanced_low`` and ``balanced_high`` are the 95 % interval over recordings, of which three are needed.
     """
-    results, counts = list[pl.DataFrame](), np.zeros((2, 2))
+    results = list[pl.DataFrame]()
     for number, recording in enumerate(recordings):
         probability, label = probabilities(detector, recording), recording.label
         known = (label != UNKNOWN) & ~np.isnan(probability)
-        confusion = Confusion.of(probability[known] > DECISION, label[known] == SLIP)
-        counts += confusion.counts
-        results.append(result_rows(confusion_counts(confusion), method="", recording=str(number)))
-    total = Confusion(counts)
-    found = {"accuracy": total.accuracy, "balanced": total.balanced, "f1": total.f1}
-    [balanced] = estimates(joined(results), BALANCED).rows(named=True)
-    if balanced["low"] is not None:
-        found |= {"balanced_low": balanced["low"], "balanced_high": balanced["high"]}
+        metrics = confusion_metrics(probability[known] > DECISION, label[known] == SLIP)
+        results.append(result_rows(metrics, method="", recording=str(number)))
+    found = dict[str, float]()
+    for row in estimates(joined(results), _SCORES).iter_rows(named=True):
+        found[row["statistic"]] = math.nan if row["value"] is None else row["value"]
+        if row["statistic"] == "balanced" and row["low"] is not None:
+            found |= {"balanced_low": row["low"], "balanced_high": row["high"]}
     return found
 
 

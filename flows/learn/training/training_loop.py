@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.evaluation.sample_metrics import accuracy, balanced, confusion
 from flows.learn.training.trained_model import Arrays, Check
 from operators.batch import Flags
 
@@ -78,8 +78,8 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
         losses.append(_step(task, step))
         check = None
         if step % task.check_every == 0 or step == task.steps:
-            found, loss = _evaluate(task), float(np.mean([each.item() for each in losses]))
-            check = Check(step, perf_counter() - began, loss, found.accuracy, found.balanced)
+            scores, loss = _evaluate(task), float(np.mean([each.item() for each in losses]))
+            check = Check(step, perf_counter() - began, loss, *scores)
             losses.clear()
             curve.append(check)
             if best(curve) is check:
@@ -100,10 +100,12 @@ def _step(task: TrainingTask, step: int) -> Tensor:
     return loss.detach()
 
 
-def _evaluate(task: TrainingTask) -> Confusion:
+def _evaluate(task: TrainingTask) -> tuple[float, float]:
+    """Return accuracy and balanced accuracy on the validation recordings, %."""
     task.network.eval()
     with torch.no_grad():
-        return Confusion.of(*task.predict())
+        counts = confusion(*task.predict())
+    return float(accuracy(counts)), float(balanced(counts))
 
 
 def best(curve: Sequence[Check]) -> Check:

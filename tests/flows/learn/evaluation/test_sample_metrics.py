@@ -5,9 +5,12 @@ from hypothesis import strategies as st
 
 from flows.learn.evaluation.baselines import sklearn
 from flows.learn.evaluation.sample_metrics import (
-    Confusion,
+    accuracy,
+    balanced,
     calibration_error,
+    confusion,
     distance,
+    f1,
     percent,
     precision,
 )
@@ -24,18 +27,17 @@ def split(pairs: list[tuple[int, bool]]) -> tuple[Reals, Flags]:
 
 def test_known_predictions_have_the_known_scores() -> None:
     truth = np.array([True, True, True, True, False, False])
-    found = Confusion.of(np.array([True, True, True, False, True, False]), truth)
-    assert found.counts.tolist() == [[1, 1], [1, 3]]
-    assert found.accuracy == pytest.approx(100 * 4 / 6)
-    assert found.recalls == pytest.approx((50, 75))
-    assert found.balanced == 62.5
-    assert precision(found.counts) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
-    assert found.f1 == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
+    found = confusion(np.array([True, True, True, False, True, False]), truth)
+    assert found.tolist() == [[1, 1], [1, 3]]
+    assert accuracy(found) == pytest.approx(100 * 4 / 6)
+    assert balanced(found) == 62.5
+    assert precision(found) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
+    assert f1(found) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
 
 
 def test_no_samples_have_no_score() -> None:
-    found = Confusion.of(np.empty(0, np.bool_), np.empty(0, np.bool_))
-    assert np.isnan([found.accuracy, found.balanced, float(precision(found.counts)), found.f1]).all()
+    found = confusion(np.empty(0, np.bool_), np.empty(0, np.bool_))
+    assert all(np.isnan(compute(found)) for compute in (accuracy, balanced, precision, f1))
     assert np.isnan(calibration_error(np.empty(0), np.empty(0, np.bool_)))
     assert np.isnan(percent(0, 0))
 
@@ -44,13 +46,13 @@ def test_no_samples_have_no_score() -> None:
 def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[int, bool]]) -> None:
     probability, truth = split(pairs)
     predicted = probability >= 0.5
-    found = Confusion.of(predicted, truth)
+    found = confusion(predicted, truth)
     metrics = sklearn("metrics")
     expected = metrics.precision_recall_fscore_support(truth, predicted, average="weighted", zero_division=0)
-    assert (precision(found.counts), found.accuracy, found.f1) == pytest.approx(100 * np.array(expected[:3]))
-    assert found.accuracy == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
+    assert (precision(found), accuracy(found), f1(found)) == pytest.approx(100 * np.array(expected[:3]))
+    assert accuracy(found) == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
     if truth.any() and not truth.all():
-        assert found.balanced == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
+        assert balanced(found) == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
 
 
 def test_a_calibrated_detector_has_no_error_and_an_overconfident_one_has() -> None:

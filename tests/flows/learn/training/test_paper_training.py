@@ -7,7 +7,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.evaluation.sample_metrics import balanced, confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import training_loop
 from flows.learn.training.paper_networks import paper_network
@@ -52,7 +52,7 @@ def _noise(seed: int, samples: int) -> LabelledRecording:
 def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> float:
     windows = Windows(recordings, CPU)
     score = detector.score(windows.take(np.arange(len(windows))).numpy().astype(np.int16))
-    return Confusion.of(score > 0.5, windows.slip).balanced
+    return float(balanced(confusion(score > 0.5, windows.slip)))
 
 
 @both
@@ -83,8 +83,7 @@ def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_other
 def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: pytest.MonkeyPatch) -> None:
     def trained(epochs: int) -> Trained:
         scores = [(50.0, 60.0), (70.0, 80.0), (90.0, 80.0), (60.0, 70.0)][:epochs]
-        found = [Mock(accuracy=accuracy, balanced=balanced) for accuracy, balanced in scores]
-        monkeypatch.setattr(training_loop, "_evaluate", Mock(side_effect=found))
+        monkeypatch.setattr(training_loop, "_evaluate", Mock(side_effect=scores))
         result = train_windowed("frequency_cnn", SHORT, SHORT, PaperRecipe(epochs=epochs))
         assert [(epoch.accuracy, epoch.balanced) for epoch in result.curve] == scores
         return result
