@@ -1,4 +1,3 @@
-import pickle
 from collections.abc import Callable
 from math import prod
 from typing import Any
@@ -90,45 +89,10 @@ def test_it_is_the_network_that_the_paper_states(
     np.testing.assert_allclose(kind(weights).score(windows), expected, atol=1e-5)
 
 
-@both
-def test_each_window_is_judged_by_itself(kind: type[FrequencyCnn]) -> None:
-    detector, windows = kind(_random()), _windows(70)
-    one_by_one = [detector.score(windows[i : i + 1]).item() for i in range(len(windows))]
-    np.testing.assert_array_equal(detector.score(windows), one_by_one)
-    np.testing.assert_array_equal(detector.score(windows[3:37].copy()), one_by_one[3:37])
-
-
-@both
-def test_no_window_gives_no_score(kind: type[FrequencyCnn]) -> None:
-    assert kind(_random()).score(_windows(5)[:0]).shape == (0,)
-
-
-@both
-def test_counts_far_from_any_in_training_give_a_probability(kind: type[FrequencyCnn]) -> None:
-    windows = np.full((2, 100, 6), 30_000, np.int16)
-    windows[1, ::2] = -30_000
-    for sign in (1, -1):
-        probability = kind(_random() | {"out/kernel": sign * _random()["out/kernel"]}).score(windows)
-        assert ((probability >= 0) & (probability <= 1)).all()
-
-
 def test_names_tell_the_two_images_apart() -> None:
     detectors: list[Detector] = [FrequencyCnn(_random()), InterleavedFrequencyCnn(_random())]
     assert [each.name for each in detectors] == ["frequency_cnn", "frequency_cnn_interleaved"]
     assert {each.length for each in detectors} == {100}
-
-
-@both
-def test_weights_in_single_precision_will_do_and_a_pickle_is_the_same_detector(
-    kind: type[FrequencyCnn],
-) -> None:
-    detector, windows = (
-        kind({name: array.astype(np.float32) for name, array in _random().items()}),
-        _windows(3),
-    )
-    again: FrequencyCnn = pickle.loads(pickle.dumps(detector))  # noqa: S301 our own bytes
-    np.testing.assert_array_equal(again.score(windows), detector.score(windows))
-    np.testing.assert_allclose(detector.score(windows), kind(_random()).score(windows), atol=1e-5)
 
 
 @both

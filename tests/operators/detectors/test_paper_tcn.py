@@ -1,4 +1,3 @@
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -90,20 +89,6 @@ def test_it_has_the_originals_accuracy_on_the_real_trace() -> None:
     right = (detector.score(windows) >= 0.5) == (table["label"][99:] == 1)
     assert len(right) == 278
     assert right.mean() == pytest.approx(0.687, abs=5e-4)
-
-
-def test_each_window_is_judged_by_itself() -> None:
-    detector, windows = PaperTcn(_random()), _windows(70)
-    one_by_one = [detector.score(windows[i : i + 1]).item() for i in range(len(windows))]
-    np.testing.assert_array_equal(detector.score(windows), one_by_one)
-
-
-def test_weights_in_single_precision_will_do_and_a_pickle_is_the_same_detector() -> None:
-    weights = {name: array.astype(np.float32) for name, array in _random().items()}
-    detector, windows = PaperTcn(weights), _windows(3)
-    again: PaperTcn = pickle.loads(pickle.dumps(detector))  # noqa: S301 our own bytes
-    np.testing.assert_array_equal(again.score(windows), detector.score(windows))
-    np.testing.assert_allclose(detector.score(windows), PaperTcn(_random()).score(windows), atol=1e-5)
 
 
 def test_weights_are_checked() -> None:

@@ -64,13 +64,6 @@ def test_the_probability_is_a_half_at_the_threshold_and_grows_with_the_power() -
     assert Psd(threshold=power).score(0 * window).item() == 0
 
 
-def test_each_window_is_judged_by_itself() -> None:
-    counts = np.random.default_rng(0).integers(-500, 100, (163, 6)).astype(np.int16)
-    windows = np.lib.stride_tricks.sliding_window_view(counts, 25, axis=0).swapaxes(1, 2)
-    one_by_one = [Psd().score(windows[i : i + 1]).item() for i in range(len(windows))]
-    np.testing.assert_array_equal(Psd().score(windows), one_by_one)
-
-
 def test_fitted_takes_the_threshold_of_the_best_balanced_accuracy() -> None:
     wave = np.sin(2 * np.pi * 24 * SECONDS)
     windows = np.concatenate([_window(amplitude * wave) for amplitude in (1, 2, 9, 3, 8, 9, 100)])

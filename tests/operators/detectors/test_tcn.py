@@ -1,4 +1,3 @@
-import pickle
 from itertools import pairwise
 from typing import Any, TypeAlias
 
@@ -105,10 +104,6 @@ def test_the_receptive_field_is_the_window_and_no_sample_more(size: Size) -> Non
     assert changed == {0: False, 1: True, tcn.length: True}
 
 
-def test_the_default_size_judges_by_a_second() -> None:
-    assert Tcn(_weights(SIZES[0])).length == 100
-
-
 def test_fingertips_are_scored_independently() -> None:
     tcn, counts = Tcn(_weights(SIZES[0])), _counts(200, fingers=7)
     together = tcn.stream(7).push(counts)
@@ -123,13 +118,6 @@ def test_however_the_samples_are_cut_the_bits_are_the_same(cuts: list[int], fing
     stream = tcn.stream(fingers)
     pieces = [stream.push(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
     np.testing.assert_array_equal(np.concatenate(pieces), tcn.stream(fingers).push(counts))
-
-
-def test_a_pickle_is_the_same_detector() -> None:
-    tcn = Tcn(_weights())
-    windows = _windows(_counts(120)[:, 0], tcn.length)
-    again: Tcn = pickle.loads(pickle.dumps(tcn))  # noqa: S301 our own bytes
-    np.testing.assert_array_equal(again.score(windows), tcn.score(windows))
 
 
 @sized
