@@ -65,7 +65,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("number", range(4), ids=["polars", "pandas", "duckdb", "pyarrow"])
+@pytest.mark.parametrize("number", range(3), ids=["polars", "pandas", "duckdb"])
 def test_every_program_reads_all_sessions_with_their_names_and_timestamps(number: int, lab: Path) -> None:
     rows: list[tuple[str, int]] = []
     for name in ("first", "second"):

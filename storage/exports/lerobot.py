@@ -24,6 +24,7 @@ import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,12 +59,10 @@ STATE: Final = "observation.state"  # zeroed counts of all fingertips
 POSE: Final = "observation.pose"  # pose of the TCP
 ACTION: Final = "action"  # velocity of the TCP
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-TASKS: Final = "meta/tasks.parquet"
-EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
 CHUNK: Final = 1000  # files per folder
 POSE_WITHIN: Final = 20 * ms  # ns, largest distance between a frame and its pose
 
-_MAX_MB: Final = 100  # size of a data file that LeRobot would start anew; we write one per episode
+_MAX_MB: Final = 100  # where LeRobot would begin another data file
 _QUANTILES: Final = (0.01, 0.1, 0.5, 0.9, 0.99)
 _TASKS: Final[Mapping[str | None, str]] = {
     "translation": "slide the fingertip over the surface",
@@ -91,10 +90,10 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class _Contents:
-    """Data that every session has."""
+    """Data that every session has: fingertips, cells of each, velocity and pose of the arm."""
 
     fingers: tuple[int, ...]
-    cells: int  # of each fingertip
+    cells: int
     velocity: bool
     pose: bool
 
@@ -165,7 +164,7 @@ def export(
             rows, repeated = rows + len(time), repeated + int((~whole).sum())
             splits[split] += 1
         _write_tasks(folder, list(tasks))
-        _write(folder / EPISODES, pa.Table.from_pylist(episodes))
+        _write(folder / "meta/episodes/chunk-000/file-000.parquet", pa.Table.from_pylist(episodes))
         put_json(folder / "meta/stats.json", _all_statistics(folder, declared))
         ranges = _ranges(splits)
         info = {
@@ -188,7 +187,6 @@ def export(
 
 
 def _common_contents(sessions: Sequence[Session]) -> _Contents:
-    """Return the data that every session has."""
     if not sessions:
         raise ParameterError("LeRobot export", "sessions", [], "at least one")
     found = [_contents(session) for session in sessions]
@@ -207,9 +205,8 @@ def _contents(session: Session) -> _Contents:
         reason = "has no samples, which frames are made of: record with `slipflow run record`"
         raise InputError(str(session.folder), reason)
     samples = _rows(session, Labelled, fingers[0])
-    velocity, pose = samples.velocity, _rows(session, Motion, EVERY).pose
-    has = [bool(_all_finite(values).any()) for values in (velocity, pose)]
-    return _Contents(fingers, samples.cells, *has)
+    values = samples.velocity, _rows(session, Motion, EVERY).pose
+    return _Contents(fingers, samples.cells, *(bool(_all_finite(each).any()) for each in values))
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
@@ -252,10 +249,10 @@ def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, T
     half = s // (2 * rate)
     near = [_nearest(each.time, time, half) for each in samples]
     hands = session.hand_labels()
-    values, labels = Values(), list[NDArray[Any]]()
-    cells = [forward_fill(each.counts, each.valid)[row] for each, (row, _) in zip(samples, near, strict=True)]
-    valid = [each.valid[row] & there[:, None] for each, (row, there) in zip(samples, near, strict=True)]
+    values, cells, valid, labels = Values(), list[NDArray[Any]](), list[Flags](), list[NDArray[Any]]()
     for finger, each, (row, there) in zip(contents.fingers, samples, near, strict=True):
+        cells.append(forward_fill(each.counts, each.valid)[row])
+        valid.append(each.valid[row] & there[:, None])
         label, _ = hands.replace(each.label, each.time, finger)
         labels.append(np.where(there, label[row], UNKNOWN))
     whole = np.logical_and.reduce([there for _, there in near])  # (n,)
@@ -328,9 +325,8 @@ def _features(contents: _Contents) -> dict[str, dict[str, Any]]:
         found[ACTION] = feature("float32", ["vx", "vy", "vz", "wx", "wy", "wz"])
     found |= {"valid": feature("bool", cells), "label": feature("int64", fingers)}
     found |= {"next.done": feature("bool"), "timestamp": feature("float32")}
-    return found | {
-        name: feature("int64") for name in ("frame_index", "episode_index", "index", "task_index")
-    }
+    numbers = "frame_index", "episode_index", "index", "task_index"
+    return found | {name: feature("int64") for name in numbers}
 
 
 def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
@@ -380,10 +376,8 @@ def _write_tasks(root: Path, tasks: Sequence[str]) -> None:
         ],
         "pandas_version": "2.0.0",
     }
-    types: dict[str, pa.DataType] = {"task_index": pa.int64(), "task": pa.string()}
-    schema = pa.schema(types, {"pandas": json.dumps(pandas)})
-    numbers = list(range(len(tasks)))
-    _write(root / TASKS, pa.Table.from_pydict({"task_index": numbers, "task": list(tasks)}, schema))
+    table = pa.table({"task_index": np.arange(len(tasks)), "task": list(tasks)})
+    _write(root / "meta/tasks.parquet", table.replace_schema_metadata({"pandas": json.dumps(pandas)}))
 
 
 def _write(path: Path, table: pa.Table) -> None:
@@ -392,7 +386,7 @@ def _write(path: Path, table: pa.Table) -> None:
 
 
 def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:
-    """Return the sessions with their split, ordered by split and name."""
+    """Return the sessions with their split, train if they have none, ordered by split and name."""
     named = [(str(each.about.get("split")), each) for each in sessions]
     known = [(split if split in SPLITS else SPLITS[0], each) for split, each in named]
     return sorted(known, key=lambda each: (SPLITS.index(each[0]), each[1].name))
@@ -400,9 +394,6 @@ def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:
 
 def _ranges(splits: Mapping[str, int]) -> dict[str, str]:
     """Return the episode range of each split, such as ``{"train": "0:7", "test": "7:9"}``."""
-    ranges, begin = dict[str, str](), 0
-    for split in SPLITS:
-        if count := splits.get(split, 0):
-            ranges[split] = f"{begin}:{begin + count}"
-            begin += count
-    return ranges
+    counts = [splits.get(split, 0) for split in SPLITS]
+    ends = zip(SPLITS, counts, accumulate(counts), strict=True)
+    return {split: f"{end - count}:{end}" for split, count, end in ends if count}
