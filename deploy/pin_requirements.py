@@ -17,7 +17,7 @@ PYTHONS = ("3.11", "3.13")  # Debian 12 and 13
 # minor versions of glibc 2 in manylinux tags, by machine
 GLIBC = {"x86_64": (5, 12, 17, 27, 28), "aarch64": (17, 27, 28)}
 
-ALL = "# All dependencies, for x86_64 and aarch64 with Python 3.11 or 3.13."
+ALL = "# All dependencies, also of the extra cluster, for x86_64 and aarch64 with Python 3.11 or 3.13."
 EDGE = "# Dependencies of one fingertip that publishes and records: without numba, polars and scipy."
 BUILD = "# Build tools of the wheel."
 
@@ -61,7 +61,7 @@ def main() -> None:
     """Write the three files."""
     project = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
     wanted: list[str] = project["project"]["dependencies"]
-    everything = pins(wanted)
+    everything = pins([*wanted, *project["project"]["optional-dependencies"]["cluster"]])
     small = pins([each for each in wanted if not each.startswith(EDGE_WITHOUT)])
     write("requirements.txt", ALL, everything)
     write("edge.txt", EDGE, {pin: everything[pin] for pin in small})

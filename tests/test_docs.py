@@ -12,8 +12,6 @@ import pytest
 import typer.main
 
 from flows.cli.main import app
-from flows.graph.drawing import mermaid
-from flows.graph.loading import load
 from tests.command import slipflow
 from tests.pages import PAGES, ROOT, blocks, commands, mentioned
 
@@ -77,7 +75,7 @@ def test_every_block_runs_in_order_and_prints_the_text_on_the_page(name: str, tm
             printed, ran = run_shell(block.body, tmp_path), ran + 1
         elif block.language == "json":
             json.loads(block.body)
-        elif block.language in {"text", "mermaid"} and printed:
+        elif block.language == "text" and printed:
             assert name not in EXACT or printed.endswith(block.body), printed
             lines = {same_but_for_numbers(line) for line in printed.splitlines()}
             assert {same_but_for_numbers(line) for line in block.body.splitlines()} <= lines, printed
@@ -166,15 +164,3 @@ def test_the_index_names_every_page() -> None:
         for p in (ROOT / "docs" / folder).glob("*.md")
     ):
         assert f"({page.relative_to(ROOT / 'docs')})" in index, page.name
-
-
-@pytest.mark.parametrize(
-    ("name", "settings", "page"),
-    [
-        ("live", {}, "tutorial/own-detector.md"),
-        ("record", {"out": "/data/recordings"}, "reference/dataset.md"),
-    ],
-)
-def test_the_flowcharts_are_what_graph_prints(name: str, settings: dict[str, str], page: str) -> None:
-    flowchart = mermaid(load(name).flow(settings).nodes)
-    assert f"```mermaid\n{flowchart}\n```\n" in (ROOT / "docs" / page).read_text()

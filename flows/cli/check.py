@@ -13,9 +13,10 @@ if TYPE_CHECKING:
 
 
 def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
-    """Find errors in a flow without running it.
+    """Find errors in a flow without running it, and draw it.
 
-    Lists the flow's parameters with their values, as --set takes them. Exits 2 if there are errors.
+    Prints the graph, and the flow's parameters with their values, as --set takes them. Exits 2 if there are
+    errors.
 
     Examples:
       slipflow check record --set delay=70ms
@@ -34,6 +35,7 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
     elif found:
         typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
     else:
+        typer.echo(flow)
         typer.echo(f"{flow.name}: OK (sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())})")
         for name, each in declaration.parameters.items():
             value = each.value(flow.name, chosen[name]) if name in chosen else each.default

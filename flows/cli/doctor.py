@@ -3,12 +3,11 @@
 import asyncio
 import json
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Rows, Settings, load_flow, parse_rows
+from flows.cli.options import AsJson, Settings, load_flow
 
 if TYPE_CHECKING:
     from flows.run.diagnosis import Findings
@@ -23,51 +22,21 @@ def doctor(
     ] = None,
     *,
     settings: Settings = None,
-    bus: Annotated[
-        str | None,
-        typer.Option(
-            metavar="BUS", help="I2C bus of TakkTile fingertips: a number or a path (default: not checked)."
-        ),
-    ] = None,
-    rows: Rows = "0",
-    robot: Annotated[
-        str | None, typer.Option(metavar="HOST", help="Address of a UR controller (default: not checked).")
-    ] = None,
-    gripper: Annotated[
-        str | None,
-        typer.Option(metavar="HOST[:PORT]", help="Address of a Robotiq gripper (default: not checked)."),
-    ] = None,
-    mqtt: Annotated[
-        str | None, typer.Option(metavar="URL", help="MQTT broker (default: not checked).")
-    ] = None,
-    rig: Annotated[
-        str, typer.Option(metavar="SITE/RIG", help="Rig whose rights on the broker are checked, with --mqtt.")
-    ] = "lab/rig",
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
     as_json: AsJson = False,
 ) -> None:
     """Check this machine, and the devices that a flow uses.
 
-    Checks Python, packages, clock, disk and ports, and with a flow its devices, servers and folders. Each
+    Checks Python, packages, clock, disk and I2C buses, and with a flow its devices, servers and folders. Each
     line is good, a note, or bad and says how to fix it. Nothing moves; the bus is scanned, the broker
     gets one message on the topic doctor of the rig, and a temporary file is written to each disk. End runs
     that use the same devices first. Exits 1 if anything is bad.
 
     Examples:
       slipflow doctor
-      slipflow doctor --bus 1 --rows 0,1 --robot 10.0.0.2
-      slipflow doctor --mqtt mqtts://broker.example --rig lab/fingertip
       slipflow doctor mine.py --set robot=10.0.0.2
       slipflow doctor --json
     """
-    from connectors import Mqtt
-
-    parts: dict[str, Endpoint] = _declared(target, settings)
-    parts |= _devices(bus, rows, robot, gripper)
-    if mqtt is not None:
-        site, _, name = rig.partition("/")
-        parts["--mqtt"] = Mqtt(mqtt, site, name)
-    found = asyncio.run(_diagnose(parts, out))
+    found = asyncio.run(_diagnose(_declared(target, settings)))
     bad = sum(finding.state == "bad" for findings in found.values() for finding in findings)
     typer.echo(_as_json(found) if as_json else _as_text(found, bad))
     if bad:
@@ -86,33 +55,15 @@ def _declared(target: str | None, settings: list[str] | None) -> "dict[str, Endp
     return {node.name: node.part for node in nodes if isinstance(node.part, Source | Sink)}
 
 
-def _devices(bus: str | None, rows: str, robot: str | None, gripper: str | None) -> "dict[str, Endpoint]":
-    """Return the sources and sinks for the options."""
-    from connectors import Gripper, TakkTile, UrMotion
-
-    found: dict[str, Endpoint] = {}
-    if bus is not None:
-        found["--bus"] = TakkTile(int(bus) if bus.isdigit() else bus, parse_rows(rows))
-    if robot is not None:
-        found["--robot"] = UrMotion(robot)
-    if gripper is not None:
-        host, colon, port = gripper.rpartition(":")
-        if colon and not port.isdigit():
-            raise typer.BadParameter(f"--gripper {gripper}: write it as HOST or HOST:PORT")
-        found["--gripper"] = Gripper(host, int(port)) if colon else Gripper(gripper)
-    return found
-
-
-async def _diagnose(parts: "dict[str, Endpoint]", out: Path) -> "Findings":
-    """Check the machine and `parts`."""
+async def _diagnose(parts: "dict[str, Endpoint]") -> "Findings":
+    """Check the machine, with the disk of this folder unless a part records, and `parts`."""
     from flows.run.clocks import LoopClock
-    from flows.run.diagnosis import diagnose
-    from flows.run.host_checks import host_findings
+    from flows.run.diagnosis import diagnose, host_findings
     from storage import Dataset
 
     clock = LoopClock()
     recorded = any(isinstance(part, Dataset) for part in parts.values())
-    disk: dict[str, Endpoint] = {} if recorded else {"disk": Dataset(out)}
+    disk: dict[str, Endpoint] = {} if recorded else {"disk": Dataset("recordings")}
     machine = await diagnose(disk, clock)
     host = [*host_findings(), *(finding for name in disk for finding in machine[name])]
     return {HOST: host, **await diagnose(parts, clock)}

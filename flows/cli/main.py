@@ -23,9 +23,8 @@ TABLE: Final = CommandTable(
     {
         "run": Entry(_RUN, "Run a flow live, or replay recordings through it.", "run"),
         "demo": Entry(_RUN, "Detect slip on a simulated rig; no hardware is needed.", "demo_command"),
-        "check": Entry(_RUN, "Find errors in a flow without running it.", "check"),
+        "check": Entry(_RUN, "Find errors in a flow without running it, and draw it.", "check"),
         "doctor": Entry(_RUN, "Check this machine, and the devices that a flow uses.", "doctor"),
-        "graph": Entry(_RUN, "Print a flow as text or, with --mermaid, as a flowchart.", "graph"),
         "show": Entry(_VIEW, "Show a recorded session in a browser, and label it by hand.", "show"),
         "watch": Entry(_VIEW, "Print slip events from an MQTT broker, each once.", "watch"),
         "train": Entry(_LEARN, "Train a slip detector.", "train"),

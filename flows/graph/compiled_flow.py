@@ -4,11 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
-from flows.graph.error_location import location
-from flows.graph.fingertip_check import sink_fingertips
 from flows.graph.flow import Flow
-from flows.graph.node import Node
-from flows.graph.validation import validate
+from flows.graph.node import Node, location
+from flows.graph.validation import sink_fingertips, validate
 from operators.batch import EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, LateRowFilter, Operator, output_type

@@ -1,4 +1,4 @@
-"""Drawings of a flow: text that reads like the declaration, and Mermaid."""
+"""Drawing of a flow: text that reads like the declaration."""
 
 from collections.abc import Sequence
 from dataclasses import MISSING, fields, is_dataclass
@@ -82,18 +82,3 @@ def _names(nodes: Sequence[Node]) -> dict[Node, str]:
             free = (base, *(f"{base}{k}" for k in range(2, len(taken) + 3)))
             names[node] = next(name for name in free if name not in taken)
     return names
-
-
-def mermaid(nodes: Sequence[Node]) -> str:
-    """Return a flow as a Mermaid flowchart; each edge is labelled with its batch type."""
-    number = {node: f"n{i}" for i, node in enumerate(nodes)}
-    lines = ["flowchart LR"]
-    for node in nodes:
-        left, right = ("([", "])") if isinstance(node.part, Source | Sink) else ("[", "]")
-        label = describe(node.part).replace('"', "'")
-        lines.append(f'    {number[node]}{left}"{label}"{right}')
-    for node in nodes:
-        for parent in node.inputs:
-            kind = parent.gives.__name__ if parent.gives else ""
-            lines.append(f"    {number.get(parent, parent.name)} -->|{kind}| {number[node]}")
-    return "\n".join(lines)

@@ -18,8 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final, get_type_hints
 
-from flows.graph.error_location import line_in
 from flows.graph.flow import Flow
+from flows.graph.node import line_in
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 from operators.operator import Step

@@ -1,7 +1,10 @@
-"""Nodes of the graph."""
+"""Nodes of the graph, and the places of their errors in the files of users."""
 
+import inspect
+import traceback
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeAlias, cast, get_args, get_type_hints
 
 from operators.batch import EVERY, Batch
@@ -84,3 +87,20 @@ def consumers(nodes: Iterable[Node]) -> Mapping[Node, list[Node]]:
         for parent in node.inputs:
             fed.setdefault(parent, []).append(node)
     return fed
+
+
+def location(part: object, error: BaseException) -> str:
+    """Return the line of a part's file at which an error was raised, such as `` (own.py:23)``."""
+    try:
+        file = Path(inspect.getfile(type(part)))
+    except (TypeError, OSError):
+        return ""
+    line = line_in(file, error)
+    return "" if line is None else f" ({file.name}:{line})"
+
+
+def line_in(file: Path, error: BaseException) -> int | None:
+    """Return the last line of a file in an error's traceback; None: the error did not pass through it."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
+    return lines[-1] if lines else None

@@ -1,19 +1,19 @@
-"""Checks of a flow before it runs."""
+"""Checks of a flow before it runs, and the fingertips of its streams."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from functools import cache
 from inspect import signature
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
-from flows.graph.fingertip_check import trace_fingertips
 from flows.graph.flow import Flow
 from flows.graph.node import Node, consumers
-from operators.batch import Batch
+from operators.batch import Batch, Touch
 from operators.debounce import Debounce
-from operators.errors import FlowError
+from operators.errors import FingertipError, FlowError
+from operators.fingertip import Fingertip
 from operators.operator import Join, Operator, Step, input_types, output_type
 from operators.ports import Sink, Source
 from operators.score import Score
@@ -52,6 +52,50 @@ def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
         *_duplicate_streams(flow),
         *(trace_fingertips(flow.name, flow.nodes)[1] if fingertips else ()),
     ]
+
+
+def trace_fingertips(flow: str, nodes: Sequence[Node]) -> tuple[dict[Node, Fingertip], list[FlowError]]:
+    """Return the fingertip of each stream, where it is known, and the edges that do not fit.
+
+    Args:
+        flow: Name of the flow, for the errors.
+        nodes: Its nodes, each after its inputs.
+    """
+    found, problems = dict[Node, Fingertip](), list[FlowError]()
+    for node in nodes:
+        try:
+            fingertip = _of_output(node, found)
+        except FingertipError as error:
+            problem = FlowError(flow, f"{node.inputs[0].name} -> {node.name}", str(error))
+            problem.__cause__ = error
+            problems.append(problem)
+            continue
+        if fingertip is not None:
+            found[node] = fingertip
+    return found, problems
+
+
+def sink_fingertips(nodes: Sequence[Node]) -> dict[str, dict[type[Batch], Fingertip]]:
+    """Return the fingertips of the touch streams of each sink, by its destination and their type."""
+    found, _ = trace_fingertips("", nodes)
+    return {
+        node.part.destination: {
+            kind: found[parent]
+            for parent in node.inputs
+            if parent in found and issubclass(kind := cast("type[Batch]", parent.gives), Touch)
+        }
+        for node in nodes
+        if isinstance(node.part, Sink)
+    }
+
+
+def _of_output(node: Node, known: dict[Node, Fingertip]) -> Fingertip | None:
+    if isinstance(node.part, Source):
+        return node.part.fingertip
+    given = next((known[parent] for parent in node.inputs if parent in known), None)
+    if given is None or not isinstance(node.part, Operator | Join):
+        return None
+    return cast("Operator[Any, Any]", node.part).output_fingertip(given)
 
 
 def _edge(parent: Node, node: Node) -> str:

@@ -1,15 +1,27 @@
-"""Checks before a run: sources and sinks, each with a timeout and all at the same time."""
+"""Checks before a run: the machine; sources and sinks, each with a timeout and all at the same time."""
 
 import asyncio
-from collections.abc import Mapping
+import ctypes
+import os
+import sys
+from collections.abc import Iterator, Mapping
 from contextlib import aclosing
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+from struct import unpack_from
 from typing import Final, TypeAlias
 
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
-from operators.extras import require_extra
+from operators.extras import EXTRAS, install_command, missing_packages, require_extra, software_version
 from operators.ports import Clock, Endpoint, Finding
 
 LIMIT: Final = 20.0  # s, for a source or sink
+PYTHONS: Final = ((3, 11), (3, 13))  # oldest and newest supported version
+OMITTED: Final = ("numba", "polars", "scipy")  # a small installation may lack them, see deploy/edge.txt
+_TIMEX: Final = "@Illl"  # start of struct timex: modes, offset, frequency, largest error (us)
+_TIMEX_BYTES: Final = 512  # at least
+_TIME_ERROR: Final = 5  # result of adjtimex: not synchronised
 
 Findings: TypeAlias = dict[str, list[Finding]]  # by part
 
@@ -52,3 +64,61 @@ def _failure(name: str, error: Exception) -> Finding:
             return Finding(name, os_error_reason(error), "bad")
         case _:
             return Finding(name, f"{type(error).__name__}: {error}", "bad")
+
+
+def i2c_finding() -> Finding:
+    """Return which I2C buses this user can access."""
+    buses = sorted(Path("/dev").glob("i2c-*"))
+    if not buses:
+        return Finding(
+            "I2C", "no bus; to attach fingertips here, enable I2C, for example in raspi-config", "note"
+        )
+    names = ", ".join(map(str, buses))
+    if locked := [str(bus) for bus in buses if not os.access(bus, os.R_OK | os.W_OK)]:
+        remedy = "add the user: sudo usermod -aG i2c $USER, then log in again"
+        return Finding("I2C", f"{', '.join(locked)} may be used only by the group i2c; {remedy}", "note")
+    return Finding("I2C", f"{names}; give a flow to check its fingertips")
+
+
+def host_findings() -> Iterator[Finding]:
+    """Yield findings about Python, slipflow's packages and extras, and the clock."""
+    yield python_finding(sys.version_info[:2])
+    yield from package_findings()
+    yield clock_finding()
+    yield i2c_finding()
+
+
+def python_finding(running: tuple[int, int]) -> Finding:
+    """Return whether slipflow supports a version of Python."""
+    oldest, newest = (".".join(map(str, each)) for each in PYTHONS)
+    text = f"{sys.version.split()[0]} (supported: {oldest} to {newest})"
+    if PYTHONS[0] <= running <= PYTHONS[1]:
+        return Finding("Python", text)
+    return Finding("Python", f"{text}: create the environment with Python {oldest} to {newest}", "note")
+
+
+def package_findings() -> Iterator[Finding]:
+    """Yield findings about the packages that a small installation may lack, and about each extra."""
+    yield Finding("slipflow", software_version())
+    for package in OMITTED:
+        if find_spec(package) is None:
+            text = f"not installed; simulation, imports and analyses need it: pip install {package}"
+            yield Finding(package, text, "note")
+    for extra, about in EXTRAS.items():
+        if missing_packages(extra):
+            text = f"not installed; for {about.use}: {install_command(extra)}"
+            yield Finding(f"extra {extra}", text, "note")
+        else:
+            yield Finding(f"extra {extra}", ", ".join(f"{each} {version(each)}" for each in about.packages))
+
+
+def clock_finding() -> Finding:
+    """Return whether the system's clock is synchronised, as the kernel reports it."""
+    result = ctypes.create_string_buffer(_TIMEX_BYTES)
+    state = ctypes.CDLL(None).adjtimex(result)
+    if state < 0:
+        return Finding("clock", "the system does not say whether it is synchronised", "note")
+    if state == _TIME_ERROR:
+        remedy = "run an NTP client, for example: timedatectl set-ntp true"
+        return Finding("clock", f"not synchronised, so times of events are wrong elsewhere: {remedy}", "bad")
+    return Finding("clock", f"synchronised within {unpack_from(_TIMEX, result)[3] / 1000:.1f} ms")

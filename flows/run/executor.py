@@ -117,14 +117,6 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Generator[Ex
             yield executor
 
 
-def process_map(
-    work: Callable[[Item], Result], items: Sequence[Item], jobs: int | None = None
-) -> Generator[Result]:
-    """Do `map_tasks` on local processes that this call starts; callers that still have `jobs` use it."""
-    with workers(jobs) as executor:
-        yield from map_tasks(work, items, executor)
-
-
 class LocalProcesses(ThreadPoolExecutor):
     """Executor of local processes: threads, each of which passes its tasks to one process.
 

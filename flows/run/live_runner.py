@@ -11,9 +11,8 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, check_extras, consumers
-from flows.run.cancellation import contained
 from flows.run.clocks import STEP, LoopClock
-from flows.run.log_events import reason_of, warn
+from flows.run.log_events import contained, reason_of, warn
 from flows.run.replay_runner import close_sinks, other_destination, replayed_recording
 from flows.run.service_notification import ALIVE, READY, STOPPING, notify_systemd
 from flows.run.sink_queue import SinkQueue

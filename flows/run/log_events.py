@@ -1,6 +1,9 @@
 """Failures of sources and sinks, and log events of a run, each with a line of text and structured data."""
 
+import asyncio
 import logging
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from typing import Any
 
 from operators.errors import SlipflowError, os_error_reason
@@ -34,3 +37,34 @@ def reason_of(error: Exception) -> str:
 def warn(name: str, text: str, **about: Json) -> None:
     """Log an event of a run with a line of text."""
     log.warning("%s", text, extra=event(name, **about))
+
+
+@contextmanager
+def contained(failure: Callable[[str], SlipflowError]) -> Generator[None]:
+    """Pass on the cancellation of this task only; that of a task that the code awaits is a failure.
+
+    Args:
+        failure: Returns the error of a source or sink for a reason.
+
+    Raises:
+        RuntimeError: if the code raises CancelledError although this task was not cancelled.
+        SlipflowError: if the code calls `sys.exit`.
+    """
+    try:
+        yield
+    except asyncio.CancelledError as error:
+        task = asyncio.current_task()
+        if task is None or task.cancelling():
+            raise
+        raise RuntimeError("a task that it awaited was cancelled") from error
+    except SystemExit as error:
+        raise failure(exit_reason(error)) from error
+
+
+def exit_reason(error: SystemExit) -> str:
+    """Return the reason of a failure by `sys.exit`.
+
+    >>> exit_reason(SystemExit(2))
+    'calls sys.exit(2)'
+    """
+    return f"calls sys.exit({'' if error.code is None else repr(error.code)})"

@@ -14,9 +14,8 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part, check_extras, consumers
-from flows.run.cancellation import contained
 from flows.run.clocks import EventClock
-from flows.run.log_events import reason_of, warn
+from flows.run.log_events import contained, reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Clocks, Faults, Labelled, Motion, Scores, Slips, Touch
 from operators.errors import EndpointError, InputError
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus

@@ -8,8 +8,7 @@ from functools import partial
 from math import inf
 from typing import Any, Final
 
-from flows.run.cancellation import contained, exit_reason
-from flows.run.log_events import reason_of, warn
+from flows.run.log_events import contained, exit_reason, reason_of, warn
 from operators.batch import Batch
 from operators.errors import EndpointError, OutputClosedError
 from operators.ports import BackOff, Sink, SinkStatus

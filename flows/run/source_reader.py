@@ -10,9 +10,8 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from flows.graph.error_location import location
-from flows.run.cancellation import contained
-from flows.run.log_events import reason_of, warn
+from flows.graph.node import location
+from flows.run.log_events import contained, reason_of, warn
 from operators.batch import Batch, Times, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
 from operators.operator import LateRowFilter

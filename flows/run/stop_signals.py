@@ -2,39 +2,9 @@
 
 import asyncio
 import signal
-import threading
 from collections.abc import Callable, Generator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from types import FrameType
 from typing import Any
-
-
-@contextmanager
-def stopping() -> Generator[Callable[[], bool]]:
-    """Yield a function that returns True after the first SIGINT or SIGTERM; the second one ends the process.
-
-    Has no effect outside the main thread.
-    """
-    requested = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield requested.is_set
-        return
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    def request_stop(_number: int, _frame: FrameType | None) -> None:
-        requested.set()
-        restore()
-
-    for number in before:
-        signal.signal(number, request_stop)
-    try:
-        yield requested.is_set
-    finally:
-        restore()
 
 
 @contextmanager

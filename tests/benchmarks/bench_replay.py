@@ -26,7 +26,6 @@ from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import recordings
-from flows.run.stop_signals import stopping
 from operators import Batch, Debounce, Operator, Score, Sink, Slips, Touch, Zero
 from operators.fingertip import Fingertip
 from operators.ports import Description
@@ -127,7 +126,7 @@ def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], rows: int, wa
     total, began, wall = 0, time.process_time(), time.perf_counter()
     with watch.stage("check and plan"):
         job = flow(sink())
-    with stopping(), asyncio.Runner() as loop:
+    with asyncio.Runner() as loop:
         for number, path in enumerate(paths):
             with watch.stage("open"):
                 session = Session.open(path)

@@ -9,6 +9,7 @@ from tests.command import error, slipflow
 def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
     done = slipflow("check", "live")
     assert done.returncode == 0
+    assert done.stdout.startswith("flow live\n")
     assert "live: OK (sources: touch; sinks: console)" in done.stdout
     assert "--set detector=tcn  (text)" in done.stdout
     assert "--set broker=None  (text or none)\n      Broker URL, such as mqtt://localhost" in done.stdout
@@ -24,7 +25,7 @@ def test_a_time_is_set_with_its_unit_and_listed_so() -> None:
     )
     line = error("check", "record", "--set", "delay=70mm")
     assert line == "record: delay is '70mm', must be a time with its unit: 500ms, 30s, 1h or 30d"
-    drawn = slipflow("graph", "record", "--set", "delay=20ms").stdout
+    drawn = slipflow("check", "record", "--set", "delay=20ms").stdout
     assert "Label(delay=20 ms)" in drawn
 
 

@@ -54,27 +54,12 @@ def test_the_sources_and_sinks_of_a_flow_are_checked(broker: TestBroker, tmp_pat
     assert [(f["subject"], f["state"]) for f in bad[2:]] == [(f"mqtt://127.0.0.1:{port}", "bad")]
 
 
-def test_devices_can_be_given_without_a_flow(tmp_path: Path) -> None:
-    done = slipflow(
-        "doctor", "--bus", "99", "--robot", "127.0.0.1", "--mqtt", "mqtt://127.0.0.1:1", cwd=tmp_path
-    )
-    assert done.returncode == 1
-    bad = [line.split(": ")[0].split()[1] for line in done.stdout.splitlines() if line.startswith("  bad")]
-    assert [each for each in bad if each != "clock"] == [
-        "/dev/i2c-99",
-        "rtde://127.0.0.1:30004",
-        "mqtt://127.0.0.1:1",
-    ]
-    assert done.stdout.splitlines()[-1] == f"{len(bad)} of {len(done.stdout.splitlines()) - 5} checks failed"
+def test_without_a_flow_the_machine_is_checked(tmp_path: Path) -> None:
+    found = findings(cwd=tmp_path)
+    assert {each["part"] for each in found} == {"machine"}
+    assert {"Python", "slipflow", "clock", "I2C"} < {each["subject"] for each in found}
+    assert any(str(tmp_path / "recordings") in each["subject"] for each in found)
 
 
-@pytest.mark.broker
-def test_a_rig_can_be_named_whose_rights_are_checked(broker: TestBroker, tmp_path: Path) -> None:
-    found = findings("--mqtt", broker.url, "--rig", "hall/ur10", cwd=tmp_path)
-    assert any(f["text"].startswith("accepts slip/v1/hall/ur10/doctor ") for f in found)
-
-
-def test_wrong_options_are_one_line(tmp_path: Path) -> None:
+def test_parameters_need_a_flow() -> None:
     assert error("doctor", "--set", "a=1") == "--set requires a flow"
-    assert error("doctor", "--rows", "a", "--bus", "1") == "--rows a: must be row numbers such as 0,1"
-    assert error("doctor", "--gripper", "a:b", cwd=tmp_path) == "--gripper a:b: write it as HOST or HOST:PORT"

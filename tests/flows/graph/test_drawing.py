@@ -2,7 +2,7 @@ from pathlib import Path
 from shutil import copy
 
 from flows.graph import Flow
-from flows.graph.drawing import describe, mermaid
+from flows.graph.drawing import describe
 from flows.graph.testing import TestSink, TestSource
 from operators import Debounce, Score, Scores, ms
 from storage import load_detector
@@ -28,13 +28,6 @@ def test_two_streams_of_one_type_get_two_names() -> None:
         (scores | Debounce(consecutive=count)).to(TestSink())
     names = [line.split()[0] for line in str(flow).splitlines()[1:]]
     assert names == ["scores", "slips", "slips2", "slips", "slips2"]
-
-
-def test_mermaid_names_every_edge_by_its_type(drawn: Flow) -> None:
-    lines = mermaid(drawn.nodes).splitlines()
-    assert lines[0] == "flowchart LR"
-    edges = [line.split("|")[1] for line in lines if "-->" in line]
-    assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]
 
 
 def test_a_detector_is_drawn_by_the_name_of_its_model(tmp_path: Path) -> None:

@@ -7,39 +7,8 @@ from threading import Thread
 
 import pytest
 
-from flows.run.stop_signals import signal_handlers, signals_to, stopping
+from flows.run.stop_signals import signal_handlers, signals_to
 from tests.waiting import PATIENCE
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_the_first_signal_requests_a_stop_and_handlers_are_restored(number: signal.Signals) -> None:
-    before = signal.getsignal(number)
-    with stopping() as stopped:
-        assert not stopped()
-        os.kill(os.getpid(), number)
-        assert stopped()
-    assert signal.getsignal(number) is before
-
-
-def test_the_second_signal_ends_the_process() -> None:
-    with stopping() as stopped:
-        os.kill(os.getpid(), signal.SIGINT)
-        assert stopped()
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-
-
-def test_no_handler_is_installed_in_another_thread() -> None:
-    heard = list[bool]()
-
-    def run() -> None:
-        with stopping() as stopped:
-            heard.append(stopped())
-
-    thread = Thread(target=run)
-    thread.start()
-    thread.join()
-    assert heard == [False]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
