@@ -53,7 +53,7 @@ def import_(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Import CSV and Parquet recordings of any fingertip as sessions of a dataset.
+    """Import CSV or Parquet files of any fingertip as sessions.
 
     Use --dry-run first to check how the columns are interpreted. Files that the dataset has already are left
     out. Read other formats in Python and pass a DataFrame to flows.lab.importing.import_frame.

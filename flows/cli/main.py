@@ -36,9 +36,7 @@ TABLE: Final = CommandTable(
         ),
         "verify": Entry(_DATA, "Read all files of a dataset and report losses and damage.", "verify"),
         "fetch": Entry(_DATA, "Download, verify and import a public dataset of real touch.", "fetch"),
-        "import": Entry(
-            _DATA, "Import recordings of any fingertip as sessions of a dataset.", "import_command"
-        ),
+        "import": Entry(_DATA, "Import CSV or Parquet files of any fingertip as sessions.", "import_command"),
         "export": Entry(_DATA, "Export recordings to LeRobot or MCAP, or a model to ONNX.", "export"),
         "simulate": Entry(_DATA, "Simulate a collection plan as a labelled dataset.", "simulate"),
     }

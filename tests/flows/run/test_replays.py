@@ -218,7 +218,7 @@ def test_recordings_are_published_in_order_as_one_rig_and_the_destination_is_log
     assert caplog.messages == [f"mqtt: the replay is written to {broker.url}/slip/v1/lab/rig-replay"]
     events = [Event.decode(received.payload.encode()) for received in listener.rest()]
     assert {each.rig for each in events} == {"rig-replay"}
-    assert [each.seq for each in events] == list(range(1, len(events) + 1))
+    assert len({(each.epoch, each.seq) for each in events}) == len(events)  # each replay numbers its own
     assert [each.session for each in events] == sorted(each.session or "" for each in events)
     assert {each.session for each in events} == {path.name for path in four[:2]}
 
