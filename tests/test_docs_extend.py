@@ -89,7 +89,11 @@ def test_the_batch_type_reaches_a_sink_through_its_operator(made: Callable[..., 
     flow, sink = Flow("own"), TestSink()
     rows = flow.source(TestSource(Zeroed, [touch], fingers=(0,)))
     (rows | activity["MeasureActivity"]()).to(sink)
-    run_virtually(LiveRunner(flow, "one", duration=1_000_000_000).execute())
+
+    async def main() -> Run:
+        return await LiveRunner(flow, "one", clock=LoopClock(0)).execute()
+
+    run_virtually(main())
     assert sink.rows(activity["Activity"], 0).change.tolist() == [0.0, 6.0, 6.0]
 
 
