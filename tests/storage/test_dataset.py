@@ -398,7 +398,7 @@ def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(tmp_path: Path, 
         dataset, reasons = Dataset(tmp_path, part_span=100 * ms), list[str]()
         await dataset.open(new_run())
         disk.enter_context(observed(reach))
-        for number in range(60):
+        for number in range(120):
             batch = new_batch(Touch, 3, start=number * 30 * ms, seed=number)
             full = number % 20 in range(5, 15)
             try:
@@ -418,7 +418,7 @@ def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(tmp_path: Path, 
 
     asyncio.run(main())
     session = Session.open(tmp_path)
-    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(180)]
+    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(360)]
     assert session.about["complete"] is True
 
 
