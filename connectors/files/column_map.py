@@ -222,7 +222,7 @@ def expanded(text: str) -> list[str]:
 
 
 def check_size(name: str, columns: Sequence[str]) -> None:
-    """Require an allowed number of columns of a quantity, or none.
+    """Require that a quantity has an allowed number of columns, or none.
 
     Raises:
         ParameterError: on another number.

@@ -132,7 +132,7 @@ class TraceTable:
         return codes.to_numpy()
 
     def check(self, name: str, good: Flags, must_be: str) -> None:
-        """Require that every value of a column is good.
+        """Require that every value of a column is valid.
 
         Args:
             name: Name of the column.
@@ -215,7 +215,7 @@ def _dates(column: pl.Series) -> pl.Series:
     texts = column.str.replace(",", ".", literal=True)
     try:
         return texts.str.to_datetime(time_unit="ns", strict=False)
-    except pl.exceptions.PolarsError:  # of no value could the format be told
+    except pl.exceptions.PolarsError:  # no value shows the format
         return pl.Series([None] * len(column), dtype=pl.Datetime("ns"))
 
 

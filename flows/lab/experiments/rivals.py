@@ -73,7 +73,7 @@ METHODS: Final = (Method(DEFAULT), *(Method(name, STEPS) for name in RIVALS))  #
 
 
 def parse_method(text: str) -> Method:
-    """Return a method from ``DETECTOR`` or ``DETECTOR:RULE``; rivals have the paper's rule unless given.
+    """Return a method from ``DETECTOR`` or ``DETECTOR:RULE``; without a rule, rivals have the paper's.
 
     Raises:
         ParameterError: on an unknown rule.

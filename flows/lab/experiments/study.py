@@ -148,7 +148,7 @@ def _run(
 
 
 def _metrics(outcome: Outcome) -> dict[str, float]:
-    """Return what a trial counts for; unknown numbers are left out."""
+    """Return the metrics of a trial; unknown values are left out."""
     numbers = {name: float(value) for name, value in asdict(outcome).items() if name != "ending"}
     known = {name: value for name, value in numbers.items() if not math.isnan(value)}
     return {"trials": 1, "success": float(outcome.success), f"ending {outcome.ending}": 1, **known}
