@@ -1,4 +1,4 @@
-"""Reports of the tap and lift experiments: success compared with the paper, false slips and breaking points."""
+"""Reports of the tap and lift experiments: success, the paper's success, false slips and breaking points."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
