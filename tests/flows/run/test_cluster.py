@@ -152,8 +152,9 @@ def test_a_recording_that_kills_its_workers_is_named_and_the_others_are_written(
     lab: Path, cluster: DaskCluster, tmp_path: Path
 ) -> None:
     deadly = "len(batch) != 100 or __import__('os')._exit(1)"  # its only batch has 100 rows
-    (tmp_path / "felt.py").write_text(FLOW.replace("time.sleep(PAUSE)", deadly))
-    (tmp_path / "pauses.py").write_text("PAUSE = 0\n")
+    flow = FLOW.replace("time.sleep(PAUSE)", deadly).replace("pauses", "no_pauses")
+    (tmp_path / "felt.py").write_text(flow)
+    (tmp_path / "no_pauses.py").write_text("PAUSE = 0\n")  # `slipflow` may run in this process: another name
     recorder = Recorder(tmp_path / "in", "deadly")
     recorder.record(1)
     recorder.close()
