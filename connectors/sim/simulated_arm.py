@@ -9,7 +9,6 @@ of the surface: x right, y up, z into the surface, yaw about z::
 
 import asyncio
 import logging
-import math
 from bisect import bisect_right
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import replace
@@ -146,33 +145,6 @@ class SimulatedArm:
         corners = np.array([self._place, self._place + along * seconds])
         await self._follow(Ride(corners, instants, np.array([0.0, top, top, 0.0]), acceleration))
 
-    async def tare(self, seconds: float) -> None:
-        """Stand still; the simulated force has no offset.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
-        """
-        await self.wait(seconds)
-
-    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
-        """Move along a straight path (m) until the contact force reaches `force` (N).
-
-        Returns:
-            The force (N) at rest.
-
-        Raises:
-            EndpointError: if the arm had to be stopped, for example at the end of a path without contact.
-        """
-        along = np.array([*rotate(path, self._to_surface), 0.0])
-        ride = Ride.planned([self._place, self._place + along], self._now(), speed, acceleration)
-        await self._follow(ride, force)
-        if self._push < force:
-            length = 1000 * math.hypot(*path)
-            self.fail(f"no contact of {force:g} N within {length:.1f} mm: {self._push:.1f} N at the end")
-            self._check()
-        await self.stop()
-        return self._push
-
     async def wait(self, seconds: float) -> None:
         """Wait while the arm continues its motion.
 
@@ -208,10 +180,6 @@ class SimulatedArm:
         place: Reals = self._states(np.array([self._now()]))[0][0]
         return place
 
-    @property
-    def _push(self) -> float:
-        return float(self._states(np.array([self._now()]))[2][0])
-
     def _now(self) -> float:
         return (self._clock.now() - self._origin) / s
 
@@ -246,12 +214,12 @@ class SimulatedArm:
         corners = [self._place, *map(self._local, poses)]
         await self._follow(Ride.planned(corners, self._now(), speed, acceleration))
 
-    async def _follow(self, ride: Ride, force: float = math.inf) -> None:
-        """Follow a ride to its end, or until a normal force (N) is reached; stop if cancelled."""
+    async def _follow(self, ride: Ride) -> None:
+        """Follow a ride to its end; stop if cancelled."""
         self._check()
         self._begin(ride)
         try:
-            while (left := ride.end - self._now()) > _TICK and self._push < force:
+            while (left := ride.end - self._now()) > _TICK:
                 await self.wait(min(left, STEP))
         except asyncio.CancelledError:
             self._brake()

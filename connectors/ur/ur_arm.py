@@ -14,7 +14,6 @@ from contextlib import asynccontextmanager, suppress
 from math import hypot, inf, isfinite, isnan
 from typing import Any, Final, Self
 
-from connectors.ur.contact_search import ContactSearch, mean_force
 from connectors.ur.control_client import START_TIMEOUT, ControlClient
 from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Signal
 from connectors.ur.path_follower import PathFollower
@@ -65,7 +64,6 @@ class UrArm:
         self._client = state_client(clock, host)
         self._state_known = True  # the controller sends the state
         self._changed, self._dashboard_used = asyncio.Event(), False
-        self._force_offset: Point = (0.0, 0.0, 0.0)  # N, reported without contact
         self._guard: Callable[[ArmState], str] | None = None  # returns why to stop the current move
         self._moved = 0.0  # loop time (s) at which the arm last moved
         self._tasks = list[BackgroundTask]()
@@ -143,49 +141,6 @@ class UrArm:
                     self._check()
                 self.control.send(Move((*velocity, 0.0, 0.0, 0.0), acceleration))
                 await self.wait(_STEERING)
-
-    async def tare(self, seconds: float) -> None:
-        """Stand still without contact, and set the zero of `touch` to the mean reported force.
-
-        Raises:
-            EndpointError: if the arm had to be stopped, or its controller reports no force.
-        """
-        loop, states = asyncio.get_running_loop(), [self.state]
-        end = loop.time() + seconds
-        while loop.time() < end:
-            await self.wait(_STEERING)
-            states.append(self.state)
-        if (offset := mean_force(states)) is None:
-            self.fail(
-                "its controller reports no force, so contact cannot be detected: press to a depth instead"
-            )
-            self._check()
-        else:
-            self._force_offset = offset
-
-    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
-        """Move along a straight path (m) until the contact force reaches `force` (N).
-
-        Forces are relative to the last `tare`.
-
-        Returns:
-            The force (N) at rest.
-
-        Raises:
-            EndpointError: if the arm had to be stopped, for example at the end of a path without contact.
-        """
-        self._check()
-        search = ContactSearch(self.state, path, force, self._force_offset)
-        x, y, z = (speed * each for each in search.direction)
-        async with self._velocity_control(speed, acceleration, search.overrun):
-            self.control.send(Move((x, y, z, 0.0, 0.0, 0.0), acceleration))
-            longest = 2 * search.longest / speed + 2
-            await self._until(lambda: search.update(self.state), longest, "to find the surface")
-        if not search.found:
-            distance, found = 1000 * search.longest, search.mean
-            self.fail(f"no contact of {force:g} N within {distance:.1f} mm: {found:.1f} N at the end")
-            self._check()
-        return search.force(self.state)
 
     async def wait(self, seconds: float) -> None:
         """Wait while the arm continues its motion.

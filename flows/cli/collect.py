@@ -44,7 +44,7 @@ def collect(
 ) -> None:
     """Drive an arm through a collection plan and record it.
 
-    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth or force,
+    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth,
     workspace, limits and seed. Unless it gives the pose of the surface, start with the fingertip just
     touching it. Each stroke moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then
     commits the recording; SIGUSR1 pauses and resumes. The collection ends, with the arm stopped, if the

@@ -1,12 +1,12 @@
-"""Path of an arm: steps whose end poses and durations are known, or bounded, before it moves. No I/O.
+"""Path of an arm: steps whose end poses and durations are known before it moves. No I/O.
 
 Poses are those of the TCP in the base frame. The fingertip's frame is the TCP's: x right, y up, z into the
 surface that it touches.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -87,11 +87,6 @@ class Wait:
 
 
 @dataclass(frozen=True, slots=True)
-class Tare(Wait):
-    """Standstill in the air, during which the force is tared."""
-
-
-@dataclass(frozen=True, slots=True)
 class Trace:
     """Move along a line of points at constant speed and orientation."""
 
@@ -109,38 +104,7 @@ class Trace:
         return distance / self.speed + self.speed / self.acceleration
 
 
-@dataclass(frozen=True, slots=True)
-class Touchdown:
-    """Straight move until a contact force is reached, which must happen before the path ends."""
-
-    path: Point  # m, longest displacement
-    force: float  # N, along the path
-    speed: float  # m/s
-    acceleration: float  # m/s2
-
-    def end(self, start: Pose) -> Pose:
-        """Return the pose at the end of the path."""
-        return start[0] + self.path[0], start[1] + self.path[1], start[2] + self.path[2], *start[3:]
-
-    def seconds(self, start: Pose) -> float:
-        """Return the longest duration."""
-        del start
-        return math.hypot(*self.path) / self.speed + self.speed / self.acceleration
-
-    def shortfall(self, start: Pose, end: Pose) -> Point:
-        """Return the displacement (m) along the path from its end back to the pose at which it ended.
-
-        >>> down = Touchdown((0, 0, -0.005), 2.0, 0.002, 0.5)
-        >>> down.shortfall((0, 0, 0.001, 0, 0, 0), (0, 0, -0.002, 0, 0, 0))
-        (0.0, 0.0, 0.002)
-        """
-        latest, longest = self.end(start), math.hypot(*self.path)
-        left = sum(d * (last - at) for d, last, at in zip(self.path, latest, end, strict=False)) / longest**2
-        x, y, z = (0.0 - left * each for each in self.path)
-        return x, y, z
-
-
-Step: TypeAlias = Line | Slide | Wait | Trace | Touchdown  # Tare is a Wait
+Step: TypeAlias = Line | Slide | Wait | Trace
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,20 +133,6 @@ def spin_velocity(pose: Pose, spin: float) -> Pose:
     return 0.0, 0.0, 0.0, *rotate((0.0, 0.0, spin), quaternion((pose[3], pose[4], pose[5])))
 
 
-def shift_steps(steps: Sequence[Step], by: Point) -> list[Step]:
-    """Return steps with all their targets shifted (m)."""
-    shifted = list[Step]()
-    for step in steps:
-        match step:
-            case Line(pose):
-                shifted.append(replace(step, pose=(*_add(pose[:3], by), *pose[3:])))
-            case Trace(points):
-                shifted.append(replace(step, points=tuple(_add(point, by) for point in points)))
-            case _:
-                shifted.append(step)
-    return shifted
-
-
 def raise_pose(pose: Pose, surface: Pose, clearance: float) -> Pose:
     """Return a pose, raised if it is less than `clearance` (m) above the plane through a surface's pose.
 
@@ -194,7 +144,3 @@ def raise_pose(pose: Pose, surface: Pose, clearance: float) -> Pose:
     depth = x * (pose[0] - surface[0]) + y * (pose[1] - surface[1]) + z * (pose[2] - surface[2])
     lift = max(0.0, depth + clearance)
     return pose[0] - lift * x, pose[1] - lift * y, pose[2] - lift * z, *pose[3:]
-
-
-def _add(point: Point, by: Point) -> Point:
-    return point[0] + by[0], point[1] + by[1], point[2] + by[2]

@@ -18,11 +18,6 @@ def path_text(path: PlannedPath) -> str:
     whole, strokes = path.extent, sum(len(each.strokes) for each in path.series)
     minutes = f"{whole.seconds / 60:.1f} min"
     contact = f"{sum(map(_contact_seconds, path.series)) / 60:.1f} min"
-    press = path.plan.press
-    pressed = f"pressed {1000 * press.depth:g} mm after first contact"
-    if press.force is not None:
-        found = "at the depth found for each stroke; times and bounds are for the greatest depth"
-        pressed = f"pressed with {press.force:g} N, {found}"
     return "\n".join(
         [
             head,
@@ -30,7 +25,7 @@ def path_text(path: PlannedPath) -> str:
             f"{'total':28} {strokes:7} {minutes:>8}   {_spans(whole.low, whole.high)}".rstrip(),
             f"{'workspace':47} {_spans(path.low, path.high)}".rstrip(),
             f"{'in contact':28} {contact:>16}; the rest is baselines and moves through the air",
-            pressed,
+            f"pressed {1000 * path.plan.press.depth:g} mm after first contact",
         ]
     )
 

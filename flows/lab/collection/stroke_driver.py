@@ -3,22 +3,12 @@
 import asyncio
 import math
 from collections.abc import AsyncIterator, Mapping, Sequence
-from typing import Final, NamedTuple, Protocol, Self
+from typing import Final, Protocol, Self
 
 import numpy as np
 
 from connectors.ur.ur_state import ArmState, Point, Pose
-from flows.lab.collection.arm_path import (
-    Line,
-    Slide,
-    Step,
-    Tare,
-    Touchdown,
-    Trace,
-    Wait,
-    raise_pose,
-    shift_steps,
-)
+from flows.lab.collection.arm_path import Line, Slide, Step, Trace, Wait, raise_pose
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import Stroke, StrokeSeries
 from operators.batch import MOTIONS, SURFACES, Episodes
@@ -42,20 +32,11 @@ class Arm(Protocol):
     async def trace(  # noqa: D102
         self, points: Sequence[Point], speed: float, acceleration: float, seconds: float
     ) -> None: ...
-    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float: ...  # noqa: D102
-    async def tare(self, seconds: float) -> None: ...  # noqa: D102
     async def wait(self, seconds: float) -> None: ...  # noqa: D102
     async def stop(self) -> None: ...  # noqa: D102
     def fail(self, reason: str) -> None: ...  # noqa: D102
     async def __aenter__(self) -> Self: ...
     async def __aexit__(self, *_: object) -> None: ...
-
-
-class Contact(NamedTuple):
-    """Result of a touchdown."""
-
-    shortfall: Point = (0.0, 0.0, 0.0)  # m, from the planned end to the contact
-    force: float | None = None  # N
 
 
 class StrokeDriver(Source[Episodes]):
@@ -131,19 +112,14 @@ class StrokeDriver(Source[Episodes]):
                 await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
             self.strokes += 1
 
-    async def follow(self, steps: Sequence[Step]) -> Contact:
+    async def follow(self, steps: Sequence[Step]) -> None:
         """Move along a path from the arm's pose.
-
-        Returns:
-            The result of its touchdown.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        contact = Contact()
         for step in steps:
-            start = self._arm.state.pose
-            seconds = step.seconds(start)
+            seconds = step.seconds(self._arm.state.pose)
             match step:
                 case Line(pose, speed, acceleration):
                     await self._arm.line(pose, speed, acceleration, seconds)
@@ -151,14 +127,8 @@ class StrokeDriver(Source[Episodes]):
                     await self._arm.slide(velocity, time, acceleration)
                 case Trace(points, speed, acceleration):
                     await self._arm.trace(points, speed, acceleration, seconds)
-                case Tare(time):
-                    await self._arm.tare(time)
                 case Wait(time):
                     await self._arm.wait(time)
-                case Touchdown(path, force, speed, acceleration):
-                    found = await self._arm.touch(path, force, speed, acceleration)
-                    contact = Contact(step.shortfall(start, self._arm.state.pose), found)
-        return contact
 
     async def _wait_until_resumed(self) -> None:
         """Wait while paused; raise if the arm has to be stopped meanwhile."""
@@ -185,10 +155,9 @@ class StrokeDriver(Source[Episodes]):
         return False
 
     async def _make(self, series: StrokeSeries, stroke: Stroke, monitor: ContactMonitor) -> None:
-        contact = await self.follow(stroke.approach)
+        await self.follow(stroke.approach)
         monitor.restart()
-        steps = shift_steps(stroke.contact, contact.shortfall)
-        await self._follow_as_episode(series, stroke, steps, contact)
+        await self._follow_as_episode(series, stroke, stroke.contact)
         without_contact = monitor.without_contact()
         await self.follow(stroke.retreat)
         if without_contact and self._require_contact:
@@ -199,11 +168,7 @@ class StrokeDriver(Source[Episodes]):
             await self._arm.wait(_POLL)  # raises
 
     async def _follow_as_episode(
-        self,
-        series: StrokeSeries,
-        stroke: Stroke | None,
-        steps: Sequence[Step],
-        contact: Contact = Contact(),  # noqa: B008 - immutable
+        self, series: StrokeSeries, stroke: Stroke | None, steps: Sequence[Step]
     ) -> None:
         """Follow steps as an episode; `stroke` None: the baseline."""
         start = self._clock.now()
@@ -211,10 +176,10 @@ class StrokeDriver(Source[Episodes]):
             await self.follow(steps)
         finally:
             end = max(self._clock.now(), start + 1)
-            self._episodes.put_nowait(_episode(series, stroke, contact, start, end))
+            self._episodes.put_nowait(_episode(series, stroke, start, end))
 
 
-def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, start: int, end: int) -> Episodes:
+def _episode(series: StrokeSeries, stroke: Stroke | None, start: int, end: int) -> Episodes:
     """Return an episode from `start` to `end` (ns) as a row; `stroke` None: the baseline."""
     motion, speed, rotates = "hold", 0.0, False
     if stroke:
@@ -223,8 +188,8 @@ def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, star
         stroke.direction if stroke else 0.0,
         0.0 if rotates else speed,
         speed if rotates else 0.0,
-        stroke.depth - math.hypot(*contact.shortfall) if stroke else math.nan,
-        math.nan if contact.force is None else contact.force,
+        series.plan.press.depth if stroke else math.nan,
+        math.nan,  # the force is not measured
     )
     return Episodes(
         np.array([start]),

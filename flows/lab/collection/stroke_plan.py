@@ -4,9 +4,8 @@ As in "Under Pressure" (2021), one fingertip slides over a surface at 0.05, 0.07
 directions, and rotates at 1 rad/s. Each stroke moves down onto the surface, rests, slides through its middle,
 rests, and moves up again; between strokes the fingertip moves through the air.
 
-A stroke is pressed to a depth after first contact, or moves down until a force is measured and keeps that
-depth. Over a curved surface it follows the arc at constant orientation, so a slope requires a compliant
-finger.
+A stroke is pressed to a depth after first contact. Over a curved surface it follows the arc at constant
+orientation, so a slope requires a compliant finger.
 """
 
 import math
@@ -20,17 +19,7 @@ import numpy as np
 from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_state import Bounds, Point, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
-from flows.lab.collection.arm_path import (
-    Extent,
-    Line,
-    Slide,
-    Step,
-    Tare,
-    Touchdown,
-    Trace,
-    Wait,
-    spin_velocity,
-)
+from flows.lab.collection.arm_path import Extent, Line, Slide, Step, Trace, Wait, spin_velocity
 from flows.lab.collection.surfaces import Surface
 from flows.learn.datasets import TURNS
 from operators.checks import check_above, check_at_least, check_between
@@ -55,24 +44,9 @@ class Press:
     """
 
     depth: Length = 0.0015
-    force: Force | None = None
-    max_depth: Length = 0.004
-    search_height: Length = 0.001
-    search_speed: Speed = 0.002
-    tare_time: Seconds = 0.2
 
     def __post_init__(self) -> None:
         check_between("Press", "depth", self.depth, 0, MAX_DEPTH, unit="m")
-        check_between("Press", "max_depth", self.max_depth, 0, MAX_DEPTH, unit="m")
-        for name in ("max_depth", "search_height", "search_speed", "tare_time"):
-            check_above("Press", name, getattr(self, name), 0)
-        if self.force is not None:
-            check_above("Press", "force", self.force, 0, "N")
-
-    @property
-    def deepest(self) -> float:
-        """Greatest depth that is planned, m after first contact."""
-        return self.depth if self.force is None else self.max_depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +107,6 @@ class Stroke:
     approach: tuple[Step, ...]  # through the air, and down
     contact: tuple[Step, ...]
     retreat: tuple[Step, ...]
-    depth: float  # m after first contact; the greatest one if pressed with a force
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -165,14 +138,13 @@ class StrokeSeries:
 
     def describe(self) -> dict[str, Json]:
         """Return surface, speed, press and number of strokes as JSON data."""
-        surface, press = self.surface, self.plan.press
+        surface = self.surface
         return {
             "surface": surface.shape,
             "radius": None if surface.shape == "plane" else surface.radius,
             "place": list(surface.middle),
             "speed": self.speed,
-            "depth": press.depth if press.force is None else None,
-            "force": press.force,
+            "depth": self.plan.press.depth,
             "strokes": len(self.strokes),
             "split": self.split,
         }
@@ -214,12 +186,6 @@ class CollectionPlan:
         if not poses or len(set(poses)) < len(poses):
             must_be = "one or more tables [[surfaces]], each with a different pose"
             raise ParameterError(self.name, "surfaces", len(poses), must_be)
-        if self.press.search_height > self.path.clearance:
-            must_be = f"at most the clearance, {self.path.clearance} m"
-            raise ParameterError(self.name, "press.search_height", self.press.search_height, must_be)
-        if self.press.force is not None and self.press.force >= self.limits.force:
-            must_be = f"below the force limit, {self.limits.force:g} N"
-            raise ParameterError(self.name, "press.force", self.press.force, must_be)
 
     def series(self, here: Pose) -> list[StrokeSeries]:
         """Return all series, surface by surface; directions are in random order.
@@ -277,13 +243,12 @@ class CollectionPlan:
             approach=self._approach(begin, 0.0, 0.0),
             contact=(Wait(self.path.rest), slide, Wait(self.path.rest)),
             retreat=(self._retreat(end, 0.0, 0.0),),
-            depth=self.press.deepest,
         )
 
     def _translation(self, surface: Surface, direction: float, speed: float) -> Stroke:
         half = speed * self.path.slide_time / 2
         x, y = half * math.cos(direction), half * math.sin(direction)
-        poses = [surface.at(part * x, part * y, self.press.deepest) for part in surface.waypoints(x, y)]
+        poses = [surface.at(part * x, part * y, self.press.depth) for part in surface.waypoints(x, y)]
         slide: Step
         if len(poses) > 1:
             slide = Trace(tuple(pose[:3] for pose in poses), speed, self.path.acceleration)
@@ -296,23 +261,12 @@ class CollectionPlan:
             approach=self._approach(surface, -x, -y),
             contact=(Wait(self.path.rest), slide, Wait(self.path.rest)),
             retreat=(self._retreat(surface, x, y),),
-            depth=self.press.deepest,
         )
 
     def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:
         """Return the steps through the air to above an offset (m) from the middle, and down onto it."""
-        press, path = self.press, self.path
-        above = self._through_air(surface, x, y)
-        if press.force is None:
-            return above, Line(surface.at(x, y, press.depth), path.press_speed, path.acceleration)
-        near, deepest = surface.at(x, y, -press.search_height), surface.at(x, y, press.max_depth)
-        down: Point = deepest[0] - near[0], deepest[1] - near[1], deepest[2] - near[2]
-        return (
-            above,
-            Tare(press.tare_time),
-            Line(near, path.press_speed, path.acceleration),
-            Touchdown(down, press.force, press.search_speed, path.acceleration),
-        )
+        down = Line(surface.at(x, y, self.press.depth), self.path.press_speed, self.path.acceleration)
+        return self._through_air(surface, x, y), down
 
     def _retreat(self, surface: Surface, x: float, y: float) -> Line:
         return replace(self._through_air(surface, x, y), speed=self.path.press_speed)

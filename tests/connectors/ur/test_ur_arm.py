@@ -16,16 +16,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.ur.control_process import Command, Move, Signal
+from connectors.ur.control_process import Command, Signal
 from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import UrArm, request_stop
 from connectors.ur.ur_state import ArmState, Bounds
 from flows.graph.testing import VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from operators import EndpointError
-from operators.batch import Reals
 from tests.connectors.ur.direct_control import DirectControl
-from tests.emulators.free_arm import FreeArm, PressedArm
+from tests.emulators.free_arm import FreeArm
 from tests.emulators.ur_control_box import Arm, RuntimeState
 from tests.emulators.ur_controller import ANYWHERE, UrController
 from tests.emulators.ur_program import Program
@@ -36,7 +35,6 @@ real = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reas
 HOST = own_host(2)
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
-DOWN = Bounds((0.3, -0.1, -0.02), (0.5, 0.1, 0.2), force=20.0)  # to a surface at 0
 CB3 = Version(3, 15, 8, 0)
 
 
@@ -44,18 +42,6 @@ CB3 = Version(3, 15, 8, 0)
 class Lab:
     controller: UrController
     arm: UrArm
-
-
-class Leaning(PressedArm):
-    """Arm 2 mm above a surface that reports a force in the air, as real ones do."""
-
-    def __init__(self) -> None:
-        super().__init__(np.array((*BEGIN[:2], 0.002, *BEGIN[3:])), 1.0)
-
-    @property
-    def wrench(self) -> Reals:
-        wrench: Reals = super().wrench + np.array([3.0, -2.0, 6.0, 0.0, 0.0, 0.0])
-        return wrench
 
 
 @asynccontextmanager
@@ -164,58 +150,6 @@ def test_it_follows_an_arc_at_its_speed_and_height() -> None:
     speeds = sorted(math.hypot(*state.velocity[:3]) for state in seen)
     assert speeds[-len(speeds) // 4 :] == pytest.approx([0.05] * len(speeds[-len(speeds) // 4 :]), rel=0.03)
     assert all(state.pose[3:] == pytest.approx(BEGIN[3:]) for state in seen)
-
-
-def test_it_moves_down_until_the_force_beyond_that_in_the_air_is_reached() -> None:
-    async def main() -> tuple[ArmState, float]:
-        leaning = Leaning()
-        async with lab(DOWN, leaning) as here:
-            await here.arm.tare(0.1)
-            await here.arm.touch((0.0, 0.0, -0.008), 2.0, 0.002, 0.5)
-            return here.arm.state, leaning.wrench.item(2) - 6.0
-
-    state, force = run_virtually(main())
-    assert state.still
-    assert 2.0 <= force < 3.0
-    assert state.pose[2] == pytest.approx(-0.001 * force, abs=1e-6)
-
-
-def test_it_is_stopped_without_contact() -> None:
-    async def main() -> str:
-        async with lab(DOWN, Leaning()) as here:
-            await here.arm.tare(0.1)
-            with pytest.raises(EndpointError, match=r"no contact of 2 N within 2\.5 mm: 0\.\d N at the end"):
-                await here.arm.touch((0.0, 0.0, -0.0025), 2.0, 0.002, 0.5)
-            await here.arm.stop()
-            assert here.arm.state.still
-            return here.arm.fault
-
-    assert "no contact" in run_virtually(main())
-
-
-def test_it_is_stopped_when_it_overruns_the_contact_search() -> None:
-    async def main() -> tuple[str, float]:
-        leaning = Leaning()
-        async with lab(DOWN, leaning) as here:
-            control = here.arm.control
-            send = control.send
-
-            def lose(command: Command) -> None:
-                """Lose every command to come to rest."""
-                if not (isinstance(command, Move) and not any(command.velocity)):
-                    send(command)
-
-            cast("Any", control).send = lose
-            await here.arm.tare(0.1)
-            with pytest.raises(EndpointError, match=r"past the end of its 1\.0 mm contact search"):
-                await here.arm.touch((0.0, 0.0, -0.001), 2.0, 0.005, 0.5)
-            await here.arm.stop()
-            assert here.arm.state.still
-            return here.arm.fault, here.arm.state.pose[2]
-
-    fault, height = run_virtually(main())
-    assert fault.startswith("it moved 1.")
-    assert -0.002 < height < 0.0
 
 
 def test_it_is_stopped_off_its_path() -> None:

@@ -91,14 +91,6 @@ def test_sigusr1_is_ignored_before_and_after_the_drive(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "alive"), done.stderr
 
 
-def test_a_dry_run_with_a_force_shows_the_greatest_depth(tmp_path: Path) -> None:
-    text = SPHERE.replace("60mm", "80mm") + "[press]\nforce = '2N'\nmax_depth = '3mm'\n"
-    done = slipflow("collect", plan(tmp_path, text), "--dry-run", cwd=tmp_path)
-    *_, whole, _, _, pressed = done.stdout.splitlines()
-    assert pressed.startswith("pressed with 2 N, at the depth found for each stroke")
-    assert "96 .. 110" in whole  # 1.4 mm down the side, and 3 mm pressed
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

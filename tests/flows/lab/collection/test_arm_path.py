@@ -4,19 +4,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import (
-    Extent,
-    Line,
-    Slide,
-    Step,
-    Tare,
-    Touchdown,
-    Trace,
-    Wait,
-    raise_pose,
-    shift_steps,
-    spin_velocity,
-)
+from flows.lab.collection.arm_path import Extent, Line, Slide, Wait, raise_pose, spin_velocity
 from operators.rotation import rotation_difference
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
@@ -64,26 +52,3 @@ def test_an_offset_is_in_the_frame_of_the_pose(pose: Pose) -> None:
 def test_a_pose_in_the_air_is_not_raised() -> None:
     assert raise_pose((0.4, 0.1, 0.25, math.pi, 0, 0), START, 0.01) == (0.4, 0.1, 0.25, math.pi, 0, 0)
     np.testing.assert_allclose(raise_pose((0.5, 0.1, 0.19, math.pi, 0, 0), START, 0.01)[:3], (0.5, 0.1, 0.21))
-
-
-def test_a_touchdown_is_bounded_by_its_path() -> None:
-    down = Touchdown((0.0, 0.003, -0.004), 2.0, 0.002, 0.5)
-    reach = Extent.of([Tare(0.3), down], START)
-    assert reach.low == pytest.approx((0.4, 0.1, 0.196))
-    assert reach.seconds == pytest.approx(0.3 + 0.005 / 0.002 + 0.002 / 0.5)
-
-
-def test_the_shortfall_of_a_touchdown_is_along_its_path() -> None:
-    down = Touchdown((0.0, 0.003, -0.004), 2.0, 0.002, 0.5)
-    there = offset_pose(down.end(START), (0.0002, 0.0, 0.0))  # it drifted aside
-    assert down.shortfall(START, there) == pytest.approx((0.0, 0.0, 0.0))
-    assert down.shortfall(START, START) == pytest.approx((0.0, -0.003, 0.004))
-
-
-def test_targets_are_shifted_and_other_steps_left() -> None:
-    slide = Slide((0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 0.5)
-    steps: list[Step] = [Wait(0.3), Line(START, 0.1, 0.5), Trace((START[:3],), 0.1, 0.5), slide]
-    wait, line, trace, slid = shift_steps(steps, (0.1, 0.0, -0.2))
-    assert (wait, slid) == (steps[0], slide)
-    np.testing.assert_allclose(line.end(START), (0.5, 0.1, 0.0, math.pi, 0, 0), atol=1e-12)
-    np.testing.assert_allclose(trace.end(START), (0.5, 0.1, 0.0, math.pi, 0, 0), atol=1e-12)

@@ -26,7 +26,6 @@ from flows.lab.collection.stroke_plan import (
     Limits,
     PathSettings,
     PlannedPath,
-    Press,
     StrokeSeries,
 )
 from flows.lab.collection.surfaces import Surface
@@ -59,7 +58,6 @@ PATH = PathSettings(
     press_speed=0.1,
     acceleration=1.0,
 )
-FORCE = 1.5  # N
 STROKES = 2
 
 
@@ -76,15 +74,7 @@ class ShortPlan(CollectionPlan):
 
 QUICK = ShortPlan("quick", (0.1,), repeats=1, rotations=0, rounds=1, seed=1, path=PATH, count=4)
 ROTATIONS = ShortPlan("rotations", (), rotations=1, rounds=1, path=PATH)
-PRESSED = ShortPlan(
-    "pressed",
-    speeds=(0.05,),
-    repeats=1,
-    rotations=0,
-    rounds=1,
-    path=PATH,
-    press=Press(force=FORCE, max_depth=0.0025, search_height=0.0005, search_speed=0.004, tare_time=0.1),
-)
+CURVED = ShortPlan("curved", (0.05,), repeats=1, rotations=0, rounds=1, path=PATH)
 
 
 class Made(NamedTuple):
@@ -243,39 +233,22 @@ def test_rotations_slip_and_sigusr1_pauses_and_resumes(tmp_path: Path) -> None:
     assert (spans > 0.9 * s).sum() == 2  # in the air at first, and paused
 
 
-@pytest.fixture(scope="module")
-def pressed(tmp_path_factory: pytest.TempPathFactory) -> Made:
-    """Strokes over a sphere, at a set force."""
-    return made(tmp_path_factory.mktemp("pressed") / "data", PRESSED, surface="sphere")
-
-
-def test_force_and_speed_are_kept_over_a_sphere(pressed: Made) -> None:
-    assert (pressed.collected.driver.strokes, pressed.collected.error) == (STROKES, "")
-    motion = concat(Motion, list(pressed.session.read(Motion, EVERY)))
-    _, *strokes = pressed.session.frame("episodes").to_dicts()
+def test_depth_and_speed_are_kept_over_a_sphere(tmp_path: Path) -> None:
+    curved = made(tmp_path / "data", CURVED, surface="sphere")
+    about = curved.about["sources"]["collection"]
+    assert (about["depth"], about["radius"]) == (CURVED.press.depth, 0.06)
+    assert (curved.collected.driver.strokes, curved.collected.error) == (STROKES, "")
+    motion = concat(Motion, list(curved.session.read(Motion, EVERY)))
+    _, *strokes = curved.session.frame("episodes").to_dicts()
     assert len(strokes) == STROKES
     for each in strokes:
-        force = pressed.truth.force[(pressed.truth.time >= each["time"]) & (pressed.truth.time < each["end"])]
-        assert force.min() >= 0.95 * FORCE
-        assert force.max() < 1.2 * FORCE
+        force = curved.truth.force[(curved.truth.time >= each["time"]) & (curved.truth.time < each["end"])]
+        assert each["depth"] == CURVED.press.depth
+        np.testing.assert_allclose(force, STIFFNESS * CURVED.press.depth, rtol=0.05)
         inside = (motion.time >= each["time"]) & (motion.time < each["end"])
         speed = np.linalg.norm(motion.velocity[inside, :3], axis=1)  # (n,)
         assert speed.max() < 1.001 * 0.05
         assert (speed > 0.999 * 0.05).sum() / 125 > 0.7 * PATH.slide_time
-
-
-def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:
-    about = [made.about["sources"]["collection"] for made in (quick, pressed)]
-    assert [(each["depth"], each["force"], each["radius"]) for each in about] == [
-        (QUICK.press.depth, None, None),
-        (None, FORCE, 0.06),
-    ]
-    planned, found = (made.session.frame("episodes")[1:] for made in (quick, pressed))
-    assert planned["depth"].to_list() == [QUICK.press.depth] * QUICK.count
-    assert planned["force"].is_nan().all()
-    for each in found.to_dicts():
-        assert FORCE <= each["force"] < 1.2 * FORCE
-        assert each["depth"] == pytest.approx(each["force"] / STIFFNESS, abs=1e-4)
 
 
 def interrupted(done: Made, why: str) -> None:
@@ -317,11 +290,6 @@ def test_a_stroke_in_the_air_ends_the_collection(tmp_path: Path) -> None:
     assert "fingertip 0 measured no contact in a stroke" in done.about["error"]
     assert not done.about["complete"]
     assert len(done.session.frame("episodes")) == 2  # the air, and one stroke
-
-
-def test_a_force_that_is_not_reached_stops_the_arm(tmp_path: Path) -> None:
-    done = made(tmp_path / "data", PRESSED, above=0.003)
-    assert "no contact of 1.5 N within 3.0 mm: 0.0 N at the end" in done.collected.error
 
 
 class Sampled(SimulatedArm):

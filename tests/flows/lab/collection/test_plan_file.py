@@ -17,8 +17,7 @@ shape = "sphere"
 radius = "6cm"
 pose = [0.4, 0, 0.1, 3.1416, 0.0, 0.0]
 [press]
-force = "2N"
-tare_time = "300ms"
+depth = "2mm"
 [path]
 acceleration = 1
 [limits]
@@ -56,7 +55,7 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         repeats=2,
         label_delay=70_000_000,
         surfaces=(Surface("sphere", 0.06, (0.4, 0.0, 0.1, 3.1416, 0.0, 0.0)),),
-        press=Press(force=2.0, tare_time=0.3),
+        press=Press(depth=0.002),
         path=PathSettings(acceleration=1.0),
         limits=Limits(workspace=(0.3, -0.1, 0.0, 0.5, 0.1, 0.2), require_contact=False),
     )
@@ -66,7 +65,7 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
     ("text", "reason"),
     [
         ("speds = []", "unknown key speds; did you mean 'speeds'?"),
-        ("[press]\nfroce = '2N'", "unknown key press.froce; did you mean 'force'?"),
+        ("[press]\nforce = '2N'", "unknown key press.force; known keys: depth"),
         ("[limits]\nxyz = 1", "unknown key limits.xyz; known keys: force, workspace, margin"),
         ("speeds = ['fast']", "speeds[0] is 'fast', must be a speed with its unit"),
         ("speeds = [0.1]", "speeds[0] is 0.1, must be text with a unit"),
@@ -76,8 +75,6 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("repeats = true", "repeats is True, must be a whole number"),
         ("press = 3", "press is 3, must be a table, [press]"),
         ("[press]\ndepth = '2m'", "press.depth is 2.0, must be from 0 to 0.006 m"),
-        ("[press]\nforce = '0N'", "press.force is 0.0, must be above 0 N"),
-        ("[press]\nforce = '60N'", "press.force is 60.0, must be below the force limit, 50 N"),
         ("[path]\nrest = '-1s'", "path.rest is '-1s', must be a time with its unit"),
         ("[limits]\nsensor_timeout = '20ms'", "limits.sensor_timeout is 0.02, must be at least 0.05 s"),
         ("[limits]\nworkspace = [1, 2]", "limits.workspace is [1, 2], must be a list of 6 values"),

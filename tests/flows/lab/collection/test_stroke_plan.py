@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Extent, Line, Slide, Tare, Touchdown, Trace
+from flows.lab.collection.arm_path import Extent, Line, Slide, Trace
 from flows.lab.collection.plan_file import load_plan
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
@@ -103,8 +103,6 @@ def test_the_seed_determines_the_order_of_directions() -> None:
         {"rounds": 0},
         {"surfaces": ()},
         {"surfaces": (Surface(), Surface("sphere"))},
-        {"press": Press(search_height=0.02)},
-        {"press": Press(force=50.0)},
     ],
 )
 def test_an_invalid_plan_is_refused(change: dict[str, Any]) -> None:
@@ -117,8 +115,6 @@ def test_an_invalid_plan_is_refused(change: dict[str, Any]) -> None:
     [
         (Press(), {"depth": -0.001}),
         (Press(), {"depth": 0.0061}),
-        (Press(), {"force": 0.0}),
-        (Press(), {"max_depth": 0.0}),
         (PathSettings(), {"clearance": 0.0}),
         (Limits(), {"force": 0.0}),
         (Limits(), {"sensor_timeout": 0.04}),
@@ -139,20 +135,3 @@ def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
             assert math.dist(point, centre) == pytest.approx(0.06)
         assert trace.speed == 0.1
         assert math.dist(down[:2], trace.points[-1][:2]) == pytest.approx(0.06)
-
-
-def test_with_a_force_a_stroke_tares_and_then_searches_from_above_the_surface() -> None:
-    plan = replace(STROKES, press=Press(force=2.0, max_depth=0.003))
-    for surface in (Surface(), Surface("sphere")):
-        session = only(plan, surface)
-        for stroke in session.strokes:
-            above, tare, near, down = stroke.approach
-            assert isinstance(tare, Tare)
-            assert isinstance(down, Touchdown)
-            assert down.force == 2.0
-            start = near.end(above.end(PLACE))
-            assert down.path == pytest.approx((0.0, 0.0, -plan.press.search_height - plan.press.max_depth))
-            (slide,) = [step for step in stroke.contact if isinstance(step, Line | Trace)]
-            touching, end = down.end(start), slide.end(start)
-            assert touching[2] == pytest.approx(end[2])  # as deep at both ends
-        assert Extent.of(session.steps, session.begin.pose).low[2] <= 0.1 - plan.press.max_depth + 1e-12
