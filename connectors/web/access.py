@@ -3,21 +3,18 @@
 import hmac
 import os
 import re
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from ipaddress import ip_address
-from pathlib import Path
 from socket import gethostname
 from typing import Final, Self
 
-from operators.errors import InputError, ParameterError
+from operators.errors import ParameterError
 
 PAGE_PORT: Final = 8765
 METRICS_PORT: Final = 9464  # the default of OpenTelemetry's Prometheus exporter
 TOKEN: Final = "SLIPFLOW_PAGE_TOKEN"  # noqa: S105 - the variable's name
-TOKEN_FILE: Final = "SLIPFLOW_PAGE_TOKEN_FILE"  # noqa: S105 - the variable's name
 COOKIE: Final = "slipflow_page"
 _TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,256}")
 _HOST: Final = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::[0-9]{1,5})?")
@@ -67,19 +64,15 @@ class Access:
 
     @classmethod
     def of(cls, what: str, host: str, token: str | None = None) -> Self:
-        """Return the access rules of a server on `host`; None stands for the token of the environment.
-
-        That is read from SLIPFLOW_PAGE_TOKEN, or from the file named by SLIPFLOW_PAGE_TOKEN_FILE.
+        """Return the access rules of a server on `host`; None stands for the token in SLIPFLOW_PAGE_TOKEN.
 
         Raises:
             ParameterError: if the token is malformed, or missing although other machines can reach `host`; it
                 names the sink `what`.
-            InputError: if the file cannot be read.
         """
-        token = token or _environment_token(os.environ)
+        token = token or os.environ.get(TOKEN) or None
         if token is None and not is_loopback(host):
-            must_be = f"set if other machines can connect: use {TOKEN}, or a file named by {TOKEN_FILE}"
-            raise ParameterError(what, "token", None, must_be)
+            raise ParameterError(what, "token", None, f"set in {TOKEN} if other machines can connect")
         if token is not None and not _TOKEN.fullmatch(token):
             must_be = (
                 "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
@@ -131,14 +124,3 @@ class Access:
 def _equal(received: str, secret: str) -> bool:
     """Compare in constant time; a header that is not UTF-8 contains surrogates."""
     return hmac.compare_digest(received.encode(errors="surrogateescape"), secret.encode())
-
-
-def _environment_token(environment: Mapping[str, str]) -> str | None:
-    path = environment.get(TOKEN_FILE)
-    if not path:
-        return environment.get(TOKEN) or None
-    try:
-        with Path(path).open(encoding="utf-8") as file:
-            return file.read(1024).strip()
-    except (OSError, UnicodeError) as error:
-        raise InputError(path, f"cannot read the token ({TOKEN_FILE}): {error}") from None

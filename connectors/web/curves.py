@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors.events import Fault, Slip, quality
-from connectors.sim.simulated_rig import SLIDING
-from operators.batch import Motion, Reals, Scores, Times, Touch, Truth, ms
+from operators.batch import Motion, Reals, Scores, Times, Touch, ms
 from operators.ports import Json, Run
 
 Real = TypeVar("Real", bound=np.floating[Any])
@@ -21,27 +20,23 @@ def page_fingertip(run: Run, destination: str) -> Json:
     return next((fingertip.describe() for fingertip in known.values()), None)
 
 
-def plotted_values(batch: Touch | Motion | Scores | Truth) -> Reals:
+def plotted_values(batch: Touch | Motion | Scores) -> Reals:
     """Return the plotted values of a batch.
 
     Returns:
         (n, cells) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,)
-        probability of scores; (n,) 1 for true sliding, else 0.
+        probability of scores.
     """
     if isinstance(batch, Touch):
         return np.where(batch.valid, batch.counts, np.nan)
-    if isinstance(batch, Truth):
-        return (batch.sliding > SLIDING).astype(np.float64)
     if isinstance(batch, Motion):
         speed: Reals = 1000 * np.sqrt(np.square(batch.velocity[:, :3]).sum(axis=1))
         return speed
     return batch.probability
 
 
-def stream_name(batch: Touch | Motion | Scores | Truth) -> str:
-    """Return the name of a batch's stream on a page: touch, speed, scores or truth."""
-    if isinstance(batch, Truth):
-        return "truth"
+def stream_name(batch: Touch | Motion | Scores) -> str:
+    """Return the name of a batch's stream on a page: touch, speed or scores."""
     return "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
 
 

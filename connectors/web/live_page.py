@@ -10,7 +10,7 @@ from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
 from connectors.web.curves import page_fingertip
 from connectors.web.page_frames import Frames, Rows, Seen, rows_json
-from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
+from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.checks import check_between
 from operators.extras import software_version
 from operators.ports import Json, Run, Sink
@@ -28,11 +28,11 @@ _POLL: Final = 0.02  # s, between checks while the page closes
 _POLLS: Final = 25  # until all browsers have received the end of the run
 
 
-class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
+class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     """Live page in the browser: pressure maps, slip probability, TCP speed, slip events with latency, health.
 
-    Connect each stream to show: touch (preferably zeroed), motion, scores, slips, faults, and the truth
-    of a simulation. The health covers all sources and sinks of the run.
+    Connect each stream to show: touch (preferably zeroed), motion, scores, slips and faults. The
+    health covers all sources and sinks of the run.
 
     A browser requests each frame over a WebSocket when it has shown the previous one, at most 40 per second.
     The frame has all that is new since then (`connectors.web.page_frames`), so a slow browser gets fewer and
@@ -91,7 +91,6 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
         Raises:
             EndpointError: if the server cannot listen on its address.
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
-            InputError: if the file with the token cannot be read.
         """
         from aiohttp import web  # noqa: PLC0415 - slow to import
 
@@ -118,7 +117,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults | Truth]):
         if self._opened:
             self._opened(self._server.url)
 
-    def take(self, batch: Touch | Motion | Scores | Slips | Faults | Truth) -> bool:
+    def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the next frame."""
         self._frames.add(batch)
         self._note_change()

@@ -64,7 +64,6 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
         Raises:
             EndpointError: if the server cannot listen on its address.
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
-            InputError: if the file with the token cannot be read.
         """
         from aiohttp import web  # noqa: PLC0415 - slow to import
 

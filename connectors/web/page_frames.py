@@ -4,8 +4,7 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 
 - ``now``: time of the run's clock when the frame was made
 - ``rows``: by stream and fingertip, ``t`` (n,) and ``v``: (n, cells) counts of ``touch``, null for invalid
-  cells; (n,) probability of ``scores``; (n,) TCP speed of ``speed``, mm/s; (n,) of ``truth``, 1 while the
-  simulated contact slides, else 0
+  cells; (n,) probability of ``scores``; (n,) TCP speed of ``speed``, mm/s
 - ``zeroed``: True if the counts are zeroed
 - ``events``: numbered onsets and ends of slip with their quality; ``latency``: ms from the deciding sample to
   its arrival here, null in a replay
@@ -30,7 +29,7 @@ from connectors.web.curves import (
     quality_json,
     stream_name,
 )
-from operators.batch import AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Truth, Zeroed, ms, s
+from operators.batch import AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.ports import Json, Run
 from operators.row_queues import Tail
 
@@ -40,7 +39,7 @@ KEPT: Final = 30 * s  # ns of each stream
 STEP: Final = 5 * ms  # ns; one row is kept per step
 
 # by stream (`raw`: touch that is not zeroed) and fingertip: views that another thread can encode
-Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores | Truth]
+Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores]
 
 
 @dataclass
@@ -99,7 +98,7 @@ class Frames:
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
         self._numbered = 0  # number of the newest event
 
-    def add(self, batch: Touch | Motion | Scores | Slips | Faults | Truth) -> None:
+    def add(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
         """Add a batch; once there is zeroed touch, raw touch is ignored."""
         finger = finger_name(batch.finger)
         if isinstance(batch, Slips):
@@ -134,13 +133,13 @@ class Frames:
             },
         }
 
-    def _add_rows(self, batch: Touch | Motion | Scores | Truth, finger: str) -> None:
+    def _add_rows(self, batch: Touch | Motion | Scores, finger: str) -> None:
         raw = isinstance(batch, Touch) and not isinstance(batch, Zeroed)
         key = "raw" if raw else stream_name(batch), finger
         if key not in self._tracks:
             if sum(stream == key[0] for stream, _ in self._tracks) >= FINGERS_MAX:
                 return
-            kinds = Zeroed, Touch, Scores, Truth, Motion
+            kinds = Zeroed, Touch, Scores, Motion
             kind = next(each for each in kinds if isinstance(batch, each))  # drops further columns
             self._tracks[key] = Track[Any](kind)
         if isinstance(batch, Scores) and len(batch):

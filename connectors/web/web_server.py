@@ -33,9 +33,6 @@ _HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-_LOCKED: Final = "locked.html"  # page that asks for the token
-_WRONG: Final = b'<p id="wrong" hidden>'  # element of that page, shown after a wrong token
-_PUBLIC: Final = frozenset({"/page.css", "/icon.svg"})  # used by that page
 HEALTH: Final = "/healthz"  # paths for probes, which have no token
 READY: Final = "/readyz"
 
@@ -74,11 +71,10 @@ class WebServer:
             access: Access rules.
             name: Name of the service in messages.
             any_port: Use any free port if `port` is in use.
-            files: Folder of static files, with a page that asks for the token.
+            files: Folder of static files, with index.html.
         """
         self._host, self._port, self._access = host, port, access
         self._name, self._any_port, self._files = name, any_port, files
-        self._locked = b""
         self._strangers = dict[web.RequestHandler, None]()  # connections without access, the oldest first
 
     @property
@@ -103,7 +99,6 @@ class WebServer:
         app.on_response_prepare.append(_set_headers)
         app.add_routes(routes)
         if self._files:
-            self._locked = (self._files / _LOCKED).read_bytes()
             app.router.add_get("/", self._index)
             app.router.add_static("/", self._files)
         self._runner = web.AppRunner(
@@ -167,25 +162,17 @@ class WebServer:
             return redirect
         if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
             self._strangers.pop(request.protocol, None)
-        elif request.path not in (_PUBLIC if self._files else {HEALTH, READY}):
-            return self._refuse(request)
+        elif request.path not in {HEALTH, READY}:
+            text = (
+                f"Access to {self._name} needs its token: append /?token=... to the address, or send the"
+                " header 'Authorization: Bearer ...'.\n"
+            )
+            return web.Response(status=403, text=text)
         return await handler(request)
 
     async def _index(self, request: web.Request) -> web.StreamResponse:  # noqa: ARG002 - aiohttp's signature
         assert self._files, "else there is no such request"
         return web.FileResponse(self._files / "index.html")
-
-    def _refuse(self, request: web.Request) -> web.Response:
-        """Request the token: from browsers with a page, from programs with a line of text."""
-        if not self._locked or "text/html" not in request.headers.get("Accept", ""):
-            text = (
-                f"Access to {self._name} needs its token: append /?token=... to the address, or send the"
-                " header 'Authorization: Bearer ...'.\n"
-            )
-            return web.Response(status=401, text=text)
-        shown = _WRONG.replace(b" hidden", b"") if "token" in request.query else _WRONG
-        body = self._locked.replace(_WRONG, shown)
-        return web.Response(status=401, body=body, content_type="text/html", charset="utf-8")
 
 
 def page_server(host: str, port: int | None, token: str | None = None) -> WebServer:
@@ -193,7 +180,6 @@ def page_server(host: str, port: int | None, token: str | None = None) -> WebSer
 
     Raises:
         ParameterError: if the token is malformed, or missing although other machines can reach `host`.
-        InputError: if the file with the token cannot be read.
     """
     access = Access.of("Page", host, token)
     number = PAGE_PORT if port is None else port

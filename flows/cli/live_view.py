@@ -55,8 +55,7 @@ def add_page(
 ) -> None:
     """Add a sink to a flow that shows it on the live page, with the threshold of its first `Debounce`.
 
-    A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells. A simulated
-    fingertip gets its truth, if the flow does not have it.
+    A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells.
 
     Args:
         flow: Flow to change.
@@ -77,7 +76,6 @@ def add_page(
         announce_page("live page", url, page.login_url, browse=browse)
 
     watch_cells(flow)
-    _show_truth(flow)
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or announce)
     for node in page_streams(flow):
         flow.add_sink(page, node)
@@ -85,12 +83,12 @@ def add_page(
 
 def page_streams(flow: "Flow") -> "list[Node]":
     """Return the streams that the page shows: the first of each type, zeroed touch if there is any."""
-    from operators import Faults, Motion, Scores, Slips, Touch, Truth, Zeroed
+    from operators import Faults, Motion, Scores, Slips, Touch, Zeroed
 
     first: dict[type[Batch] | None, Node] = {}
     for node in flow.nodes:
         first.setdefault(node.gives, node)
-    kinds = (Zeroed if Zeroed in first else Touch, Motion, Scores, Slips, Faults, Truth)
+    kinds = (Zeroed if Zeroed in first else Touch, Motion, Scores, Slips, Faults)
     return [first[kind] for kind in kinds if kind in first]
 
 
@@ -108,16 +106,6 @@ def watch_cells(flow: "Flow") -> "Node | None":
             end = max(1, (high - low) // 100)  # counts at each end of the range
             return flow.add("faults", Health(clear_after=2 * s, floor=low + end, ceiling=high - end), node)
     return None
-
-
-def _show_truth(flow: "Flow") -> None:
-    """Add the truth of the first simulated fingertip, unless the flow has a stream of it."""
-    from connectors.sim.simulated_rig import SimulatedTouch
-    from operators import Truth
-
-    simulated = [node.part for node in flow.nodes if isinstance(node.part, SimulatedTouch)]
-    if simulated and not any(node.gives is Truth for node in flow.nodes):
-        flow.source(simulated[0].truth)
 
 
 def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None" = None) -> None:

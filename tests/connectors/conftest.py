@@ -2,10 +2,9 @@
 
 import pytest
 
-from connectors.web.access import TOKEN, TOKEN_FILE
+from connectors.web.access import TOKEN
 
 
 @pytest.fixture(autouse=True)
 def _no_token(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv(TOKEN, raising=False)
-    monkeypatch.delenv(TOKEN_FILE, raising=False)

@@ -80,6 +80,7 @@ def test_containers_are_locked_down_and_mount_only_shipped_files_and_secrets() -
         used |= {mount.split(":")[0] for mount in mounts} | {
             each["file"] for each in file["secrets"].values()
         }
+    used.add(compose["services"]["recorder"]["env_file"])
     ignored = (DEPLOY / ".gitignore").read_text().split()
     for name in used - set(compose["volumes"]):
         secret = any(Path(name).match(each.lstrip("/")) or name.startswith(f".{each}") for each in ignored)

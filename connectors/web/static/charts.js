@@ -9,8 +9,6 @@ import { $, colour } from "./dom.js";
 export const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
 const STEPS = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000]; // ms
 const HUES = ["--left", "--middle", "--right"];
-const STICK = 150; // ms; a shorter pause is part of a true slip
-const TALL = 9; // px, of the band of true sliding
 
 // Return the hue and dash of each cell of a layout: hues from left to right; rows above the lowest are dotted.
 export function styles(layout) {
@@ -140,7 +138,7 @@ export class Charts {
     const pressure = steppedRange(60), black = [{ hue: "--probability" }];
     const ends = (low, high) => (this.raw ? this.range : pressure(low, high));
     this.counts = new Chart("counts", [], ends, { text: (value) => this.amount(value) });
-    this.scores = new Chart("scores", black, () => [0, 1], { extra: (plot) => this.#drawTruthAndThreshold(plot) });
+    this.scores = new Chart("scores", black, () => [0, 1], { extra: (plot) => this.#drawThreshold(plot) });
     this.motion = new Chart("motion", black, steppedRange(10));
     this.all = [this.counts, this.scores, this.motion];
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.all.forEach((each) => each.rebuild()));
@@ -173,22 +171,15 @@ export class Charts {
   // Draw the streams of a fingertip.
   draw(streams, finger, view) {
     const of = (stream) => streams.of(stream, finger)?.between(view.begin, view.end);
-    this.truth = streams.of("truth", finger);
     this.counts.draw(of("touch"), view);
     this.scores.draw(of("scores"), view);
     this.motion.draw(of("speed"), view);
   }
 
-  // Draw true sliding as a band at the bottom, and the threshold as a dashed line.
-  #drawTruthAndThreshold({ ctx, bbox, valToPos }) {
-    const { begin, end } = this.scores.view, ratio = devicePixelRatio, top = bbox.top + bbox.height - TALL * ratio;
-    ctx.fillStyle = colour("--truth");
-    for (const [from, to] of this.truth ? sliding(this.truth, begin, end) : []) {
-      const left = valToPos(Math.max(from, begin), "x", true), right = valToPos(Math.min(to, end), "x", true);
-      if (right >= left) ctx.fillRect(left, top, Math.max(right - left, ratio), TALL * ratio);
-    }
+  // Draw the threshold as a dashed line.
+  #drawThreshold({ ctx, bbox, valToPos }) {
     if (this.threshold === null) return;
-    const y = valToPos(this.threshold, "y", true);
+    const y = valToPos(this.threshold, "y", true), ratio = devicePixelRatio;
     ctx.save();
     ctx.strokeStyle = colour("--slip");
     ctx.lineWidth = 1.4 * ratio;
@@ -199,16 +190,4 @@ export class Charts {
     ctx.stroke();
     ctx.restore();
   }
-}
-
-// Return the spans [from, to] of true sliding between two times.
-function sliding(rows, begin, end) {
-  const [times, values] = rows.between(begin - STICK, end), found = [];
-  times.forEach((t, row) => {
-    if (!values[row]) return;
-    const last = found.at(-1);
-    if (last && t - last[1] <= STICK) last[1] = t;
-    else found.push([t, t]);
-  });
-  return found;
 }

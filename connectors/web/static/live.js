@@ -117,7 +117,7 @@ export function live(view) {
       link("lost");
       await sleep(RETRY);
       const answer = await fetch("about.json").catch(() => null);
-      if (answer?.status === 401) location.reload(); // it requires another token after a restart
+      if (answer?.status === 403) location.reload(); // it requires another token after a restart
     }
   })();
 }

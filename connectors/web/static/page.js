@@ -8,7 +8,7 @@ import { Pads } from "./pads.js";
 import { recorded } from "./recorded.js";
 import { Streams } from "./rows.js";
 
-const TAKKTILE = { layout: [[5, 4, 3], [0, 1, 2]], range: [1023, 0], unit: "count", resolution: 1 }; // x right, y up
+const UNKNOWN = { layout: null, range: [1023, 0], unit: "count", resolution: 1 }; // range as of a TakkTile
 const READABLE = 100; // ms between updates of the numbers
 const DEEP = 100; // counts, least end of the colour ramp
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
@@ -31,11 +31,11 @@ class View {
     Object.assign(this, { faults: {}, quality: {}, slipping: new Set(), zeroed: true, deepest: DEEP, hasMotion: false });
   }
 
-  // Set the description of the fingertips; null: unknown, as a TakkTile.
+  // Set the description of the fingertips; null: unknown.
   set fingertip(found) {
-    const { layout, range, unit, resolution } = found ?? TAKKTILE;
-    this.given = found ? layout : null;
-    this.range = range ?? TAKKTILE.range;
+    const { layout, range, unit, resolution } = found ?? UNKNOWN;
+    this.given = layout;
+    this.range = range ?? UNKNOWN.range;
     this.unit = unit === "count" ? "counts" : unit;
     this.resolution = resolution; // units per count
     this.digits = Math.min(Math.max(0, Math.ceil(-Math.log10(resolution) - 1e-9)), 6); // of an amount
@@ -54,14 +54,14 @@ class View {
     return Math.sign(this.range[1] - this.range[0]);
   }
 
-  // Return the layout of the selected fingertip's cells: the given one, or a square for an unknown fingertip.
+  // Return the layout of the selected fingertip's cells: the given one, or a grid for an unknown fingertip.
   layout() {
     const cells = this.streams.of("touch", this.finger)?.columns.length ?? 6, { given } = this;
     if (given?.flat().filter((cell) => cell >= 0).length === cells) return given;
     if (this.made?.cells !== cells) {
       const wide = Math.ceil(Math.sqrt(cells)), cell = (k) => (k < cells ? k : -1);
-      const square = Array.from({ length: Math.ceil(cells / wide) }, (_, y) => Array.from({ length: wide }, (__, x) => cell(y * wide + x)));
-      this.made = { cells, layout: cells === 6 ? TAKKTILE.layout : square };
+      const layout = Array.from({ length: Math.ceil(cells / wide) }, (_, y) => Array.from({ length: wide }, (__, x) => cell(y * wide + x)));
+      this.made = { cells, layout };
     }
     return this.made.layout;
   }
@@ -130,7 +130,6 @@ class View {
     if (!span) return;
     this.#showUnit();
     this.charts.layout = this.layout();
-    $("truth-key").hidden = !streams.of("truth", this.finger);
     const slips = this.events.spans(this.finger, span[1]);
     this.charts.draw(streams, this.finger, { begin: span[0], end: span[1], slips, ...marks });
     if (now - this.written < READABLE) return this.redraw(READABLE);

@@ -65,7 +65,7 @@ export class Rows {
   }
 }
 
-// Rows by stream (touch, scores, truth, speed) and fingertip.
+// Rows by stream (touch, scores, speed) and fingertip.
 export class Streams {
   constructor() {
     this.all = new Map();

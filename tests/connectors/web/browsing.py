@@ -14,8 +14,8 @@ from connectors import Page
 from connectors.web.session_page import SessionPage
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
-from operators.batch import Faults, Motion, Scores, Slips, Touch, Truth, ms
-from operators.fingertip import Fingertip
+from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import slip, touched
 from tests.waiting import PATIENCE
@@ -125,7 +125,7 @@ class ServedPage(Served):
         port: int = 0,
         session: str = "first",
         token: str | None = None,
-        fingertip: Fingertip | None = None,
+        fingertip: Fingertip = TAKKTILE,
     ) -> None:
         super().__init__()
         self._fingertip = fingertip
@@ -148,8 +148,7 @@ class ServedPage(Served):
         self.run.sources["touch"] = SourceStatus(rows=100, newest=clock.now(), up=True)
         self.run.sources["motion"] = SourceStatus(error="10.0.0.2: unplugged")
         self.run.sinks["dataset"] = SinkStatus(rows=1234, records=True)
-        if self._fingertip is not None:
-            self.run.fingertips = {self.page.destination: {Touch: self._fingertip}}
+        self.run.fingertips = {self.page.destination: {Touch: self._fingertip}}
         await self.page.open(self.run)
 
     @property
@@ -157,7 +156,7 @@ class ServedPage(Served):
         """Address of the page."""
         return self.page.url
 
-    def write(self, *batches: Touch | Motion | Scores | Slips | Faults | Truth) -> None:
+    def write(self, *batches: Touch | Motion | Scores | Slips | Faults) -> None:
         """Write rows."""
         for batch in batches:
             self.do(self.page.write(batch))

@@ -161,7 +161,7 @@ def test_listening_needs_the_token(run: Run) -> None:
         page = Page(port=0, token=token)
         await page.open(run)
         async with ClientSession() as session:
-            with pytest.raises(WSServerHandshakeError, match="401"):
+            with pytest.raises(WSServerHandshakeError, match="403"):
                 await session.ws_connect(f"{page.url}/live", origin=page.url)
             headers = {"Authorization": f"Bearer {token}"}
             async with session.ws_connect(f"{page.url}/live", origin=page.url, headers=headers) as socket:

@@ -54,7 +54,7 @@ def test_other_machines_need_the_token_but_not_for_the_probes(
             await wide.open(run)
         monkeypatch.setenv(TOKEN, "0123456789abcdef")
         await wide.open(run)
-        assert (await asked(wide.url))[0] == 401
+        assert (await asked(wide.url))[0] == 403
         own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
         assert (await asked(wide.url, **own))[0] == 200
         base = wide.url.removesuffix("/metrics")

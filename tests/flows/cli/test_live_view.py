@@ -15,7 +15,6 @@ from flows.cli.show import show
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
-from flows.live import live
 from operators import Debounce, Touch, Zero
 from tests.command import slipflow
 from tests.waiting import PATIENCE
@@ -32,21 +31,13 @@ def page_of(flow: Flow) -> Page:
 
 def test_the_page_shows_the_streams_of_the_demo(tmp_path: Path) -> None:
     flow = ready_made.demo(str(tmp_path))
-    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips", "Truth"]
+    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips"]
     add_page(flow)
-    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips", "Faults", "Truth"]
+    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips", "Faults"]
     assert problems(flow) == []
     [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
     assert page_of(flow).threshold == debounce.threshold
     assert page_of(flow).destination == "http://127.0.0.1:8765"
-
-
-def test_the_page_shows_the_truth_of_a_simulation() -> None:
-    flow = live()
-    assert names(flow) == ["Zeroed", "Scores", "Slips", "Faults"]
-    add_page(flow)
-    assert names(flow) == ["Zeroed", "Scores", "Slips", "Faults", "Truth"]
-    assert problems(flow) == []
 
 
 def test_raw_touch_is_shown_if_none_is_zeroed_and_each_type_once() -> None:

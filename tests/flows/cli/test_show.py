@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from connectors.web.access import TOKEN, TOKEN_FILE
+from connectors.web.access import TOKEN
 from flows.cli.show import load, show
 from flows.demo import demo
 from flows.graph.testing import run_virtually
@@ -145,7 +145,6 @@ def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:
 def test_an_invalid_token_is_an_error_before_anything_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str | None
 ) -> None:
-    monkeypatch.delenv(TOKEN_FILE, raising=False)
     monkeypatch.delenv(TOKEN, raising=False)
     if token:
         monkeypatch.setenv(TOKEN, token)
