@@ -8,8 +8,8 @@ import typer
 
 from flows.cli.event_log import Format, begin_log
 from flows.cli.execution import execute
-from flows.cli.live_view import NoBrowser, add_page
-from flows.cli.options import Recordings
+from flows.cli.live_view import add_page
+from flows.cli.options import NoBrowser, Recordings
 
 if TYPE_CHECKING:
     from operators import Run

@@ -6,9 +6,8 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Cluster, Jobs
-from flows.cli.report_output import ReportFolder, command_line, prepare_report, write_report
-from flows.cli.terminal import note, progress_bar
+from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
+from flows.cli.terminal import command_line, note, prepare_report, progress_bar, write_report
 from operators.errors import InputError
 
 _WEIGHTS = {".safetensors", ".npz"}

@@ -6,14 +6,12 @@ import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Any, Final, TextIO
-
-import typer
+from typing import TYPE_CHECKING, Final, TextIO
 
 if TYPE_CHECKING:
     from flows.graph import Flow
     from flows.graph.node import Node, Part
-    from operators.ports import Json, Run, SinkStatus, SourceStatus
+    from operators.ports import Json, Run
 
 _SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # in URLs
 _REPEAT_AFTER: Final = 10.0  # s
@@ -26,16 +24,6 @@ class Format(StrEnum):
 
     TEXT = "text"
     JSON = "json"
-
-
-Log = Annotated[
-    Format,
-    typer.Option(
-        "--log",
-        help="Format of the log: text, or json, which prints slips, failures, and the start and end of the"
-        " run as one JSON object per line.",
-    ),
-]
 
 
 class JsonFormatter(logging.Formatter):
@@ -127,6 +115,7 @@ def with_json_console(flow: "Flow") -> "Flow":
 def logged(run: "Run") -> Generator[None]:
     """Log the start of a run, and its result at the end, as an error if the run ends with one."""
     from flows.run.log_events import event, reason_of
+    from flows.run.run_summary import Summary
 
     names: dict[str, Json] = {"sources": [*run.sources], "sinks": [*run.sinks]}
     about: dict[str, Json] = {"live": run.live, "recording": run.recording, **names}
@@ -139,21 +128,4 @@ def logged(run: "Run") -> Generator[None]:
     finally:
         if log.isEnabledFor(logging.INFO):  # a JSON log; after a text log, the command prints the error
             level = logging.ERROR if run.error else logging.INFO
-            log.log(level, "%s ends", run.session, extra=_result(run))
-
-
-def _result(run: "Run") -> "dict[str, Any]":
-    from flows.run.log_events import event
-
-    def counters(status: "SourceStatus | SinkStatus", *names: str) -> "dict[str, Json]":
-        return {**{name: getattr(status, name) for name in names}, "error": status.error or None}
-
-    sources: dict[str, Json] = {
-        name: {**counters(each, "rows", "late", "failures"), "gaps": len(each.gaps)}
-        for name, each in run.sources.items()
-    }
-    sinks: dict[str, Json] = {
-        name: counters(each, "rows", "dropped", "failures") for name, each in run.sinks.items()
-    }
-    seconds, error = (run.clock.now() - run.start) / 1e9, run.error or None
-    return event("run_ends", session=run.session, seconds=seconds, sources=sources, sinks=sinks, error=error)
+            log.log(level, "%s ends", run.session, extra=event("run_ends", **Summary.of(run).as_dict()))

@@ -5,9 +5,8 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Cluster, Jobs
-from flows.cli.report_output import ReportFolder, command_line, prepare_report, write_report
-from flows.cli.terminal import progress_bar
+from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
+from flows.cli.terminal import command_line, prepare_report, progress_bar, write_report
 
 
 def experiment(

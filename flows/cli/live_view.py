@@ -1,10 +1,8 @@
-"""Live page and metrics of a running flow: their options, and the sinks that serve them."""
+"""Live page and metrics of a running flow: the sinks that serve them."""
 
 import os
 import sys
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from flows.cli.options import parse_address
 from flows.cli.terminal import note
@@ -15,35 +13,6 @@ if TYPE_CHECKING:
     from flows.graph import Flow
     from flows.graph.node import Node
     from operators.batch import Batch
-
-WithPage = Annotated[
-    bool, typer.Option("--page/--no-page", help="Serve the live page and open it in a browser.")
-]
-Listen = Annotated[
-    str | None,
-    typer.Option(
-        metavar="[HOST:]PORT",
-        help="Serve the page here (default: 127.0.0.1:8765, or a free port if that is in use). Other"
-        " machines can connect only if a host is given; this requires SLIPFLOW_PAGE_TOKEN.",
-    ),
-]
-NoBrowser = Annotated[
-    bool,
-    typer.Option(
-        "--no-browser",
-        help="Print the address of the page, but do not open a browser (the default if stdout or stderr is"
-        " not a terminal).",
-    ),
-]
-Metrics = Annotated[
-    str | None,
-    typer.Option(
-        "--metrics",
-        metavar="[HOST:]PORT",
-        help="Serve metrics for Prometheus here, such as 9464. Other machines can connect only if a host is"
-        " given; this requires SLIPFLOW_PAGE_TOKEN, which they send as bearer token.",
-    ),
-]
 
 
 def add_page(

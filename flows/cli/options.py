@@ -6,15 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from flows.cli.event_log import Format
+
 if TYPE_CHECKING:
     from flows.graph import Flow
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result on stdout as one JSON object.")]
 Duration = Annotated[
-    str | None,
-    typer.Option(
-        "--for", metavar="TIME", help="Stop after this time, such as 30s or 5min (default: no limit)."
-    ),
+    str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
 ]
 Target = Annotated[
     str,
@@ -26,11 +25,7 @@ Target = Annotated[
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="NAME=VALUE",
-        help="Set a parameter of the flow, such as delay=70ms; repeatable. `slipflow check` lists them.",
-    ),
+    typer.Option("--set", metavar="NAME=VALUE", help="Set a parameter that `check` lists; repeatable."),
 ]
 Seed = Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives identical output.")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
@@ -38,14 +33,28 @@ Cluster = Annotated[
     str | None,
     typer.Option(
         metavar="URL",
-        help="Run on this Dask cluster instead of local processes, such as tcp://127.0.0.1:8786; all its"
-        " machines share the folders of input and output.",
+        help="Dask cluster to run on, such as tcp://127.0.0.1:8786; its machines share all folders.",
     ),
+]
+Listen = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[HOST:]PORT",
+        help="Address of the page (default: 127.0.0.1:8765, or any free port). A HOST that other machines"
+        " reach needs SLIPFLOW_PAGE_TOKEN.",
+    ),
+]
+NoBrowser = Annotated[
+    bool, typer.Option("--no-browser", help="Only print the address of the page, open no browser.")
+]
+Log = Annotated[
+    Format, typer.Option("--log", help="Log as text, or as json: slips and failures, one object per line.")
 ]
 Delay = Annotated[
     str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
 ]
 Recordings = Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")]
+ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]
 Rows = Annotated[str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1.")]
 DatasetOrSession = Annotated[
     Path, typer.Argument(metavar="DATASET|SESSION", help="Folder of a dataset, or of one of its sessions.")

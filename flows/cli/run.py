@@ -6,11 +6,22 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.event_log import Format, Log, begin_log, with_json_console
-from flows.cli.execution import execute, report_run, separate_result
-from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
-from flows.cli.options import AsJson, Cluster, Duration, Jobs, Settings, Target, load_flow, parse_settings
-from flows.cli.replay_batch import replay_all
+from flows.cli.event_log import Format, begin_log, with_json_console
+from flows.cli.execution import execute, replay_all, report_run, separate_result
+from flows.cli.live_view import add_metrics, add_page
+from flows.cli.options import (
+    AsJson,
+    Cluster,
+    Duration,
+    Jobs,
+    Listen,
+    Log,
+    NoBrowser,
+    Settings,
+    Target,
+    load_flow,
+    parse_settings,
+)
 from flows.cli.terminal import note
 
 
@@ -21,9 +32,7 @@ def run(
     duration: Duration = None,
     replay: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="PATH", help="Replay a session, all sessions of a dataset, or a trace: .csv or .parquet."
-        ),
+        typer.Option(metavar="PATH", help="Replay a session, a dataset, or a trace (.csv, .parquet)."),
     ] = None,
     more: Annotated[
         list[Path] | None, typer.Argument(metavar="PATH", help="Further recordings, with --replay.")
@@ -32,28 +41,29 @@ def run(
     cluster: Cluster = None,
     pace: Annotated[
         float | None,
-        typer.Option(
-            min=0.01, help="Replay at this multiple of real time; 1 is real time (default: full speed)."
-        ),
+        typer.Option(min=0.01, help="Replay at this multiple of real time (default: full speed)."),
     ] = None,
-    page: WithPage = False,
+    page: Annotated[
+        bool, typer.Option("--page", help="Serve the live page and open it in a browser.")
+    ] = False,
     listen: Listen = None,
     no_browser: NoBrowser = False,
-    metrics: Metrics = None,
+    metrics: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[HOST:]PORT",
+            help="Serve Prometheus metrics, at 9464 for example. A HOST that other machines reach needs"
+            " SLIPFLOW_PAGE_TOKEN, their bearer token.",
+        ),
+    ] = None,
     log: Log = Format.TEXT,
     as_json: AsJson = False,
 ) -> None:
     """Run a flow live, or replay recordings through it.
 
-    A live run ends when its sources end, after --for, or at Ctrl-C, and commits what was recorded. It exits 1
-    if a source was down or silent at the end, or rows were lost.
-
-    Recordings are replayed in parallel, each to a session of its name that appears when it is complete. If
-    one fails, the others continue, and the exit code is 1. After an interruption, repeat the command: it
-    omits the sessions that exist.
-
-    With --json a live run prints one object: session, flow, seconds, sources, sinks, error. A replay prints
-    {"sessions": [...], "existing": ..., "wall_seconds": ...}; each session also has "recording".
+    A live run ends with its sources, after --for, or at Ctrl-C. Recordings are replayed in parallel, each to
+    a session of its name; a repeated command omits those that exist. Exits 1 if a source was down or silent
+    at the end, rows were lost, or a replay failed; the others continue.
 
     Examples:
       slipflow run live --for 30s --page

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from flows.cli.live_view import Listen, NoBrowser, announce_page, watch_cells
-from flows.cli.options import parse_address
+from flows.cli.live_view import announce_page, watch_cells
+from flows.cli.options import Listen, NoBrowser, parse_address
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:

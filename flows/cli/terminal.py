@@ -1,14 +1,20 @@
-"""Notes, progress and checks that several commands share."""
+"""Notes, progress, checks and reports that several commands share."""
 
+import json
 import logging
+import shlex
+import sys
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import typer
 
 from flows.cli.event_log import JsonFormatter
+
+if TYPE_CHECKING:
+    from flows.report.report_page import Report
 
 log = logging.getLogger("slipflow")
 
@@ -65,3 +71,31 @@ def progress_bar(action: str) -> Generator[Progress]:
             bar.update(task, description=f"{action} {part}".rstrip(), completed=done, total=total)
 
         yield update
+
+
+def command_line() -> str:
+    """Return the command that the user typed, for a report."""
+    return shlex.join(["slipflow", *sys.argv[1:]])
+
+
+def prepare_report(folder: Path) -> None:
+    """Check that a report can be written to a folder, before a long measurement.
+
+    Notes that figures need matplotlib. A measurement that fails leaves no empty folder.
+
+    Raises:
+        EndpointError: if the folder cannot be created or written.
+    """
+    from flows.report.figures import missing_matplotlib
+    from flows.report.report_page import check_output_folder
+
+    check_output_folder(folder)
+    if reason := missing_matplotlib():
+        note(f"the report will have no figures, which {reason}")
+
+
+def write_report(report: "Report", folder: Path, name: str, *, as_json: bool) -> None:
+    """Write a report as NAME.html, .md, .json and figures; print its tables."""
+    paths = report.write(folder, name)
+    note(f"wrote {', '.join(map(str, paths))}")
+    typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())

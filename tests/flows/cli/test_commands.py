@@ -40,6 +40,20 @@ def test_each_command_accepts_the_examples_of_its_help(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ALL)
+def test_the_help_of_a_command_fits_on_one_screen(name: str) -> None:
+    shown = ALL[name].make_context(name, [], resilient_parsing=True, terminal_width=100).get_help()
+    assert len(shown.splitlines()) <= 45
+
+
+def test_the_number_of_commands_and_options_is_bounded() -> None:
+    assert len(ALL) == 16
+    options = [
+        each for command in ALL.values() for each in command.params if each.param_type_name == "option"
+    ]
+    assert len(options) <= 90
+
+
+@pytest.mark.parametrize("name", ALL)
 def test_the_summary_of_a_command_fits_into_the_list_of_commands(name: str) -> None:
     assert not ALL[name].get_short_help_str(62).endswith("...")
 

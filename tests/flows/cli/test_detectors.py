@@ -8,7 +8,7 @@ from shutil import copytree
 
 import pytest
 
-from flows.cli.report_output import prepare_report
+from flows.cli.terminal import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn.training import training_loop
 from operators.batch import s

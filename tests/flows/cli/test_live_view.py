@@ -9,7 +9,8 @@ import pytest
 from connectors import Page
 from flows import demo as ready_made
 from flows.cli.demo_command import demo
-from flows.cli.live_view import NoBrowser, add_page, announce_page, page_streams
+from flows.cli.live_view import add_page, announce_page, page_streams
+from flows.cli.options import NoBrowser
 from flows.cli.run import run
 from flows.cli.show import show
 from flows.graph import Flow
