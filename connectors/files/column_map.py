@@ -42,7 +42,6 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
 )
 
 _OWNER: Final = "column map"
-_ALIASES: Final = {"counts": "count", "volt": "V", "volts": "V", "newton": "N", "gauss": "G"}
 _DEFAULT_LABELS: Final = {"-1": UNKNOWN, "0": STATIC, "1": SLIP, "false": STATIC, "true": SLIP, **LABELS}
 _FINGERS: Final = 32767  # fingertip numbers have 16 bits
 _EXAMPLE: Final = "time=t,counts=p0..p5,units.time=ms, or a file such as pad.toml"
@@ -62,8 +61,7 @@ class ColumnMap:
 
     Args:
         columns: Column names by quantity: ``time``, ``counts`` (of cells 0, 1, ...), ``velocity`` (3 or 6,
-            linear and angular, of the TCP in the base frame), ``speed`` or ``label``. ``e*`` stands for all
-            matching columns, by number.
+            linear and angular, of the TCP in the base frame), ``speed`` or ``label``.
         units: Units of ``time``, ``counts``, ``velocity`` and ``speed``, as in `UNITS`. The default is the
             ending of the column's name, as in ``t_ms``, else s, count and m/s.
         labels: Values of the label column that mean ``slip``, ``static`` or ``unknown``. If only those for
@@ -75,8 +73,6 @@ class ColumnMap:
         rate: Rows per second, Hz: of a file without times, which begin at 0; otherwise the expected rate.
         zeroed: Readings are relative to the unloaded fingertip; None: if one is negative.
         finger: Number of the fingertip.
-        separator: Separator of a CSV file; empty: detected.
-        header: Column names of a CSV file without such a line.
 
     Raises:
         ParameterError: on an unknown quantity or unit, a wrong number of columns or an invalid value.
@@ -91,17 +87,14 @@ class ColumnMap:
     rate: float | None = None
     zeroed: bool | None = None
     finger: int = 0
-    separator: str = ""
-    header: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
             check_choice(_OWNER, "quantity", name, SIZES)
-            if not any("*" in column for column in columns):
-                check_size(name, columns)
+            check_size(name, columns)
         for name, unit in self.units.items():
             check_choice(_OWNER, "quantity with a unit", name, UNITS)
-            check_choice(_OWNER, f"unit of {name}", _ALIASES.get(unit, unit), UNITS[name])
+            check_choice(_OWNER, f"unit of {name}", unit, UNITS[name])
         for name in self.labels:
             check_choice(_OWNER, "label", name, LABELS)
         motions = [name for name in MOTIONS if self.columns.get(name)]
@@ -187,8 +180,7 @@ class ColumnMap:
     @property
     def unit(self) -> str:
         """Unit of the cells."""
-        given = self.units.get(COUNTS, "count")
-        return _ALIASES.get(given, given)
+        return self.units.get(COUNTS, "count")
 
     @property
     def label_codes(self) -> tuple[Mapping[str, int], int | None]:
@@ -281,10 +273,6 @@ def _range(text: str) -> tuple[float, float]:
     return low, high
 
 
-def _header(text: str) -> tuple[str, ...]:
-    return tuple(name for each in text.split(",") for name in expanded(each))
-
-
 _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser and what the text must be
     "resolution": (float, "a number"),
     "layout": (
@@ -295,8 +283,6 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser an
     "rate": (float, "a number"),
     "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),
     "finger": (int, "a whole number"),
-    "separator": (str, "a text"),
-    "header": (_header, "column names"),
 }
 
 

@@ -10,7 +10,6 @@ from typing import Any, Final
 import polars as pl
 
 from connectors.files import trace_table
-from connectors.files.column_map import ColumnMap
 from connectors.files.csv_table import parse_csv
 from connectors.files.trace_table import TraceTable, check_size
 from operators.errors import InputError, os_error_reason
@@ -32,16 +31,11 @@ _OTHERS: Final = {  # first bytes of other formats
 _PACKED: Final = (b"\x28\xb5\x2f\xfd", b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")  # zstd, zlib
 
 
-def read_table(path: Path, columns: ColumnMap) -> TraceTable:
+def read_table(path: Path) -> TraceTable:
     """Read a CSV or Parquet file.
-
-    Args:
-        path: The file.
-        columns: Its separator and header, if it is CSV.
 
     Raises:
         InputError: if it cannot be read, is damaged, too large or of another format.
-        ParameterError: if the separator is invalid.
     """
     where, content = str(path), _read(path)
     sha256 = hashlib.sha256(content).hexdigest()
@@ -56,7 +50,7 @@ def read_table(path: Path, columns: ColumnMap) -> TraceTable:
             raise InputError(where, f"{reason} (docs/how-to/import.md)")
     if content.startswith(_PACKED):
         raise InputError(where, "is compressed: decompress it first, or use gzip")
-    return parse_csv(content, where, columns.separator, columns.header, sha256=sha256)
+    return parse_csv(content, where, sha256=sha256)
 
 
 def _read(path: Path) -> bytes:

@@ -1,4 +1,4 @@
-"""Strict parser of CSV with any separator; errors name the line and the column."""
+"""Strict parser of CSV, which detects the separator; errors name the line and the column."""
 
 import codecs
 import csv
@@ -13,58 +13,38 @@ import numpy as np
 import polars as pl
 
 from connectors.files.trace_table import TraceTable, check_size
-from operators.checks import check_choice
 from operators.errors import InputError
 
-SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " ", "pipe": "|"}
+SEPARATORS: Final = {",": "comma", ";": "semicolon", "\t": "tab", " ": "space"}
 COLUMN_LIMIT: Final = 4096
 
 _ASSUMED: Final = 20  # lines that decide on the separator
 _DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 _QUOTED: Final = re.compile(r'"(?:[^"]|"")*"')
-_NUMERIC: Final = re.compile(r"(?=.*\d)[-+\d.,;|\s\"eEnaNinf]+")
 
 
-def parse_csv(
-    content: bytes,
-    where: str,
-    separator: str = "",
-    header: Sequence[str] = (),
-    *,
-    sha256: str = "",
-) -> TraceTable:
-    """Parse the content of a CSV file.
+def parse_csv(content: bytes, where: str, sha256: str = "") -> TraceTable:
+    """Parse the content of a CSV file, whose first line names the columns.
 
-    Lines at the beginning that start with ``#`` are comments, unless the last of them names the columns.
-    Numbers may have a decimal comma if the separator is not a comma.
+    Lines above it that start with ``#`` are comments. Numbers may have a decimal comma, unless it separates.
 
     Args:
         content: The content.
         where: Name of the file.
-        separator: One ASCII character, or a name: comma, semicolon, tab, space (any number of spaces and
-            tabs) or pipe (default: detected).
-        header: Names of the columns of a file whose first line has none.
         sha256: Checksum of the file, hex.
 
     Raises:
         InputError: if it is too large or not a table.
-        ParameterError: if the separator is not a single ASCII character.
     """
-    if separator not in ("", *SEPARATORS) and not (len(separator) == 1 and separator.isascii()):
-        check_choice("import", "separator", separator, ("one ASCII character", *SEPARATORS))
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise InputError(where, "is UTF-16: save it as UTF-8")
-    above, content = _without_comments(content.removeprefix(codecs.BOM_UTF8), named=bool(header))
-    sign = SEPARATORS.get(separator, separator) or detected(_lines(content, _ASSUMED))
-    notes = [] if sign == "," else [f"separator {_name(sign)}"]
+    above, content = _without_comments(content.removeprefix(codecs.BOM_UTF8))
+    sign = detected(_lines(content, _ASSUMED))
+    notes = [] if sign == "," else [f"separator {SEPARATORS[sign]}"]
     if sign == " ":
         content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
     check_size(where, content.count(sign.encode()) + content.count(b"\n") + 1)
-    if header:
-        quoted = ('"' + name.replace('"', '""') + '"' for name in header)
-        content = sign.join(quoted).encode() + b"\n" + content
-        above -= 1  # that line
-    named_by = "the header of the map" if header else f"line {above + 1}"
+    named_by = f"line {above + 1}"
     frame = _frame(where, content, sign, above, named_by)
     if _last_line(content).count(sign.encode()) < frame.width - 1:
         reason = f"the last line has fewer fields than {named_by} has names: it is cut off, delete it"
@@ -112,12 +92,12 @@ def detected(lines: Sequence[str]) -> str:
     """
     bare = [_QUOTED.sub("", line) for line in lines if line.strip()]
     best, most = ",", 0
-    for sign in (",", ";", "\t", "|", " "):
+    for sign in SEPARATORS:
         counts = {len(line.split()) - 1 if sign == " " else line.count(sign) for line in bare}
         if len(counts) == 1 and (fields := counts.pop()) > most:
             best, most = sign, fields
     if most == 0 and bare:  # lines of unequal length: the header decides
-        best = max((",", ";", "\t", "|"), key=bare[0].count)
+        best = max((",", ";", "\t"), key=bare[0].count)
     return best
 
 
@@ -133,20 +113,13 @@ def _last_line(content: bytes) -> bytes:
     return content[content.rfind(b"\n", 0, end) + 1 :].partition(b"\n")[0]
 
 
-def _name(sign: str) -> str:
-    return next((name for name, each in SEPARATORS.items() if each == sign), repr(sign))
-
-
-def _without_comments(content: bytes, *, named: bool) -> tuple[int, bytes]:
+def _without_comments(content: bytes) -> tuple[int, bytes]:
     """Return the number of comment lines at the beginning, and the content below them."""
     skipped, start = 0, 0
     while content[start : start + 1] == b"#":
         end = content.find(b"\n", start) + 1
         if not end:
             break
-        below = next((line for line in _lines(content[end : end + (1 << 16)], _ASSUMED) if line.strip()), "#")
-        if not named and not below.startswith("#") and _NUMERIC.fullmatch(below):
-            return skipped, content[start + 1 :]  # names, as numpy.savetxt writes them
         skipped, start = skipped + 1, end
     return skipped, content[start:]
 
@@ -164,7 +137,9 @@ def _frame(where: str, content: bytes, sign: str, above: int, named_by: str) -> 
         raise InputError(where, "is empty: its first line must name the columns") from None
     except pl.exceptions.PolarsError as error:
         if line := _too_long(content, sign):
-            reason = f"has more fields than {named_by} has names; a {_name(sign)} in a value needs quotes"
+            reason = (
+                f"has more fields than {named_by} has names; a {SEPARATORS[sign]} in a value needs quotes"
+            )
             raise InputError(f"{where}, line {line + above}", reason) from None
         raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
     torn = [column.str.contains("\n", literal=True).arg_true()[:1] for column in frame]

@@ -16,7 +16,6 @@ from connectors.files.column_map import (
     UNITS,
     VELOCITY,
     ColumnMap,
-    check_size,
 )
 from operators.errors import InputError
 
@@ -30,11 +29,10 @@ _NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     }
 )
 _CELL: Final = re.compile(
-    r"(s|c|p|b|counts?|cell|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d{1,3})", re.IGNORECASE
+    r"(s|c|p|b|counts?|cells?|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d{1,3})", re.IGNORECASE
 )
 _WITH_UNIT: Final = re.compile(r"(.+?)(?:[ _]?[\[(]([a-z/]+)[\])]|[ _]([a-z]+))", re.IGNORECASE)
 _AXES: Final = (("vx", "vy", "vz", "wx", "wy", "wz"), ("vx", "vy", "vz"))
-_DIGITS: Final = re.compile(r"(\d+)")
 
 
 @dataclass(frozen=True)
@@ -68,20 +66,6 @@ class Header:
         if column not in self.names:
             raise self.error(f"must have {column}")
 
-    def matching(self, column: str) -> list[str]:
-        """Return the columns that match a pattern such as ``e*``, sorted by their numbers.
-
-        Raises:
-            InputError: if none matches.
-        """
-        if "*" not in column or column in self.names:
-            return [column]
-        pattern = re.compile(".*".join(map(re.escape, column.split("*"))), re.DOTALL)
-        found = sorted(filter(pattern.fullmatch, self.names), key=natural)
-        if not found:
-            raise self.error(f"none of which matches {column}")
-        return found
-
 
 def completed(columns: ColumnMap, header: Header) -> ColumnMap:
     """Return a map that is completed by columns with common names, without absent quantities.
@@ -94,12 +78,8 @@ def completed(columns: ColumnMap, header: Header) -> ColumnMap:
 
     Raises:
         InputError: if a column is missing, there are no counts or no time, or the choice is ambiguous.
-        ParameterError: if a pattern matches a wrong number of columns.
     """
-    found = dict[str, tuple[str, ...]]()
-    for name, given in columns.columns.items():
-        found[name] = tuple(match for column in given for match in header.matching(column))
-        check_size(name, found[name])
+    found = dict(columns.columns)
     for name in SIZES:
         if name not in found:
             redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
@@ -114,15 +94,6 @@ def completed(columns: ColumnMap, header: Header) -> ColumnMap:
     found = {name: found[name] for name in SIZES if found[name]}
     units = {name: columns.units.get(name) or _unit(name, found[name]) for name in found if name in UNITS}
     return replace(columns, columns=found, units=units)
-
-
-def natural(name: str) -> tuple[tuple[int, str], ...]:
-    """Return a key that sorts names by the numbers in them.
-
-    >>> sorted(["e10", "e9", "e1"], key=natural)
-    ['e1', 'e9', 'e10']
-    """
-    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in _DIGITS.split(name))
 
 
 def _guess(name: str, header: Header) -> tuple[str, ...]:

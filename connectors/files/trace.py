@@ -94,7 +94,7 @@ class Trace:
         group: str | None = None,
         about: Description | None = None,
     ) -> None:
-        table, stated = _table(source, columns, name), columns.resolution
+        table, stated = _table(source, name), columns.resolution
         self.name, self.sha256, self.group, self._about = table.file, table.sha256, group, about or {}
 
         self.columns = columns = completed(columns, table.header)
@@ -251,7 +251,7 @@ class Trace:
         return about
 
 
-def _table(source: Any, columns: ColumnMap, name: str) -> "TraceTable":  # noqa: ANN401 - as for Trace
+def _table(source: Any, name: str) -> "TraceTable":  # noqa: ANN401 - as for Trace
     """Return the columns of a file or of a DataFrame."""
     import polars as pl  # noqa: PLC0415 - slow to import
 
@@ -259,7 +259,7 @@ def _table(source: Any, columns: ColumnMap, name: str) -> "TraceTable":  # noqa:
     from connectors.files.trace_table import TraceTable  # noqa: PLC0415 - slow to import
 
     if isinstance(source, str | Path):
-        return read_table(Path(source), columns)
+        return read_table(Path(source))
     try:
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:

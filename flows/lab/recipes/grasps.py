@@ -63,7 +63,7 @@ GRASPS: Final = DatasetRecipe(
     " of pad 1, minus the first ten rows, divided by 4. Rows of the files of one trial belong together by"
     " their number. The arm moves in the xy plane: the source has no vertical velocity, the recipe gives 0.",
     labels="slip of a marker on the box, by the authors",
-    columns=ColumnMap.parse("time=t,counts=b*,velocity=vx,vy,vz,label=slip,rate=60,zeroed=true"),
+    columns=ColumnMap.parse("time=t,counts=b0..b5,velocity=vx,vy,vz,label=slip,rate=60,zeroed=true"),
     registry=_REGISTRY,
     recordings=recordings,
 )

@@ -64,7 +64,7 @@ STROKES: Final = DatasetRecipe(
     " out. The label follows the joint; touch leads it by about 50 ms. The meaning of the surfaces' names was"
     " translated from Russian, not stated by the source.",
     labels="slip where the joint's speed times 0.096 m is above 5 mm/s",
-    columns=ColumnMap.parse("time=time_ns,counts=b*,speed=speed,label=label,rate=100,zeroed=true"),
+    columns=ColumnMap.parse("time=time_ns,counts=b0..b5,speed=speed,label=label,rate=100,zeroed=true"),
     registry=_REGISTRY,
     recordings=recordings,
 )

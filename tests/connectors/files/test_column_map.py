@@ -16,8 +16,7 @@ CELLS = ("s1", "s2", "s3", "s4", "s5", "s6")
 
 TEXT = (
     "time=my t, counts=a,b,c3..c1,d,label=,speed = v,units.time=ms,units.speed=mm/s,labels.slip=1,2,"
-    "layout=5,4,3/0,1,2,range=1023:0,rate=100,zeroed=true,finger=2,resolution=0.5,"
-    "separator=semicolon,header=t,p0..p2"
+    "layout=5,4,3/0,1,2,range=1023:0,rate=100,zeroed=true,finger=2,resolution=0.5"
 )
 FILE = """
 time = "my t"
@@ -30,8 +29,6 @@ rate = 100
 zeroed = true
 finger = 2
 resolution = 0.5
-separator = "semicolon"
-header = "t,p0..p2"
 units = { time = "ms", speed = "mm/s" }
 labels = { slip = [1, "2"] }
 """
@@ -51,8 +48,6 @@ def test_a_text_and_a_file_have_the_same_keys(tmp_path: Path) -> None:
         rate=100,
         zeroed=True,
         finger=2,
-        separator="semicolon",
-        header=("t", "p0", "p1", "p2"),
     )
     assert (found.scale("time"), found.scale("speed")) == (1e6, 0.001)
 
@@ -185,20 +180,9 @@ def test_an_ambiguous_column_is_refused(names: tuple[str, ...], complaint: str) 
     assert complaint in str(caught.value)
 
 
-def test_a_pattern_stands_for_all_matching_columns_in_the_order_of_their_numbers() -> None:
-    header = Header(("t", "w", *(f"e{number}" for number in range(19, 0, -1))))
-    found = completed(ColumnMap.parse("counts=e*,speed=w"), header)
-    assert found.columns["counts"] == tuple(f"e{number}" for number in range(1, 20))
-    assert completed(ColumnMap.parse("counts=e1*"), header).columns["counts"] == (
-        "e1",
-        *(f"e{number}" for number in range(10, 20)),
-    )
-    with pytest.raises(InputError, match=r"none of which matches x\*"):
-        completed(ColumnMap.parse("counts=x*"), header)
-    with pytest.raises(ParameterError, match=r"velocity is .*, must be 3 or 6 column names"):
-        completed(ColumnMap.parse("velocity=e*"), header)
+def test_a_column_cannot_be_two_cells() -> None:
     with pytest.raises(InputError, match="column e1 cannot be two cells"):
-        completed(ColumnMap.parse("counts=e*,e1"), header)
+        completed(ColumnMap.parse("counts=e1,e2,e1"), Header(("t", "e1", "e2")))
 
 
 @pytest.mark.parametrize(

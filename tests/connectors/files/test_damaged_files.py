@@ -9,7 +9,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from connectors.files.column_map import ColumnMap
 from connectors.files.container import read_table
 from operators.errors import InputError
 
@@ -31,7 +30,7 @@ FORMATS = {".csv": write_csv, ".parquet": write_parquet}
 def refusal(path: Path) -> str:
     """Return the error with which a file is refused; empty if it is read."""
     try:
-        read_table(path, ColumnMap())
+        read_table(path)
     except InputError as error:
         return str(error)
     return ""

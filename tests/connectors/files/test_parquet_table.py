@@ -37,7 +37,7 @@ def test_columns_of_any_type_are_read(path: Path) -> None:
         state=["Slip", "static", None, "STATIC"],
         raw=[b"1", b"2", b"3", b"4"],
     )
-    columns = ColumnMap.parse("counts=cells*,velocity=tcp.vx,tcp.vy,tcp.vz,label=state")
+    columns = ColumnMap.parse("counts=cells0..cells1,velocity=tcp.vx,tcp.vy,tcp.vz,label=state")
     trace = Trace(path, columns)
     assert trace.touch.counts.tolist() == [[1, 2], [3, 4], [5, 6], [7, 8]]
     assert trace.touch.time[0] == 1767225600_001000000
@@ -70,7 +70,7 @@ def test_a_file_of_many_values_is_refused(path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr("connectors.files.trace_table.VALUES", 1 << 17)
     assert path.stat().st_size < 1 << 14
     with pytest.raises(InputError, match="has more than 0 million values, the limit: split it into several"):
-        read_table(path, ColumnMap())
+        read_table(path)
 
 
 @pytest.mark.parametrize(

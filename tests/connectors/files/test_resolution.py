@@ -17,7 +17,7 @@ from operators.fingertip import TAKKTILE, Fingertip
 
 
 def columns(unit: str = "count", resolution: float | None = None, *, zeroed: bool | None = None) -> ColumnMap:
-    return ColumnMap({"counts": ("p*",)}, {"counts": unit}, resolution=resolution, zeroed=zeroed)
+    return ColumnMap({}, {"counts": unit}, resolution=resolution, zeroed=zeroed)
 
 
 def table(*readings: list[float], dtype: str = "f8") -> pl.DataFrame:

@@ -391,7 +391,7 @@ def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object
 
 
 def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None:
-    trace = Trace({"t": [0.0, 0.1], "cells": np.arange(6).reshape(2, 3)}, ColumnMap.parse("counts=cells*"))
+    trace = Trace({"t": [0.0, 0.1], "cells": np.arange(6).reshape(2, 3)})
     assert trace.touch.counts.tolist() == [[0, 1, 2], [3, 4, 5]]
     with pytest.raises(InputError, match=r"pad: cannot become a DataFrame of polars: .*"):
         Trace({"a": [1], "b": [1, 2]}, name="pad")

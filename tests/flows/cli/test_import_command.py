@@ -52,7 +52,6 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
         (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
         (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
         (["import", "lab.csv", "out", "--map", "layout=3x3"], "must be of 6 cells"),
-        (["import", "lab.csv", "out", "--map", "separator=none"], "separator is 'none', must be one of"),
         (["import", "lab.csv", "lab.csv", "out", "--session", "x"], "left out if there are several files"),
         (["import", "lab.csv", "lab.csv"], "OUT is 'lab.csv', must be a folder: the last argument is"),
         (["import", "lab.csv", "lab.csv", "out"], "has the same session name as lab.csv"),
