@@ -1,10 +1,11 @@
 """Commands that are imported when they are first used; help in panels; usage errors in one line."""
 
 import re
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from functools import cache
 from importlib import import_module
 from inspect import getdoc
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import typer
 import typer.main
@@ -22,7 +23,7 @@ class Entry(NamedTuple):
     module: str  # in flows.cli; contains a function with the name of the command
 
 
-class CommandTable(MutableMapping[str, "Command"]):
+class CommandTable(Mapping[str, "Command"]):
     """Commands by name, imported when they are first used.
 
     Args:
@@ -31,19 +32,9 @@ class CommandTable(MutableMapping[str, "Command"]):
 
     def __init__(self, entries: dict[str, Entry]) -> None:
         self.entries = entries
-        self._loaded: dict[str, Command] = {}
 
     def __getitem__(self, name: str) -> "Command":
-        if name not in self._loaded:
-            module = import_module(f"flows.cli.{self.entries[name].module}")
-            self._loaded[name] = _command(name, getattr(module, name, None) or getattr(module, f"{name}_"))
-        return self._loaded[name]
-
-    def __setitem__(self, name: str, command: "Command") -> None:
-        self._loaded[name] = command
-
-    def __delitem__(self, name: str) -> None:
-        del self.entries[name]
+        return _command(name, self.entries[name].module)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.entries)
@@ -59,7 +50,7 @@ class PanelGroup(TyperGroup):
 
     def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
         super().__init__(**settings)
-        self.commands = self.table
+        self.commands = cast("MutableMapping[str, Command]", self.table)  # which typer only reads
 
     def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:  # noqa: ARG002 - typer's
         """Write a section for each panel."""
@@ -79,21 +70,15 @@ def command_group(text: str, table: CommandTable) -> typer.Typer:
     )
 
 
-def register(app: typer.Typer, function: Callable[..., Any], name: str) -> None:
-    """Register a function as a command.
-
-    Its docstring is the help; the lines below ``Examples:`` are not wrapped.
-    """
+@cache
+def _command(name: str, module: str) -> "Command":
+    """Import a command; its docstring is the help, whose lines below ``Examples:`` are not wrapped."""
+    commands = import_module(f"flows.cli.{module}")
+    function: Callable[..., Any] = getattr(commands, name, None) or getattr(commands, f"{name}_")
     text, _, lines = (getdoc(function) or "").partition("Examples:\n")
     epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
-    app.command(name, help=text.rstrip(), epilog=epilog)(function)
-
-
-def _command(name: str, function: Callable[..., Any] | typer.Typer) -> "Command":
-    if isinstance(function, typer.Typer):
-        return typer.main.get_command(function)
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-    register(app, function, name)
+    app.command(name, help=text.rstrip(), epilog=epilog)(function)
     return typer.main.get_command(app)
 
 

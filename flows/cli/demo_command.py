@@ -47,7 +47,9 @@ def demo(
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
     done = run_punctually(execute(flow, limit=limit))
-    typer.echo("\n".join([*report(done, out), *published(mqtt)]))
+    typer.echo("\n".join(report(done, out)))
+    if mqtt:
+        typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
     if Summary.of(done).lost:
         raise typer.Exit(1)
 
@@ -83,8 +85,3 @@ def report(run: "Run", out: Path) -> list[str]:
         f"  {python.parent}/slipflow show {session.folder}",
         f"  {python} -c \"import polars; print(polars.read_parquet('{session.folder}/samples/*.parquet'))\"",
     ]
-
-
-def published(broker: str | None) -> list[str]:
-    """Return how to follow the events that were published, as lines."""
-    return [f"events published to {broker}; to follow them: slipflow watch {broker}"] if broker else []

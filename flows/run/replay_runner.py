@@ -1,7 +1,7 @@
 """Execution of a flow over a recording: the same graph at full speed, or paced like a live run."""
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from itertools import chain, islice
@@ -123,10 +123,8 @@ class ReplayRunner:
             destination = other_destination(sink)
             self.run.sinks[node.name] = SinkStatus(records=sink.records, replay_destination=destination)
 
-    async def execute(self, stopped: Callable[[Run], bool] = lambda _: False) -> Run:
-        """Run to the end of the recording, or until `stopped` returns True after a slice.
-
-        A run that was stopped is marked as interrupted.
+    async def execute(self) -> Run:
+        """Run to the end of the recording.
 
         Raises:
             SlipflowError: if an operator, a sink or the recording fails; earlier output is committed.
@@ -157,9 +155,6 @@ class ReplayRunner:
                     self._clock.newest = max(self._clock.newest, status.newest)
                 await self._write(deliveries)
                 await asyncio.sleep(0)  # let sinks serve their clients
-                if stopped(self.run):
-                    self.run.error = "was interrupted"
-                    break
             await self._write(self.compiled.flush())
         except BaseException as error:  # a cancelled run is incomplete too
             self.run.error = reason_of(error) if isinstance(error, Exception) else "was interrupted"

@@ -173,7 +173,7 @@ def test_flow_files_of_the_same_name_are_different_modules(
     for flow in flows:
         assert isinstance(flow.build, FunctionType)
         own = flow.build.__globals__["Own"]
-        assert pickle.dumps(own)  # an operator of this class can be in a snapshot
+        assert pickle.dumps(own)  # its module is found by its name
 
 
 @pytest.mark.parametrize("clash", ["operators.py", "storage/sqlite.py"])
