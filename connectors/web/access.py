@@ -63,14 +63,14 @@ class Access:
     token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: no token needed
 
     @classmethod
-    def of(cls, what: str, host: str, token: str | None = None) -> Self:
-        """Return the access rules of a server on `host`; None stands for the token in SLIPFLOW_PAGE_TOKEN.
+    def of(cls, what: str, host: str) -> Self:
+        """Return the access rules of a server on `host`, with the token in SLIPFLOW_PAGE_TOKEN.
 
         Raises:
             ParameterError: if the token is malformed, or missing although other machines can reach `host`; it
                 names the sink `what`.
         """
-        token = token or os.environ.get(TOKEN) or None
+        token = os.environ.get(TOKEN) or None
         if token is None and not is_loopback(host):
             raise ParameterError(what, "token", None, f"set in {TOKEN} if other machines can connect")
         if token is not None and not _TOKEN.fullmatch(token):

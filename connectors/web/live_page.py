@@ -38,13 +38,12 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     The frame has all that is new since then (`connectors.web.page_frames`), so a slow browser gets fewer and
     larger ones, at most the last 30 s. The page may drop rows and never slows the run.
 
-    Only this machine can reach the page unless `host` is set, which requires a token. The connection is not
-    encrypted: outside a trusted network, use a TLS proxy that keeps the header Host.
+    Only this machine can reach the page unless `host` is set, which requires SLIPFLOW_PAGE_TOKEN. The
+    connection is not encrypted: outside a trusted network, use a TLS proxy that keeps the header Host.
 
     Args:
         port: Port to listen on; 0 for any free port; None for 8765, or any free port if that is in use.
         host: Address of this machine to listen on, 0.0.0.0 for all.
-        token: Token that a browser must send; None for that of the environment, see `connectors.web.access`.
         threshold: Probability from which a sample counts as slip, marked on the page.
         opened: Called with the URL once the page is open.
 
@@ -58,7 +57,6 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self,
         port: int | None = None,
         host: str = "127.0.0.1",
-        token: str | None = None,
         *,
         threshold: float | None = None,
         opened: Callable[[str], None] | None = None,
@@ -67,7 +65,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             check_between("Page", "port", port, 0, 65535)
         if threshold is not None:
             check_between("Page", "threshold", threshold, 0, 1)
-        self._host, self._port, self._token = host, port, token
+        self._host, self._port = host, port
         self.threshold, self._opened = threshold, opened
 
     @property
@@ -101,7 +99,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._loop = asyncio.get_running_loop()
         self._due = self._loop.time() + REPORT_EVERY  # time of the next report
         self._changed, self._changes, self._browsers, self._ended = asyncio.Event(), 0, 0, False
-        self._server = page_server(self._host, self._port, self._token)
+        self._server = page_server(self._host, self._port)
 
         async def about(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
             return json_response({"mode": "live"})

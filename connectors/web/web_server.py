@@ -175,13 +175,13 @@ class WebServer:
         return web.FileResponse(self._files / "index.html")
 
 
-def page_server(host: str, port: int | None, token: str | None = None) -> WebServer:
+def page_server(host: str, port: int | None) -> WebServer:
     """Return a server of the page's files; the default of `port` is 8765, or any free port if in use.
 
     Raises:
         ParameterError: if the token is malformed, or missing although other machines can reach `host`.
     """
-    access = Access.of("Page", host, token)
+    access = Access.of("Page", host)
     number = PAGE_PORT if port is None else port
     return WebServer(host, number, access, "the page", any_port=port is None, files=STATIC)
 

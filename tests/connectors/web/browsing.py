@@ -7,10 +7,12 @@ from threading import Thread
 from typing import Any, Self
 
 import numpy as np
+import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Locator, Request, sync_playwright
 from playwright.sync_api import Page as Tab
 
 from connectors import Page
+from connectors.web.access import TOKEN
 from connectors.web.session_page import SessionPage
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
@@ -124,7 +126,7 @@ class ServedPage(Served):
         self,
         port: int = 0,
         session: str = "first",
-        token: str | None = None,
+        token: str = "",
         fingertip: Fingertip = TAKKTILE,
     ) -> None:
         super().__init__()
@@ -134,8 +136,10 @@ class ServedPage(Served):
     def __enter__(self) -> Self:
         super().__enter__()
         port, token = self._settings
-        self.page = Page(port, token=token, threshold=0.78)
-        self.do(self._open())
+        self.page = Page(port, threshold=0.78)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv(TOKEN, token)
+            self.do(self._open())
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -9,6 +9,7 @@ import pytest
 from aiohttp import ClientSession, WSServerHandshakeError
 
 from connectors import Page
+from connectors.web.access import TOKEN
 from operators.batch import Zeroed, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run, SinkStatus, SourceStatus
@@ -154,11 +155,12 @@ def test_pages_of_other_sites_cannot_listen(run: Run, origin: str | None) -> Non
     asyncio.run(main())
 
 
-def test_listening_needs_the_token(run: Run) -> None:
+def test_listening_needs_the_token(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     token = "0123456789abcdef"  # noqa: S105 - of this test
+    monkeypatch.setenv(TOKEN, token)
 
     async def main() -> None:
-        page = Page(port=0, token=token)
+        page = Page(port=0)
         await page.open(run)
         async with ClientSession() as session:
             with pytest.raises(WSServerHandshakeError, match="403"):

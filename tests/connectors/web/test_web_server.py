@@ -11,7 +11,7 @@ import pytest
 from aiohttp import ClientResponse, ClientSession, CookieJar, web
 
 from connectors.web import web_server
-from connectors.web.access import Access
+from connectors.web.access import TOKEN, Access
 from connectors.web.web_server import STATIC, STRANGERS_MAX, WebServer, page_server
 from operators.errors import EndpointError, InputError
 from tests.waiting import PATIENCE, until
@@ -152,9 +152,11 @@ def test_the_page_and_all_its_files_are_served_and_nothing_else() -> None:
     asyncio.run(main())
 
 
-def test_with_a_token_nothing_is_served_without_it() -> None:
+def test_with_a_token_nothing_is_served_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TOKEN, SECRET)
+
     async def main() -> None:
-        server = page_server("127.0.0.1", 0, SECRET)
+        server = page_server("127.0.0.1", 0)
         async with served(server) as session:
             wrong = "/?token=", f"/?token={SECRET}x"
             for path in ("/", "/data", "/page.js", "/page.css", "/nothing", *wrong):
