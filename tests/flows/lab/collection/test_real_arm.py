@@ -58,4 +58,5 @@ def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
     motion = concat(Motion, list(session.read(Motion, EVERY)))
     assert (np.rint(np.diff(motion.device_time) / 8e6) == 1).all()  # every package once
     labels = concat(Labelled, list(session.read(Labelled, 0))).label
-    assert (labels == SLIP).sum() > STROKES * 20
+    sliding = np.hypot(*motion.velocity[:, :2].T) > 0.003  # m/s
+    assert (labels == SLIP).mean() == pytest.approx(sliding.mean(), rel=0.5)  # a busy host scans less often
