@@ -91,7 +91,7 @@ class ColumnMap:
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
             check_choice(_OWNER, "quantity", name, SIZES)
-            check_size(name, columns)
+            _check_size(name, columns)
         for name, unit in self.units.items():
             check_choice(_OWNER, "quantity with a unit", name, UNITS)
             check_choice(_OWNER, f"unit of {name}", unit, UNITS[name])
@@ -213,7 +213,7 @@ def expanded(text: str) -> list[str]:
     return [f"{prefix}{number}" for number in range(begin, end + step, step)]
 
 
-def check_size(name: str, columns: Sequence[str]) -> None:
+def _check_size(name: str, columns: Sequence[str]) -> None:
     """Require that a quantity has an allowed number of columns, or none.
 
     Raises:

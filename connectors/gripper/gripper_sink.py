@@ -35,9 +35,9 @@ RETRY: Final = 2.0  # s, longest time between attempts to reconnect
 class Gripper(Sink[Commands]):
     """Sink that sets the grip force of a Robotiq 3-finger gripper in its basic mode; the newest command wins.
 
-    Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers move to
-    `position` with the first commanded force, or at once if `force` is given, and stop at an object. Closing
-    leaves them as they are. The sink refuses to start in a replay, paced or not.
+    Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers close with
+    the first commanded force, or at once if `force` is given, and stop at an object. Closing the sink leaves
+    them as they are. The sink refuses to start in a replay, paced or not.
 
     A command is executed on arrival, whatever its timestamp. A force of NaN and velocities have no effect. A
     force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
@@ -52,8 +52,6 @@ class Gripper(Sink[Commands]):
     Args:
         limits: Minimum and maximum force, N.
         force: Initial force, N; None: the first command sets the force.
-        position: Target of the fingers, 0 open to 255 closed.
-        speed: Speed of the fingers, 0 to 255.
         timeout: Longest wait for the connection, for each answer, and for the echo of a request, s.
 
     Raises:
@@ -68,8 +66,6 @@ class Gripper(Sink[Commands]):
     unit: int = UNIT  # some grippers are set to 0 or 9
     limits: tuple[float, float] = (WEAKEST, STRONGEST)
     force: float | None = None
-    position: int = FULL
-    speed: int = FULL
     timeout: float = 1.0
 
     extra = "gripper"
@@ -78,7 +74,7 @@ class Gripper(Sink[Commands]):
     def __post_init__(self) -> None:
         if not self.host:
             raise ParameterError("Gripper", "host", self.host, "the address of a gripper")
-        for name, highest in (("port", 65535), ("unit", FULL), ("position", FULL), ("speed", FULL)):
+        for name, highest in (("port", 65535), ("unit", FULL)):
             if not (isinstance(value := getattr(self, name), int) and 0 <= value <= highest):
                 raise ParameterError("Gripper", name, value, f"a whole number from 0 to {highest}")
         check_above("Gripper", "timeout", self.timeout, 0, "s")
@@ -93,7 +89,7 @@ class Gripper(Sink[Commands]):
 
     def _reset(self) -> None:
         """Set the state before a run."""
-        target = Request(active=True, position=self.position, speed=self.speed)
+        target = Request(active=True, position=FULL, speed=FULL)
         if self.force is not None:
             target = replace(target, go=True, force=force_register(self.force))
         self._drive = self._new_drive(target)

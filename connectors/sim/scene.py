@@ -26,9 +26,6 @@ class Move:
 
     Raises:
         ParameterError: if the rest is negative or not shorter than the move.
-
-    >>> Move("translation", seconds=0.9, rest=0.3, direction_deg=45, speed=0.05).oblique
-    True
     """
 
     motion: MotionKind
@@ -43,11 +40,6 @@ class Move:
     def __post_init__(self) -> None:
         if not 0 <= self.rest < self.seconds:
             raise ParameterError("Move", "rest", self.rest, f"at least 0 and below its {self.seconds} s")
-
-    @property
-    def oblique(self) -> bool:
-        """True if the direction is not along an axis of the fingertip."""
-        return self.direction_deg % 90 != 0
 
 
 class Plan(Protocol):

@@ -1,4 +1,4 @@
-"""Simulated rig: live sources of fingertips, an arm and their ground truth."""
+"""Simulated rig: live sources of a fingertip, an arm and their ground truth."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -11,8 +11,7 @@ import numpy as np
 
 from connectors.sim.scene import Move, Scene, Timing, Vibration
 from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Episodes, Motion, Touch, Truth, s
-from operators.checks import check_above, check_at_least
-from operators.errors import ParameterError
+from operators.checks import check_at_least
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Source
 from operators.sliding_motion import SlidingMotion
@@ -32,41 +31,29 @@ class SimulatedRig:
     Args:
         scene: Scene to simulate (default: presses and strokes without end, by an arm that vibrates).
         seed: Random seed; the same seed gives identical output.
-        pace: Simulated seconds per second of the clock (default 1).
-        fingers: Fingertips that share one motion, each with its own noise and cells.
 
     Raises:
-        ParameterError: if the pace is not above 0, the seed is below 0, or there is no fingertip.
+        ParameterError: if the seed is below 0.
 
     >>> rig = SimulatedRig(seed=1)
     >>> rig.touch.kind.__name__, rig.motion.kind.__name__, rig.touch.fingers
     ('Touch', 'Motion', (0,))
     """
 
-    def __init__(
-        self, scene: Scene | None = None, seed: int = 0, *, pace: float = 1.0, fingers: tuple[int, ...] = (0,)
-    ) -> None:
-        check_above("SimulatedRig", "pace", pace, 0)
+    def __init__(self, scene: Scene | None = None, seed: int = 0) -> None:
         check_at_least("SimulatedRig", "seed", seed, 0)
-        if not fingers:
-            raise ParameterError("SimulatedRig", "fingers", fingers, "at least one fingertip")
         self.scene = scene if scene is not None else Scene(vibration=Vibration())
-        self.seed, self.pace, self.fingers = seed, pace, fingers
-        self.touch = SimulatedTouch(self, Touch, fingers)
+        self.seed = seed
+        self.touch = SimulatedTouch(self, Touch, (0,))
         self.motion = SimulatedMotion(self, Motion, (EVERY,))
         self.episodes = SimulatedEpisodes(self, Episodes, (EVERY,))
-        self.truth = SimulatedTruth(self, Truth, fingers)
+        self.truth = SimulatedTruth(self, Truth, (0,))
         self._origin = 0  # ns
         self._running: set[Source[Any]] = set()
 
     def describe(self) -> Description:
         """Return the description of the rig for recordings."""
-        return {
-            "rig": "simulated",
-            "seed": self.seed,
-            "fingers": list(self.fingers),
-            "scene": asdict(self.scene),
-        }
+        return {"rig": "simulated", "seed": self.seed, "scene": asdict(self.scene)}
 
     def begin(self, source: Source[Any], clock: Clock) -> int:
         """Add a source to the current run, or to a new run if already added; return the origin (ns)."""
@@ -77,7 +64,7 @@ class SimulatedRig:
 
     def due(self, instant: float) -> int:
         """Return the time (ns) of the clock at an instant of the scene (s since the run began)."""
-        return self._origin + round(instant / self.pace * s)
+        return self._origin + round(instant * s)
 
     def sampled(self, timing: Timing, number: int) -> int:
         """Return the time (ns) of the clock at which a sample of a stream arrives."""
@@ -97,12 +84,12 @@ class _RigStream(Source[AnyBatch]):
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """Fingertips of the rig, or EVERY for the arm."""
+        """The only fingertip, 0, or EVERY for the arm."""
         return self._fingers
 
 
 class SimulatedTouch(_RigStream[Touch]):
-    """Source of the simulated fingertips, created by `SimulatedRig`."""
+    """Source of the simulated fingertip, created by `SimulatedRig`."""
 
     async def prepare(self) -> None:
         """Compile the physics, which takes seconds the first time and less than one afterwards."""
@@ -111,22 +98,21 @@ class SimulatedTouch(_RigStream[Touch]):
         await asyncio.to_thread(compile_physics)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Yield samples of each fingertip in turn, one at a time."""
+        """Yield samples, one at a time."""
         rig, origin = self._rig, self._rig.begin(self, clock)
         await asyncio.sleep(0)  # lets the truth begin before the first sample
         from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
 
-        fingertips = [Finger(rig.scene, rig.seed, finger) for finger in rig.fingers]
+        fingertip = Finger(rig.scene, rig.seed)
         try:
             for number in count():
                 await clock.sleep_until(rig.sampled(rig.scene.touch, number))
-                for fingertip in fingertips:
-                    if (taken := fingertip.take(1)) is None:
-                        return
-                    touch, truth = taken
-                    if len(touch):
-                        rig.truth.add(replace(truth, time=truth.time + origin))
-                        yield replace(touch, time=touch.time + origin)
+                if (taken := fingertip.take(1)) is None:
+                    return
+                touch, truth = taken
+                if len(touch):
+                    rig.truth.add(replace(truth, time=truth.time + origin))
+                    yield replace(touch, time=touch.time + origin)
         finally:
             rig.truth.end()
 
@@ -141,7 +127,7 @@ class SimulatedTouch(_RigStream[Touch]):
 
     @property
     def truth(self) -> "SimulatedTruth":
-        """Source of the ground truth of these fingertips."""
+        """Source of the ground truth of this fingertip."""
         return self._rig.truth
 
 

@@ -38,14 +38,14 @@ async def test_requests_equal_the_frames_in_the_manual() -> None:
 
 async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() -> None:
     async with lab(contact=51) as at:
-        gripper = at.gripper(speed=200, position=180)
+        gripper = at.gripper()
         await gripper.open(at.run)
         await asyncio.sleep(10)
         assert at.writes == [Request(active=True)]
         assert gripper.describe()["force_n"] is None
         await gripper.write(commands(30.0))
         await asyncio.sleep(10)
-        assert at.writes[1:] == [Request(active=True, go=True, position=180, speed=200, force=85)]
+        assert at.writes[1:] == [Request(active=True, go=True, position=255, speed=255, force=85)]
         assert at.scene.forces == [register_force(85)]
         assert gripper.status
         assert gripper.status.object_detected
@@ -228,8 +228,6 @@ def test_the_error_without_pymodbus_names_the_pip_command(
         ("port", 65536),
         ("unit", -1),
         ("port", "502"),
-        ("position", 256),
-        ("speed", -1),
         ("limits", (10.0, 40.0)),
         ("limits", (15.0, 61.0)),
         ("limits", (40.0, 20.0)),

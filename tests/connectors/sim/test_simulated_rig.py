@@ -116,18 +116,9 @@ def test_the_truth_has_a_row_for_each_touch_row() -> None:
     np.testing.assert_array_equal(truth.time + 4 * ms, touch.time)
 
 
-def test_several_fingertips_feel_the_same_motion_with_noise_of_their_own() -> None:
-    touch, _ = run(SimulatedRig(Scene(PLAN), fingers=(0, 2)))
-    assert [batch.finger for batch in touch[:4]] == [0, 2, 0, 2]
-    one, other = (concat(Touch, touch[first::2]) for first in (0, 1))
-    assert one.counts.tobytes() != other.counts.tobytes()
-
-
 def test_bad_parameters_are_refused() -> None:
-    with pytest.raises(ParameterError, match="pace"):
-        SimulatedRig(pace=0.0)
-    with pytest.raises(ParameterError, match="fingers"):
-        SimulatedRig(fingers=())
+    with pytest.raises(ParameterError, match="seed"):
+        SimulatedRig(seed=-1)
 
 
 def truth(sliding: list[float], start: int = 0) -> Truth:
