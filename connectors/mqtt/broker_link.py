@@ -41,6 +41,7 @@ INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 EXPIRES_SOON: Final = 14.0  # days
 DAY: Final = 86400.0  # s
 
+_REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
 _CLOSED = "the broker closed the connection"
 _UNREACHABLE = "check the address and the network"
 _EXTENSION = "Python 3.13 needs this extension: create the certificates again"
@@ -130,9 +131,11 @@ class Link:
             EndpointError: if the broker is unreachable, does not respond or refuses the client.
         """
         entering = asyncio.ensure_future(self._client.__aenter__())
+        entering.add_done_callback(lambda task: task.cancelled() or task.exception())  # if nobody awaits it
         try:
             waits: set[asyncio.Future[Any]] = {entering, self._lost}
             await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait([entering], timeout=_REFUSAL)  # a broker that refuses also closes
             if not entering.done():
                 entering.cancel()
                 raise aiomqtt.MqttError(_CLOSED)  # noqa: TRY301 - reported as those of aiomqtt
