@@ -254,12 +254,13 @@ def test_thinned_curves_keep_the_figures_of_the_recording(watched: Watched, run:
     tab = watched.tab
     with ServedRecording(fill()) as served:
         tab.goto(served.url)
+        expect(tab.locator("#ramp-to")).to_have_text("400")  # the deepest of all
+        expect(tab.locator("#events-count")).to_have_text("1,500 slips")
+        expect(tab.locator("#some-events")).to_have_text("The first 1,000 of 3,000 events are listed.")
         count, shown = tab.locator(".count").first, tab.locator("#probability")
+        expect(count).to_have_text("10")  # the page has loaded
         for row, figures in ((odd, ("333", "0.75")), (odd - 1, ("10", "0.25")), (odd + 1, ("10", "0.25"))):
             tab.locator("#instant").evaluate(MOVE, 10 * row)  # all within the same pixel
             expect(count).to_have_text(figures[0])
             expect(shown).to_have_text(figures[1])
-        expect(tab.locator("#ramp-to")).to_have_text("400")  # the deepest of all
-        expect(tab.locator("#events-count")).to_have_text("1,500 slips")
-        expect(tab.locator("#some-events")).to_have_text("The first 1,000 of 3,000 events are listed.")
     assert watched.complaints == []
