@@ -18,7 +18,6 @@ class HealthReports:
     def __init__(self, run: Run) -> None:
         self._run = run
         self._time, self._rows = run.start, dict.fromkeys(run.sources, 0)
-        self.rates: dict[str, float | None] = {}  # Hz, of the newest report, by source; None: unknown
 
     def next(self) -> dict[str, Json]:
         """Return a report of the current state.
@@ -32,10 +31,9 @@ class HealthReports:
         for name, source in run.sources.items():
             before = self._rows.get(name, 0)
             rows, known = source.rows - before, before > 0 and elapsed > 0
-            self.rates[name] = round(rows / elapsed, 3) if known else None
             sources[name] = {
                 "state": "up" if source.up else "stale" if source.stale else "down",
-                "rate_hz": self.rates[name],
+                "rate_hz": round(rows / elapsed, 3) if known else None,
                 "lag_ms": (now - source.newest) / ms if source.newest else None,
                 "rows": source.rows,
                 "late": source.late,

@@ -10,7 +10,7 @@ from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
 from connectors.web.curves import page_fingertip
 from connectors.web.page_frames import Frames, Rows, Seen, rows_json
-from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from operators.batch import Faults, Motion, Scores, Slips, Touch, Zeroed, ms
 from operators.checks import check_between
 from operators.extras import software_version
 from operators.ports import Json, Run, Sink
@@ -31,8 +31,8 @@ _POLLS: Final = 25  # until all browsers have received the end of the run
 class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     """Live page in the browser: pressure maps, slip probability, TCP speed, slip events with latency, health.
 
-    Connect each stream to show: touch (preferably zeroed), motion, scores, slips and faults. The
-    health covers all sources and sinks of the run.
+    Connect each stream to show: touch (raw touch is ignored if there is zeroed touch, too), motion, scores,
+    slips and faults. The health covers all sources and sinks of the run.
 
     A browser requests each frame over a WebSocket when it has shown the previous one, at most 40 per second.
     The frame has all that is new since then (`connectors.web.page_frames`), so a slow browser gets fewer and
@@ -94,10 +94,9 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
         from connectors.web.web_server import json_response, page_server  # noqa: PLC0415 - imports aiohttp
 
-        self._run, self._frames, self._reports = run, Frames(run), HealthReports(run)
-        self._report, self._reported = self._health(), 0  # newest report, and its number
+        self._zeroed = any(issubclass(kind, Zeroed) for kind in run.sink_types.get(self.destination, ()))
+        self._run, self._frames = run, Frames(run, zeroed=self._zeroed)
         self._loop = asyncio.get_running_loop()
-        self._due = self._loop.time() + REPORT_EVERY  # time of the next report
         self._changed, self._changes, self._browsers, self._ended = asyncio.Event(), 0, 0, False
         self._server = page_server(self._host, self._port)
 
@@ -138,18 +137,21 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
     async def _follow(self, socket: "WebSocketResponse") -> None:
         """Answer each request of a browser with what is new for it, until it leaves or the run ends."""
-        seen, changes, reported, next_frame = Seen(), -1, -1, 0.0
+        seen, changes, reports = Seen(), -1, HealthReports(self._run)
+        next_frame = next_report = self._loop.time()
         self._browsers += 1
         try:
             async for _ in socket:
                 first = changes < 0
-                await self._wait(changes, next_frame)
-                next_frame, changes, ended = self._loop.time() + FRAME_EVERY, self._changes, self._ended
+                await self._wait(changes, next_frame, next_report)
+                now, changes, ended = self._loop.time(), self._changes, self._ended
+                next_frame = now + FRAME_EVERY
                 rows, frame = self._frames.since(seen)
                 if first:
                     frame["run"] = self._about()
-                if reported != self._current_report():
-                    reported, frame["report"] = self._reported, self._report
+                if now >= next_report:
+                    next_report = now + REPORT_EVERY
+                    frame["report"] = self._health(reports)
                 if ended:
                     frame["end"] = {"error": self._run.error or None}
                 await socket.send_str((await self._encoded(frame, rows)).decode())
@@ -158,11 +160,11 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         finally:
             self._browsers -= 1
 
-    async def _wait(self, changes: int, next_frame: float) -> None:
+    async def _wait(self, changes: int, next_frame: float, next_report: float) -> None:
         """Wait for a change, at most until the next report, and for the time of the next frame."""
         if changes == self._changes:
             with suppress(TimeoutError):
-                async with asyncio.timeout_at(self._due):
+                async with asyncio.timeout_at(next_report):
                     await self._changed.wait()
         if not self._ended:
             await asyncio.sleep(max(GATHER, next_frame - self._loop.time()))
@@ -185,20 +187,14 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             "start": run.start / ms,
             "threshold": self.threshold,
             "fingertip": page_fingertip(run, self.destination),
+            "zeroed": self._zeroed,
         }
 
-    def _current_report(self) -> int:
-        """Make the next report if it is due; return the number of the newest one."""
-        if self._loop.time() >= self._due:
-            self._due = self._loop.time() + REPORT_EVERY
-            self._report, self._reported = self._health(), self._reported + 1
-        return self._reported
-
-    def _health(self) -> dict[str, Json]:
+    def _health(self, reports: HealthReports) -> dict[str, Json]:
         """Return the health of the run, with its error texts, lost rows and recorders."""
         sources, sinks = self._run.sources, self._run.sinks
         return {
-            **self._reports.next(),
+            **reports.next(),
             "errors": {name: source.error or None for name, source in sources.items()},
             "declared_hz": {name: source.declared_rate for name, source in sources.items()},
             "lost": {name: source.lost for name, source in sources.items()},

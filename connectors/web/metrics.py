@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from connectors.web.access import METRICS_PORT, Access, http_url, is_loopback
-from operators.batch import Clocks, Faults, Scores, Slips
+from operators.batch import Faults, Scores, Slips
 from operators.checks import check_between
 from operators.ports import Run, Sink
 
@@ -14,15 +14,14 @@ if TYPE_CHECKING:
 PATH: Final = "/metrics"
 
 
-class Metrics(Sink[Scores | Slips | Faults | Clocks]):
+class Metrics(Sink[Scores | Slips | Faults]):
     """Prometheus metrics at ``/metrics`` (text format 0.0.4), and probes of a run, while it lasts.
 
     ``/healthz`` answers 200 while the event loop runs. ``/readyz`` answers 200 if a source delivers and no
     source or sink fails, else 503 with the names of those that fail. Neither needs the token.
 
     The metrics cover all sources and sinks of the run. Connect slips for counts and latency, faults for the
-    health of barometers, scores for their quality, and clocks for the offset of the device clock. The sink
-    may drop rows and never slows the run.
+    health of barometers, and scores for their quality. The sink may drop rows and never slows the run.
 
     Only this machine can read the metrics unless `host` is set, which requires a token: Prometheus sends it
     as ``Authorization: Bearer TOKEN``. The metrics have names, counts and times, but no error texts.
@@ -89,7 +88,7 @@ class Metrics(Sink[Scores | Slips | Faults | Clocks]):
         if self._opened:
             self._opened(self.url)
 
-    def take(self, batch: Scores | Slips | Faults | Clocks) -> bool:
+    def take(self, batch: Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the metrics."""
         self._metrics.add(batch)
         return True

@@ -5,7 +5,6 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 - ``now``: time of the run's clock when the frame was made
 - ``rows``: by stream and fingertip, ``t`` (n,) and ``v``: (n, cells) counts of ``touch``, null for invalid
   cells; (n,) probability of ``scores``; (n,) TCP speed of ``speed``, mm/s
-- ``zeroed``: True if the counts are zeroed
 - ``events``: numbered onsets and ends of slip with their quality; ``latency``: ms from the deciding sample to
   its arrival here, null in a replay
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
@@ -34,11 +33,10 @@ from operators.ports import Json, Run
 from operators.row_queues import Tail
 
 EVENTS_KEPT: Final = 100
-FINGERS_MAX: Final = 32  # further fingertips are not shown
 KEPT: Final = 30 * s  # ns of each stream
 STEP: Final = 5 * ms  # ns; one row is kept per step
 
-# by stream (`raw`: touch that is not zeroed) and fingertip: views that another thread can encode
+# by stream and fingertip: views that another thread can encode
 Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores]
 
 
@@ -86,20 +84,24 @@ class Track(Generic[AnyBatch]):
 
 
 class Frames:
-    """Collector of the rows and events of a run, with bounded memory."""
+    """Collector of the rows and events of a run, with bounded memory.
 
-    def __init__(self, run: Run) -> None:
-        self._run = run
+    Args:
+        run: Run.
+        zeroed: Ignore touch that is not zeroed.
+    """
+
+    def __init__(self, run: Run, *, zeroed: bool) -> None:
+        self._run, self._zeroed = run, zeroed
         self._tracks: dict[tuple[str, str], Track[Any]] = {}  # by stream and fingertip
         self._scores: dict[str, float] = {}  # newest probability by fingertip
-        self._zeroed = False
         self._slipping: set[str] = set()
         self._faults: dict[str, set[Fault]] = {}  # active, by fingertip
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
         self._numbered = 0  # number of the newest event
 
     def add(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
-        """Add a batch; once there is zeroed touch, raw touch is ignored."""
+        """Add a batch."""
         finger = finger_name(batch.finger)
         if isinstance(batch, Slips):
             self._add_slips(batch, finger)
@@ -107,11 +109,7 @@ class Frames:
             active = self._faults.setdefault(finger, set())
             for _, fault, begins in faults(batch):
                 (active.add if begins else active.discard)(fault)
-        elif isinstance(batch, Zeroed) and not self._zeroed:
-            self._zeroed = True
-            self._tracks = {key: track for key, track in self._tracks.items() if key[0] != "raw"}
-            self.add(batch)
-        elif isinstance(batch, Zeroed) or not (self._zeroed and isinstance(batch, Touch)):
+        elif not isinstance(batch, Touch) or isinstance(batch, Zeroed) or not self._zeroed:
             self._add_rows(batch, finger)
 
     def since(self, seen: Seen) -> tuple[Rows, dict[str, Json]]:
@@ -123,7 +121,6 @@ class Frames:
         seen.events = self._numbered
         return {key: each for key, each in rows.items() if len(each)}, {
             "now": (self._run.clock.now() - self._run.start) / ms,
-            "zeroed": self._zeroed,
             "events": events[newest:],
             "slipping": [*sorted(self._slipping)],
             "faults": faults_json(self._faults),
@@ -134,14 +131,10 @@ class Frames:
         }
 
     def _add_rows(self, batch: Touch | Motion | Scores, finger: str) -> None:
-        raw = isinstance(batch, Touch) and not isinstance(batch, Zeroed)
-        key = "raw" if raw else stream_name(batch), finger
+        key = stream_name(batch), finger
         if key not in self._tracks:
-            if sum(stream == key[0] for stream, _ in self._tracks) >= FINGERS_MAX:
-                return
-            kinds = Zeroed, Touch, Scores, Motion
-            kind = next(each for each in kinds if isinstance(batch, each))  # drops further columns
-            self._tracks[key] = Track[Any](kind)
+            kind = next(each for each in (Touch, Scores, Motion) if isinstance(batch, each))
+            self._tracks[key] = Track[Any](kind)  # drops further columns
         if isinstance(batch, Scores) and len(batch):
             self._scores[finger] = batch.probability.item(-1)
         self._tracks[key].add(batch)
@@ -159,8 +152,4 @@ class Frames:
 
 def rows_json(rows: Rows, origin: int) -> dict[str, Json]:
     """Return rows as JSON, with times since `origin` (ns)."""
-    curves = {
-        (stream_name(each), finger): curve_json(each.time, plotted_values(each), origin)
-        for (_, finger), each in rows.items()
-    }
-    return nested(curves)
+    return nested({key: curve_json(each.time, plotted_values(each), origin) for key, each in rows.items()})

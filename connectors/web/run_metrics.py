@@ -8,7 +8,7 @@ from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamil
 from prometheus_client.registry import Collector
 
 from connectors.events import Fault, faults, finger_name, quality, slips
-from operators.batch import Clocks, Faults, Scores, Slips, s
+from operators.batch import Faults, Scores, Slips, s
 from operators.ports import Run, SinkStatus, SourceStatus
 
 BUCKETS: Final = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)  # s
@@ -44,13 +44,12 @@ _SINK: Final[tuple[Column[SinkStatus], ...]] = (
 class RunMetrics(Collector):
     """Metrics of one run in SI units, as counters where possible, so that Prometheus can derive rates.
 
-    The runner's counts are read on each scrape; slips, faults, scores and clocks are collected on arrival.
+    The runner's counts are read on each scrape; slips, faults and scores are collected on arrival.
     Error texts are omitted, because they may be confidential.
     """
 
     def __init__(self, run: Run) -> None:
         self._run, self._registry = run, CollectorRegistry()
-        self._clock: float | None = None  # s, host clock minus device clock
         self._faults: dict[str, set[Fault]] = {}  # active, by fingertip
         self._events = Counter(
             "slipflow_slip_events", "Slip events", ["finger", "state"], registry=self._registry
@@ -77,7 +76,7 @@ class RunMetrics(Collector):
         """Return all metrics in the text format 0.0.4."""
         return generate_latest(self._registry)
 
-    def add(self, batch: Scores | Slips | Faults | Clocks) -> None:
+    def add(self, batch: Scores | Slips | Faults) -> None:
         """Add the rows of a batch."""
         finger = finger_name(batch.finger)
         active = self._faults.setdefault(finger, set())
@@ -89,12 +88,10 @@ class RunMetrics(Collector):
         elif isinstance(batch, Scores):
             for probability in batch.probability.tolist():
                 self._scores.labels(finger, quality(probability, active)[0]).inc()
-        elif isinstance(batch, Faults):
+        else:
             for _, fault, begins in faults(batch):
                 (active.add if begins else active.discard)(fault)
                 self._fault.labels(finger, str(fault.barometer), fault.kind).set(begins)
-        elif len(batch):
-            self._clock = batch.offset.item(-1) / s
 
     def collect(self) -> Iterator[Metric]:
         """Yield the runner's counts; called by the registry on each scrape."""
@@ -114,9 +111,6 @@ class RunMetrics(Collector):
         yield CounterMetricFamily(f"{clock}_steps", "Times the host clock was set", len(steps))
         offset = steps[-1].offset / s if steps else 0.0
         yield GaugeMetricFamily(f"{clock}_offset_seconds", "Host clock minus clock of the run", offset)
-        if self._clock is not None:
-            name = "slipflow_device_clock_offset_seconds"
-            yield GaugeMetricFamily(name, "Host clock minus device clock", self._clock)
 
 
 def _families(

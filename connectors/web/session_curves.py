@@ -1,10 +1,11 @@
 """Curves, labels and events of a recorded session, kept in memory for its page."""
 
 from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from operator import itemgetter
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,6 @@ from operators.batch import (
     STATIC,
     Codes,
     Faults,
-    Flags,
     Labelled,
     Motion,
     Scores,
@@ -42,20 +42,21 @@ from operators.batch import (
     s,
 )
 from operators.errors import InputError
+from operators.operator import LateRowFilter
 from operators.ports import Json, Run, Sink
 
 VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
 ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
 EVENTS_MAX: Final = 20_000
-Values: TypeAlias = NDArray[np.float32 | np.float64]  # (n, ...) of a curve
+Values: TypeAlias = NDArray[Any]  # (n, ...) of a curve
 _Key: TypeAlias = tuple[str, str]  # stream and fingertip
 _Event: TypeAlias = tuple[str, Slip]  # with its fingertip
 
 
 class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
-    """Sink that keeps the curves, events and labels of a replay in memory.
+    """Sink that keeps the curves, events and labels of a replay in memory, without late rows.
 
-    Labelled touch and truth become the bands ``arm`` and ``truth``; touch without labels becomes curves.
+    Labelled touch and truth become the bands ``label`` and ``truth``; touch without labels becomes curves.
 
     Args:
         rule: Rule of `detected`; the page marks its threshold.
@@ -63,20 +64,18 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
 
     Attributes:
         curves: Times and values of each stream (touch, scores, speed) and fingertip, once closed.
-        scores: Scores of each fingertip, once closed.
         bands: Runs of equal labels, as [begin, end, code] with times in ms since the start, once closed.
     """
 
-    def __init__(self, *, rule: Debounce | None = None, about: str = "") -> None:
-        self.rule, self.about = rule or Debounce(), about
+    def __init__(self, rule: Debounce, about: str) -> None:
+        self.rule, self.about = rule, about
         self.start = self.end = 0  # ns, start of the run and newest row
-        self._arriving: dict[_Key, list[tuple[Times, Values]]] = {}  # joined in `close`
+        self._late = defaultdict[tuple[type, str], LateRowFilter](LateRowFilter)  # by type and fingertip
+        self._arriving = defaultdict[_Key, list[tuple[Times, Values]]](list)  # joined in `close`
         self.curves: dict[_Key, tuple[Times, Values]] = {}
-        self._scored: dict[str, list[Scores]] = {}  # batches by fingertip
-        self.scores: dict[str, Scores] = {}
-        self._truth: dict[str, list[Truth]] = {}
+        self._truth = defaultdict[str, list[Truth]](list)  # by fingertip
         self.bands: dict[_Key, list[Json]] = {}
-        self._faults: dict[str, list[tuple[int, frozenset[Fault]]]] = {}  # time (ns) and active ones
+        self._faults = defaultdict[str, list[tuple[int, frozenset[Fault]]]](list)  # time (ns), active ones
         self._events: list[_Event] = []
         self._rows = 0
 
@@ -97,24 +96,23 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             InputError: if the session has too many rows or events.
         """
         finger = finger_name(batch.finger)
+        if len(batch):
+            batch = self._late[type(batch), finger].filter(batch)
         if isinstance(batch, Slips):
             self._events.extend((finger, slip) for slip in slips(batch))
         elif isinstance(batch, Faults):
-            known = self._faults.setdefault(finger, [])
+            known = self._faults[finger]
             for time, fault, begins in faults(batch):
                 active = known[-1][1] if known else frozenset[Fault]()
                 known.append((time, active | {fault} if begins else active - {fault}))
-        elif isinstance(batch, Scores):
-            self._scored.setdefault(finger, []).append(batch)
         elif isinstance(batch, Truth):
-            self._truth.setdefault(finger, []).append(batch)
+            self._truth[finger].append(batch)
         elif isinstance(batch, Labelled):
-            self._arriving.setdefault(("arm", finger), []).append(
-                (batch.time, batch.label.astype(np.float32))
-            )
+            self._arriving["label", finger].append((batch.time, batch.label))
         else:
-            values = plotted_values(batch).astype(np.float32)
-            self._arriving.setdefault((stream_name(batch), finger), []).append((batch.time, values))
+            kind = np.float64 if isinstance(batch, Scores) else np.float32  # scores are detected again
+            values = plotted_values(batch).astype(kind)
+            self._arriving[stream_name(batch), finger].append((batch.time, values))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
         if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX:
@@ -123,28 +121,20 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         return True
 
     async def close(self) -> None:
-        """Join the batches; out-of-order rows are dropped."""
+        """Join the batches."""
         for key, parts in self._arriving.items():
-            time = np.concatenate([each for each, _ in parts])  # (n,) ns
-            values = np.concatenate([each for _, each in parts])  # (n, ...)
-            kept = _in_order(time)
-            if key[0] == "arm":
-                self.bands[key] = self._runs(time[kept], values[kept].astype(np.int8))
+            joined = np.concatenate([time for time, _ in parts]), np.concatenate([each for _, each in parts])
+            if key[0] == "label":
+                self.bands[key] = self._runs(*joined)
             else:
-                self.curves[key] = time[kept], values[kept]
-        for finger, batches in self._scored.items():
-            joined = concat(Scores, batches)
-            self.scores[finger] = scores = joined[_in_order(joined.time)]
-            self.curves["scores", finger] = scores.time, scores.probability
+                self.curves[key] = joined
         for finger, truths in self._truth.items():
             truth = concat(Truth, truths)
-            truth = truth[_in_order(truth.time)]
             code = np.full(len(truth), STATIC, np.int8)
             for onset, end in true_slips(truth):
                 code[(truth.time >= onset) & (truth.time <= end)] = SLIP
             self.bands["truth", finger] = self._runs(truth.time, code)
         self._arriving.clear()
-        self._scored.clear()
         self._truth.clear()
 
     def contents(self) -> dict[str, Json]:
@@ -156,7 +146,7 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             "start": self.start / ms,
             "length": (self.end - self.start) / ms,
             "threshold": self.rule.threshold,
-            "scored": bool(self.scores),
+            "scored": bool(self._scores()),
             "events": self._events_json(self._events),
             "bands": nested(self.bands),
         }
@@ -169,8 +159,8 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             InputError: if there are too many events.
         """
         rule, events = replace(self.rule, threshold=threshold), list[_Event]()
-        for finger, scores in self.scores.items():
-            events.extend((finger, slip) for slip in slips(rule.reset_copy().push(scores)))
+        for finger, curve in self._scores().items():
+            events.extend((finger, slip) for slip in slips(rule.reset_copy().push(Scores(*curve))))
         if len(events) > EVENTS_MAX:
             raise InputError(self._session, f"has more than {EVENTS_MAX:,} events at this threshold")
         return self._events_json(events)
@@ -202,16 +192,20 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         def newest(time: Times, values: Values) -> dict[str, Json]:
             return curve_json(time[row(time)], values[row(time)], self.start)
 
-        scores = {finger: each[row(each.time)] for finger, each in self.scores.items()}
+        scores = {finger: values[row(time)] for finger, (time, values) in self._scores().items()}
         return {
             "rows": self._cut(newest),
             "faults": faults_json({finger: self._faults_at(finger, at) for finger in self._faults}),
             "quality": {
-                finger: quality_json(each.probability.item(), self._faults_at(finger, at))
+                finger: quality_json(each.item(), self._faults_at(finger, at))
                 for finger, each in scores.items()
                 if len(each)
             },
         }
+
+    def _scores(self) -> dict[str, tuple[Times, Values]]:
+        """Return times and probabilities by fingertip."""
+        return {finger: curve for (stream, finger), curve in self.curves.items() if stream == "scores"}
 
     def _faults_at(self, finger: str, time: int) -> frozenset[Fault]:
         known = self._faults.get(finger, [])
@@ -238,9 +232,3 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         ends = time[np.where(pauses[last], last, np.minimum(last + 1, len(time) - 1))]
         begin, end = (((each - self.start) / ms).round(3).tolist() for each in (time[first], ends))
         return [list(run) for run in zip(begin, end, code[first].tolist(), strict=True)]
-
-
-def _in_order(time: Times) -> Flags:
-    """Return which rows are later than all before them."""
-    before = np.maximum.accumulate(time)[:-1]  # (n - 1,)
-    return np.concatenate(([True], time[1:] > before))[: len(time)]

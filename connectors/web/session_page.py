@@ -3,6 +3,7 @@
 import asyncio
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from time import time_ns
 from typing import Any, Final
@@ -19,10 +20,6 @@ from storage import HandLabels, LabelSpan, Session
 
 _TIME_MAX: Final = 1e12  # ms
 _COLUMNS_MAX: Final = 8192
-_WINDOW_USAGE: Final = (
-    "must be ?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session; 1 to 8192 columns"
-)
-_EVENTS_USAGE: Final = "must be ?threshold=NUMBER, above 0 and at most 1"
 _LABELS_USAGE: Final = (
     'must be {"based_on": VERSION, "spans": [{"begin": MS, "end": MS, "finger": NAME, "value": '
     '"slip", "author": TEXT, "note": TEXT, "created": NS as text or ""}, ...]}'
@@ -36,52 +33,47 @@ class SessionPage:
 
     Args:
         curves: Curves and events.
-        session: Session whose labels by hand the page shows and writes; None: none.
+        session: Session whose labels by hand the page shows and writes.
     """
 
-    def __init__(self, curves: SessionCurves, session: Session | None = None) -> None:
+    def __init__(self, curves: SessionCurves, session: Session) -> None:
         self.curves, self.session = curves, session
 
     @property
     def routes(self) -> tuple[web.RouteDef, ...]:
         """Requests of the page; a POST request stores the next version of the labels by hand."""
-        found = (
+        return (
             web.get("/about.json", self._about),
             web.get("/window", self._window),
             web.get("/events", self._events),
+            web.post("/labels", self._write_labels),
         )
-        return found if self.session is None else (*found, web.post("/labels", self._write_labels))
 
     async def _about(self, request: web.Request) -> web.Response:  # noqa: ARG002 - no parameters
         def document() -> dict[str, Json]:
-            labels = None if self.session is None else self._labels_json(self.session.hand_labels())
+            labels = self._labels_json(self.session.hand_labels())
             return {"mode": "recorded", "labels": labels, **self.curves.contents()}
 
         return await _in_thread(document)
 
     async def _window(self, request: web.Request) -> web.Response:
-        begin, end, at, columns = (
-            _number(request, name, _WINDOW_USAGE) for name in ("begin", "end", "at", "columns")
-        )
+        begin, end, at, columns = (_number(request, name) for name in ("begin", "end", "at", "columns"))
         if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
-            raise InputError(request.path, _WINDOW_USAGE)
+            raise InputError(request.path, f"must have begin <= end, and 1 to {_COLUMNS_MAX} columns")
         return await _in_thread(
             lambda: {"rows": self.curves.window(begin, end, int(columns)), "at": self.curves.values_at(at)}
         )
 
     async def _events(self, request: web.Request) -> web.Response:
-        threshold = _number(request, "threshold", _EVENTS_USAGE)
-        if not 0 < threshold <= 1:
-            raise InputError(request.path, _EVENTS_USAGE)
+        threshold = _number(request, "threshold")
         return await _in_thread(lambda: self.curves.detected(threshold))
 
     async def _write_labels(self, request: web.Request) -> web.Response:
-        session, body = self.session, await request.read()
-        assert session, "else there is no such request"
+        body = await request.read()
 
         def write() -> dict[str, Json]:
             based_on, spans = self._spans(body)
-            return self._labels_json(session.write_hand_labels(spans, based_on=based_on))
+            return self._labels_json(self.session.write_hand_labels(spans, based_on=based_on))
 
         return await _in_thread(write)
 
@@ -135,16 +127,14 @@ async def _in_thread(document: Callable[[], Json]) -> web.Response:
     return await asyncio.to_thread(lambda: json_response(document()))
 
 
-def _number(request: web.Request, name: str, usage: str) -> float:
+def _number(request: web.Request, name: str) -> float:
     """Return a number of a query.
 
     Raises:
         InputError: if it is missing or too large.
     """
-    try:
+    with suppress(KeyError, ValueError):
         value = float(request.query[name])
-    except (KeyError, ValueError):
-        raise InputError(request.path, usage) from None
-    if not abs(value) <= _TIME_MAX:  # also for NaN
-        raise InputError(request.path, usage)
-    return value
+        if abs(value) <= _TIME_MAX:  # also for NaN
+            return value
+    raise InputError(request.path, f"must have {name}, a number")

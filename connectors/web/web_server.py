@@ -3,7 +3,6 @@
 import asyncio
 import errno
 import os
-import resource
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final, TypeAlias
@@ -20,8 +19,7 @@ Handler: TypeAlias = Callable[[web.Request], Awaitable[web.StreamResponse]]
 STATIC: Final = Path(__file__).parent / "static"
 STRANGERS_MAX: Final = 32  # connections without access
 IDLE_TIMEOUT: Final = 20.0  # s without a request, after which a connection is closed
-_DESCRIPTORS: Final = 8  # strangers use at most 1/8 of the process's file descriptors
-_BACKLOG: Final = 16  # connections accepted at once
+_BACKLOG: Final = 16  # connections accepted at once; fewer than STRANGERS_MAX, so that those closed are open
 _BODY_MAX: Final = 16 << 20  # bytes of a POST request
 _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
@@ -49,8 +47,8 @@ class WebServer:
     header. Browsers send the origin of the page, so that no other site can write or listen. Errors of
     handlers that the user can fix are responses with their text.
 
-    Connections without access are limited to 32, and to an eighth of the process's file descriptors, so that
-    a recording can always open its files. A further one replaces the oldest of them.
+    Connections without access are limited to 32, so that a recording can always open its files. A further one
+    replaces the oldest of them.
     """
 
     def __init__(
@@ -93,8 +91,6 @@ class WebServer:
         Raises:
             EndpointError: if the server cannot listen on its address.
         """
-        limit = min(STRANGERS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
-        self._limit = max(2, limit)  # of connections without access
         app = web.Application(middlewares=[self._admit, _guard], client_max_size=_BODY_MAX)
         app.on_response_prepare.append(_set_headers)
         app.add_routes(routes)
@@ -129,13 +125,12 @@ class WebServer:
 
     async def _listen(self) -> asyncio.Server:
         listen = asyncio.get_running_loop().create_server
-        backlog = min(_BACKLOG, self._limit - 1)  # so that those to be closed are from an earlier turn: open
         try:
-            return await listen(self._connection, self._host, self._port, backlog=backlog)
+            return await listen(self._connection, self._host, self._port, backlog=_BACKLOG)
         except OSError as error:
             if not self._any_port or error.errno != errno.EADDRINUSE:
                 raise
-            return await listen(self._connection, self._host, 0, backlog=backlog)
+            return await listen(self._connection, self._host, 0, backlog=_BACKLOG)
 
     def _connection(self) -> web.RequestHandler:
         """Return the protocol of a new connection."""
@@ -143,7 +138,7 @@ class WebServer:
         assert server, "the runner is set up before the server listens"
         connection = server()
         self._strangers[connection] = None
-        if len(self._strangers) > self._limit:
+        if len(self._strangers) > STRANGERS_MAX:
             oldest = next(iter(self._strangers))
             del self._strangers[oldest]
             if oldest.transport:

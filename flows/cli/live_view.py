@@ -78,7 +78,7 @@ def watch_cells(flow: "Flow") -> "Node | None":
 
 
 def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None" = None) -> None:
-    """Add a sink to a flow that serves metrics of its run, and of its first slips, faults, scores and clocks.
+    """Add a sink to a flow that serves metrics of its run, and of its first slips, faults and scores.
 
     Args:
         flow: Flow to change.
@@ -86,10 +86,10 @@ def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None
         opened: Called with the URL when the metrics are served; the default prints it.
     """
     from connectors import Metrics
-    from operators import Clocks, Faults, Scores, Slips
+    from operators import Faults, Scores, Slips
 
     host, port = parse_address("--metrics", listen)
-    kinds = Slips, Faults, Scores, Clocks
+    kinds = Slips, Faults, Scores
     inputs = [next((node for node in flow.nodes if node.gives is kind), None) for kind in kinds]
     metrics = Metrics(port, host, opened=opened or (lambda url: note(f"metrics: {url}")))
     flow.add("metrics", metrics, *filter(None, inputs))

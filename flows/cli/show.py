@@ -116,7 +116,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         probability, found = "none, as there is no detector", "none"
     events = "recorded" if has_slips else f"{found}, as none were recorded"
     about = f"Slip probability: {probability}. Slip events: {events}."
-    curves = SessionCurves(rule=debounce, about=about)
+    curves = SessionCurves(debounce, about)
     flow = Flow("show")
     zeroed = flow.source(Replay(session, Touch)) | Zero()
     zeroed.to(curves)

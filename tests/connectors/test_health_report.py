@@ -34,8 +34,8 @@ def test_a_rate_is_since_the_previous_report_that_has_rows(run: Run, clock: Pres
     reports, rates = HealthReports(run), list[Any]()
     for rows, seconds in (0, 0), (83, 1), (100, 1), (0, 1), (50, 2), (5, 0):  # the first 83 began late
         touch.rows, clock.time = touch.rows + rows, clock.time + seconds * s
-        reports.next()
-        rates.append(reports.rates["touch"])
+        report: Any = reports.next()
+        rates.append(report["sources"]["touch"]["rate_hz"])
     assert rates == [None, None, 100, 0, 25, None]
 
 

@@ -24,7 +24,8 @@ from flows.run.live_runner import CHECK_INTERVAL
 from storage.lock import lock
 from tests.deploy.shipped import DEPLOY, LEFT_OUT
 
-COMPOSE = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml")
+COMPOSE = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml", "dask/compose.yaml")
+KUBERNETES = "dask/kubernetes.yaml"
 STEPS = [
     step
     for step in re.sub(r"\\\n\s*", "", (DEPLOY / "Dockerfile").read_text()).splitlines()
@@ -36,14 +37,22 @@ PAGE = (DEPLOY.parent / "docs" / "how-to" / "deploy.md").read_text()
 EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
 
 
-def read(name: str) -> Any:  # noqa: ANN401 - YAML
+def read_all(name: str) -> list[Any]:
     parser: Any = YAML(typ="safe")
-    return parser.load(DEPLOY / name)
+    return list(parser.load_all(DEPLOY / name))
+
+
+def read(name: str) -> Any:  # noqa: ANN401 - YAML
+    return read_all(name)[0]
 
 
 def run(*words: str | Path) -> tuple[int, str]:
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     return done.returncode, done.stdout + done.stderr
+
+
+def run_module(*words: str | Path) -> tuple[int, str]:
+    return run(sys.executable, "-m", *words)
 
 
 def accepts(settings: dict[str, str]) -> bool:
@@ -53,9 +62,45 @@ def accepts(settings: dict[str, str]) -> bool:
 
 @pytest.mark.parametrize("name", COMPOSE)
 def test_a_compose_file_satisfies_the_schema_of_the_specification(name: str) -> None:
-    words = ("-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec")
-    code, output = run(sys.executable, *words, DEPLOY / name)
+    code, output = run_module("check_jsonschema", "--builtin-schema", "vendor.compose-spec", DEPLOY / name)
     assert code == 0, output
+
+
+def test_the_kubernetes_file_satisfies_its_schemas() -> None:
+    code, output = run_module(
+        "kubernetes_validate", "--strict", "--kubernetes-version", "1.30", DEPLOY / KUBERNETES
+    )
+    assert (code, output.count("passed for resource")) == (0, len(read_all(KUBERNETES))), output
+
+
+def test_compose_and_kubernetes_start_the_same_processes_of_dask_with_existing_options() -> None:
+    services = read("dask/compose.yaml")["services"]
+    pods = [each["spec"]["template"]["spec"] for each in read_all(KUBERNETES) if each["kind"] == "Deployment"]
+    commands = [services[name]["entrypoint"] for name in ("scheduler", "worker")]
+    assert commands == [container["command"] for pod in pods for container in pod["containers"]]
+    for program, command, *options in commands:
+        helped = run_module(program, command, "--help")[1]
+        assert [word for word in options if word.startswith("--") and word not in helped] == []
+
+
+def test_only_this_machine_can_reach_the_cluster_and_only_to_see_its_dashboard() -> None:
+    services = read("dask/compose.yaml")["services"]
+    published = {name: each.get("ports", []) for name, each in services.items()}
+    assert published == {"scheduler": ["127.0.0.1:8787:8787"], "worker": [], "slipflow": []}
+    [policy] = [each["spec"] for each in read_all(KUBERNETES) if each["kind"] == "NetworkPolicy"]
+    assert policy["ingress"] == [{"from": [{"podSelector": policy["podSelector"]}]}]
+
+
+def test_all_containers_of_the_cluster_are_unprivileged_and_share_the_recordings() -> None:
+    for each in read("dask/compose.yaml")["services"].values():
+        assert (each["read_only"], each["cap_drop"]) == (True, ["ALL"])
+        assert "recordings:/recordings" in each["volumes"]
+    for each in (each for each in read_all(KUBERNETES) if each["kind"] == "Deployment"):
+        pod = each["spec"]["template"]["spec"]
+        assert pod["securityContext"]["runAsNonRoot"]
+        [container] = pod["containers"]
+        assert container["securityContext"]["readOnlyRootFilesystem"]
+        assert {"name": "recordings", "mountPath": "/recordings"} in container["volumeMounts"]
 
 
 @pytest.mark.parametrize("name", COMPOSE[:2])
@@ -74,13 +119,11 @@ def test_containers_are_locked_down_and_mount_only_shipped_files_and_secrets() -
         assert all(port.startswith("127.0.0.1:") for port in service["ports"])
         assert (service["read_only"], service["cap_drop"]) == (True, ["ALL"])
         assert service["security_opt"] == ["no-new-privileges:true"]
-    used = set[str]()
+    used = {compose["services"]["recorder"]["env_file"]}
     for file in (compose, tls):
-        mounts = [each for service in file["services"].values() for each in service.get("volumes", ())]
-        used |= {mount.split(":")[0] for mount in mounts} | {
-            each["file"] for each in file["secrets"].values()
-        }
-    used.add(compose["services"]["recorder"]["env_file"])
+        used |= {each["file"] for each in file["secrets"].values()}
+        for service in file["services"].values():
+            used |= {mount.split(":")[0] for mount in service.get("volumes", ())}
     ignored = (DEPLOY / ".gitignore").read_text().split()
     for name in used - set(compose["volumes"]):
         secret = any(Path(name).match(each.lstrip("/")) or name.startswith(f".{each}") for each in ignored)

@@ -4,8 +4,6 @@ import re
 import socket
 import subprocess
 import sys
-import textwrap
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,47 +18,33 @@ FLOW = str(DEPLOY / "fingertip.py")
 CHILD = DEPLOY.parent / "tests" / "benchmarks" / "edge_child.py"
 
 
-def work(folder: Path, *settings: str, without: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
-    """Run for 8 s on a fingertip that is pressed and shakes, without some packages; record into `out`."""
-    rng = np.random.default_rng(0)
-    counts = 500 + rng.integers(-1, 2, (600, 6)).astype(np.int16)
-    counts[130:] += rng.integers(-60, 30, (470, 6)).astype(np.int16)  # a busy host scans less often
-    np.savez(folder / "table.npz", counts=counts, temperature=np.full_like(counts, 498))
-    code = textwrap.dedent(f"""
-        import runpy, sys
-        sys.modules.update(dict.fromkeys({without!r}))
-        runpy.run_path({str(CHILD)!r}, run_name="__main__")
-    """)
-    words = [FLOW, folder / "table.npz", "--seconds", "8"]
-    words += [word for each in (*settings, f"out={folder / 'out'}") for word in ("--set", each)]
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "NO_COLOR": "1", "XDG_STATE_HOME": str(folder / "state")},
-    )
-
-
-def test_by_default_it_scores_a_fingertip_on_the_bus_and_publishes() -> None:
-    flow = load(FLOW).flow()
-    assert problems(flow) == []
-    assert [type(node.part).__name__ for node in flow.sources()] == ["TakkTile"]
-    assert {type(node.part).__name__ for node in flow.sinks()} == {"Console", "Mqtt"}
-
-
-def test_it_records_into_a_folder_and_publishes_only_with_a_broker(tmp_path: Path) -> None:
-    flow = load(FLOW).flow({"out": str(tmp_path), "broker": "none", "bus": "none"})
-    assert problems(flow) == []
-    assert {type(node.part).__name__ for node in flow.sinks()} == {"Console", "Dataset"}
+def test_the_default_scores_a_fingertip_on_the_bus_and_publishes_and_settings_make_it_record() -> None:
+    default, recording = load(FLOW).flow(), load(FLOW).flow({"out": "x", "broker": "none", "bus": "none"})
+    assert (problems(default), problems(recording)) == ([], [])
+    assert [type(node.part).__name__ for node in default.sources()] == ["TakkTile"]
+    assert {type(node.part).__name__ for node in default.sinks()} == {"Console", "Mqtt"}
+    assert {type(node.part).__name__ for node in recording.sinks()} == {"Console", "Dataset"}
 
 
 def test_without_its_broker_and_the_packages_missing_at_the_edge_it_records_and_keeps_the_events(
     tmp_path: Path,
 ) -> None:
+    """It runs for 8 s on a fingertip that is pressed and shakes."""
+    rng = np.random.default_rng(0)
+    counts = 500 + rng.integers(-1, 2, (600, 6)).astype(np.int16)
+    counts[130:] += rng.integers(-60, 30, (470, 6)).astype(np.int16)  # a busy host scans less often
+    np.savez(tmp_path / "table.npz", counts=counts, temperature=np.full_like(counts, 498))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]  # no server listens there once it is closed
-    done = work(tmp_path, f"broker=mqtt://127.0.0.1:{port}", without=sorted(LEFT_OUT))
+    code = f"""
+import runpy, sys
+sys.modules.update(dict.fromkeys({sorted(LEFT_OUT)!r}))
+runpy.run_path({str(CHILD)!r}, run_name="__main__")
+"""
+    words = [sys.executable, "-c", code, FLOW, str(tmp_path / "table.npz"), "--seconds", "8"]
+    words += ["--set", f"broker=mqtt://127.0.0.1:{port}", "--set", f"out={tmp_path / 'out'}"]
+    environment = {**os.environ, "NO_COLOR": "1", "XDG_STATE_HOME": str(tmp_path / "state")}
+    done = subprocess.run(words, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["loaded"] == ["aiomqtt", "pyarrow"]

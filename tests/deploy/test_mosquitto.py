@@ -1,6 +1,8 @@
 """The shipped configuration of mosquitto, with a real one: rights, passwords, certificates, persistence."""
 
 import asyncio
+import os
+import shutil
 import signal
 import ssl
 import subprocess
@@ -17,12 +19,45 @@ from operators.batch import Slips
 from operators.errors import EndpointError, InputError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
-from tests.deploy.shipped import DEPLOY, login, settings, shipped_broker
+from tests.deploy.shipped import DEPLOY
 from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 RIG = "slip/v1/lab/fingertip"
+PASSWORDS = {"fingertip": "secret", "reader": "other"}  # by user
+
+
+def settings(folder: Path) -> list[str]:
+    """Return the shipped mosquitto.conf for a folder, without its listener; write the password file."""
+    passwords, acl = folder / "passwords", folder / "acl"
+    shutil.copy(DEPLOY / "mosquitto" / "acl", acl)
+    acl.chmod(0o600)
+    passwords.write_text("")
+    passwords.chmod(0o600)
+    for user, password in PASSWORDS.items():
+        subprocess.run(["mosquitto_passwd", "-b", str(passwords), user, password], check=True)
+    (folder / "data").mkdir()
+    text = (DEPLOY / "mosquitto" / "mosquitto.conf").read_text()
+    for place, here in (("/mosquitto/config/", f"{folder}/"), ("/mosquitto/data/", f"{folder}/data/")):
+        assert place in text
+        text = text.replace(place, here)
+    listener = "listener 1883\n"
+    assert listener in text
+    text = text.replace(listener, "")  # TestBroker adds one on loopback
+    nodelay = "set_tcp_nodelay true\n"
+    assert nodelay in text
+    return text.replace(nodelay, "").splitlines()  # TestBroker sets it
+
+
+def login(user: str | None, password: str | None = None) -> None:
+    """Set the user and password (default: the correct one) for later connections."""
+    password = PASSWORDS.get(user or "") if password is None else password
+    for name, value in ((USER, user), (PASSWORD, password)):
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
 
 
 @pytest.fixture
@@ -30,9 +65,8 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBro
     """Start the broker as shipped; no user is logged in."""
     for name in (USER, PASSWORD):
         monkeypatch.setenv(name, "")
-    server = shipped_broker(tmp_path)
-    yield server
-    server.close()
+    with TestBroker(tmp_path, *settings(tmp_path)) as server:
+        yield server
 
 
 def slips(*states: int) -> Slips:
@@ -51,25 +85,20 @@ async def send(
         await link.disconnect()
 
 
-def test_a_reader_gets_missed_and_new_events(shipped: TestBroker, run: Run) -> None:
-    async def main() -> list[int]:
-        login("fingertip")
-        sink = Mqtt(shipped.url, "lab", "fingertip")
-        await sink.open(run)
-        try:
-            await sink.write(slips(1, 0))  # missed: to be asked for
-            login("reader")
-            async with asyncio.timeout(PATIENCE), Consumer(shipped.url, since="start") as events:
-                seen = [(await anext(events)).seq for _ in range(2)]
-                await sink.write(slips(1))
-                return [*seen, (await anext(events)).seq]
-        finally:
-            await sink.close()
-
-    assert asyncio.run(main()) == [1, 2, 3]
+async def test_a_reader_gets_missed_and_new_events(shipped: TestBroker, run: Run) -> None:
+    login("fingertip")
+    sink = Mqtt(shipped.url, "lab", "fingertip")
+    await sink.open(run)
+    await sink.write(slips(1, 0))  # missed: to be asked for
+    login("reader")
+    async with asyncio.timeout(PATIENCE), Consumer(shipped.url, since="start") as events:
+        seen = [(await anext(events)).seq for _ in range(2)]
+        await sink.write(slips(1))
+        assert [*seen, (await anext(events)).seq] == [1, 2, 3]
+    await sink.close()
 
 
-def test_other_topics_and_clients_without_a_password_are_refused(shipped: TestBroker) -> None:
+async def test_other_topics_and_clients_without_a_password_are_refused(shipped: TestBroker) -> None:
     for user, topic in (
         ("fingertip", "slip/v1/lab/other/0/event"),
         ("fingertip", "slip/v1/elsewhere/fingertip/status"),
@@ -79,47 +108,40 @@ def test_other_topics_and_clients_without_a_password_are_refused(shipped: TestBr
         ("reader", "other"),
     ):
         with pytest.raises(EndpointError, match=f"refuses to publish {topic}"):
-            asyncio.run(send(shipped, user, topic))
+            await send(shipped, user, topic)
     for name, password in (None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret"):
         login(name, password)
         with pytest.raises(EndpointError, match="cannot connect"):
-            asyncio.run(connect(Broker.parse(shipped.url), "stranger"))
+            await connect(Broker.parse(shipped.url), "stranger")
 
 
-def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
-    async def main() -> tuple[str, bytes]:
-        login("fingertip")
-        link = await connect(Broker.parse(shipped.url), "rig")
-        try:
-            await link.listen("#")
-            await deliver(link, f"{RIG}/0/event", b"{}")  # a reader would see it
-            await send(shipped, "reader", "slip/v1/lab/other/replay/request")
-            await send(shipped, "reader", f"{RIG}/replay/request")
-            async with asyncio.timeout(PATIENCE):
-                return await link.receive()
-        finally:
-            await link.disconnect()
-
-    assert asyncio.run(main()) == (f"{RIG}/replay/request", b"{}")
+async def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
+    login("fingertip")
+    link = await connect(Broker.parse(shipped.url), "rig")
+    await link.listen("#")
+    await deliver(link, f"{RIG}/0/event", b"{}")  # a reader would see it
+    await send(shipped, "reader", "slip/v1/lab/other/replay/request")
+    await send(shipped, "reader", f"{RIG}/replay/request")
+    assert await link.receive() == (f"{RIG}/replay/request", b"{}")
+    await link.disconnect()
 
 
-def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBroker, tmp_path: Path) -> None:
-    async def retained() -> tuple[str, bytes]:
-        login("reader")
-        link = await connect(Broker.parse(shipped.url), "test-reader")
-        try:
-            await link.listen(f"{RIG}/head")
-            async with asyncio.timeout(PATIENCE):
-                return await link.receive()
-        finally:
-            await link.disconnect()
-
-    asyncio.run(send(shipped, "fingertip", f"{RIG}/head", b"remembered", retain=True))
+async def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBroker, tmp_path: Path) -> None:
+    await send(shipped, "fingertip", f"{RIG}/head", b"remembered", retain=True)
     saved = tmp_path / "data" / "mosquitto.db"
-    asyncio.run(until(lambda: saved.exists() and b"remembered" in saved.read_bytes()))
+    await until(lambda: saved.exists() and b"remembered" in saved.read_bytes())
     shipped.stop(signal.SIGKILL)
     shipped.start()
-    assert asyncio.run(retained()) == (f"{RIG}/head", b"remembered")
+    login("reader")
+    link = await connect(Broker.parse(shipped.url), "test-reader")
+    await link.listen(f"{RIG}/head")
+    assert await link.receive() == (f"{RIG}/head", b"remembered")
+    await link.disconnect()
+
+
+def make_certificates(folder: Path) -> None:
+    script = DEPLOY / "mosquitto" / "make_certificates"
+    subprocess.run([script, folder, "127.0.0.1", "fingertip"], check=True)
 
 
 def strict(cafile: str | None) -> ssl.SSLContext:
@@ -130,33 +152,30 @@ def strict(cafile: str | None) -> ssl.SSLContext:
     return context
 
 
-def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its_authority(
+async def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its_authority(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ssl, "create_default_context", strict)
     for folder in (tmp_path, tmp_path / "other"):
-        script = DEPLOY / "mosquitto" / "make_certificates"
-        subprocess.run([script, folder, "127.0.0.1", "fingertip"], check=True)
+        make_certificates(folder)
     monkeypatch.setenv(CA, str(tmp_path / "ca.crt"))
     text = (DEPLOY / "mosquitto" / "tls.conf").read_text().replace("/mosquitto/config", str(tmp_path))
     _, *tls = [line for line in text.splitlines() if not line.startswith("#")]  # without its listener
 
     async def meet() -> None:
         link = await connect(Broker.parse(url), "test")
-        try:
-            await deliver(link, f"{RIG}/status")
-        finally:
-            await link.disconnect()
+        await deliver(link, f"{RIG}/status")
+        await link.disconnect()
 
     with TestBroker(tmp_path, *tls, *settings(tmp_path)) as broker:
         url = broker.url.replace("mqtt:", "mqtts:")
         with pytest.raises(EndpointError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
-            asyncio.run(meet())
+            await meet()
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "other" / "fingertip.pem"))
         with pytest.raises(EndpointError, match="cannot connect"):
-            asyncio.run(meet())
+            await meet()
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
-        asyncio.run(meet())
+        await meet()
     monkeypatch.setenv(CERTIFICATE, "/missing.pem")
     with pytest.raises(InputError, match=rf"cannot use the client certificate and its key \({CERTIFICATE}\)"):
         Broker.parse(url).tls()

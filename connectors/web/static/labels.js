@@ -11,7 +11,6 @@ export class Labels {
   // `page` has `finger`, `instant()`, `elapsed(t)` and `changed()`, which redraws.
   constructor(labels, page) {
     Object.assign(this, { page, version: labels.version, spans: labels.spans, saved: labels.spans, past: [], selected: null });
-    $("labels").hidden = false;
     $("label-author").value = localStorage.getItem(AUTHOR) ?? "";
     $("label-author").addEventListener("change", ({ target }) => localStorage.setItem(AUTHOR, target.value));
     for (const [key, value] of Object.entries(KEYS)) $(`label-${value ?? "erase"}`).addEventListener("click", () => this.mark(KEYS[key]));

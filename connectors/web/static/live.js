@@ -2,7 +2,6 @@
 
 import { $, sleep, title, write } from "./dom.js";
 import { showCells, showHealth } from "./health.js";
-import { Streams } from "./rows.js";
 
 const SILENCE = 4000; // ms without a frame until the connection counts as lost; the server answers within 1 s
 const RETRY = 1000; // ms between attempts
@@ -62,6 +61,7 @@ export function live(view) {
     run = next;
     ended = null;
     view.fingertip = run.fingertip;
+    view.zeroed = run.zeroed;
     view.threshold = run.threshold;
     view.name = run.flow;
     const replay = run.recording === null ? "" : ` · replay of ${run.recording}`;
@@ -70,8 +70,7 @@ export function live(view) {
 
   function take(frame) {
     if (frame.run) begin(frame.run);
-    if (frame.zeroed !== view.zeroed) view.streams = new Streams(); // from raw to zeroed
-    for (const name of ["zeroed", "faults", "quality"]) view[name] = frame[name];
+    for (const name of ["faults", "quality"]) view[name] = frame[name];
     view.slipping = new Set(frame.slipping);
     view.take(frame.rows);
     const added = view.events.add(frame.events).at(-1);

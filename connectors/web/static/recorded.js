@@ -20,10 +20,10 @@ export function recorded(view, about) {
   const clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
   const bands = new Bands($("bands"));
-  const labels = about.labels && new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed, changed: redraw });
+  const labels = new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed, changed: redraw });
 
   document.body.dataset.link = "recorded";
-  for (const id of ["scrub", "readout", "bands-figure"]) $(id).hidden = false;
+  for (const id of ["scrub", "readout", "bands-figure", "labels"]) $(id).hidden = false;
   write($("session"), `Session ${about.session}`);
   write($("link"), "Recorded");
   write($("axis"), "seconds since the start of the session");
@@ -31,15 +31,15 @@ export function recorded(view, about) {
   Object.assign(view, { name: about.session, fingertip: about.fingertip, hasScores: about.scored, onchange: refresh });
   slider.max = about.length;
   slider.value = Math.min(about.length, (events.find((event) => event.onset)?.t ?? 0) + 1000);
-  view.scene = () => ({ streams: view.streams, figures, span, until: instant(), origin: 0, at: instant(), selected: dragged ?? labels?.selected });
+  view.scene = () => ({ streams: view.streams, figures, span, until: instant(), origin: 0, at: instant(), selected: dragged ?? labels.selected });
   setThreshold(about.threshold, events);
 
   // Draw everything that was loaded.
   function redraw() {
     const rows = { slips: view.events.spans(view.finger, about.length).map((each) => [...each, 1]) };
-    for (const name of ["arm", "truth"]) if (about.bands[name]) rows[name] = about.bands[name][view.finger] ?? about.bands[name].every ?? [];
-    if (labels) rows.hand = labels.band(view.finger);
-    bands.show(rows, { begin: span[0], end: span[1], at: instant(), selected: dragged ?? labels?.selected });
+    for (const name of ["label", "truth"]) if (about.bands[name]) rows[name] = about.bands[name][view.finger] ?? about.bands[name].every ?? [];
+    rows.hand = labels.band(view.finger);
+    bands.show(rows, { begin: span[0], end: span[1], at: instant(), selected: dragged ?? labels.selected });
     $("unzoom").hidden = span === whole;
     view.dirty();
   }
@@ -75,7 +75,7 @@ export function recorded(view, about) {
     const value = (stream) => figures.of(stream, view.finger)?.last?.[0] ?? null;
     if (value("scores") !== null) found.push(`probability ${value("scores").toFixed(3)}`);
     if (value("speed") !== null) found.push(`TCP ${value("speed").toFixed(1)} mm/s`);
-    for (const [name, text] of [["arm", "arm label"], ["truth", "truth"], ["hand", "by hand"]]) {
+    for (const [name, text] of [["label", "label"], ["truth", "truth"], ["hand", "by hand"]]) {
       if (bands.at(name, t) !== null) found.push(`${text} ${NAMES[bands.at(name, t)]}`);
     }
     return found;
@@ -114,7 +114,7 @@ export function recorded(view, about) {
     host.addEventListener("pointerdown", (event) => {
       if (event.button !== 0 || !event.isPrimary) return;
       host.setPointerCapture(event.pointerId);
-      [from, x, marks] = [time(event), event.clientX, labels && (host === $("bands") || event.shiftKey)];
+      [from, x, marks] = [time(event), event.clientX, host === $("bands") || event.shiftKey];
       event.preventDefault(); // do not select text
       document.activeElement.blur(); // keys are for the page again
     });

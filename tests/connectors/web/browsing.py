@@ -16,21 +16,12 @@ from connectors.web.access import TOKEN
 from connectors.web.session_page import SessionPage
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
-from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from operators.batch import Batch, Faults, Motion, Scores, Slips, Touch, Zeroed, ms
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import slip, touched
 from tests.waiting import PATIENCE
 
-FLAGS = (
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-)
 WIDTH_OF_AXIS, RIGHT = 52, 10  # px, as in charts.js
 LATE = 60_000  # ms, for a busy machine
 MOVE = """(slider, t) => {
@@ -44,7 +35,7 @@ MOVE = """(slider, t) => {
 def chromium() -> Generator[Browser]:
     """Start headless Chromium."""
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=FLAGS)
+        browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
         yield browser
         browser.close()
 
@@ -128,17 +119,16 @@ class ServedPage(Served):
         session: str = "first",
         token: str = "",
         fingertip: Fingertip = TAKKTILE,
+        kind: type[Touch] = Zeroed,
     ) -> None:
         super().__init__()
-        self._fingertip = fingertip
-        self._settings, self._session = (port, token), session
+        self._port, self._session, self._token = port, session, token
+        self._touch: dict[type[Batch], Fingertip] = {kind: fingertip}
 
     def __enter__(self) -> Self:
         super().__enter__()
-        port, token = self._settings
-        self.page = Page(port, threshold=0.78)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setenv(TOKEN, token)
+            patch.setenv(TOKEN, self._token)
             self.do(self._open())
         return self
 
@@ -147,13 +137,14 @@ class ServedPage(Served):
         super().__exit__()
 
     async def _open(self) -> None:
-        clock = LoopClock()
-        self.run = Run(self._session, "demo", clock, clock.now())
-        self.run.sources["touch"] = SourceStatus(rows=100, newest=clock.now(), up=True)
-        self.run.sources["motion"] = SourceStatus(error="10.0.0.2: unplugged")
-        self.run.sinks["dataset"] = SinkStatus(rows=1234, records=True)
-        self.run.fingertips = {self.page.destination: {Touch: self._fingertip}}
-        await self.page.open(self.run)
+        self.page, clock = Page(self._port, threshold=0.78), LoopClock()
+        self.run = run = Run(self._session, "demo", clock, clock.now())
+        run.sources["touch"] = SourceStatus(rows=100, newest=clock.now(), up=True)
+        run.sources["motion"] = SourceStatus(error="10.0.0.2: unplugged")
+        run.sinks["dataset"] = SinkStatus(rows=1234, records=True)
+        run.fingertips = {self.page.destination: self._touch}
+        run.sink_types = {self.page.destination: dict.fromkeys(self._touch, (0,))}
+        await self.page.open(run)
 
     @property
     def url(self) -> str:

@@ -62,9 +62,8 @@ def test_every_part_is_shown_and_nothing_is_cut_off_at_the_side(watched: Watched
     tab.set_viewport_size(ViewportSize(width=width, height=844))
     layout = tuple(row[::-1] for row in grid(cells, 8))  # numbered from the top right
     tip = Fingertip(layout, 1000.0, "kPa", 0.01, (0, 4000))
-    with ServedPage(
-        session="a-session-with-a-really-long-name-20261121T185903.123456Z", fingertip=tip
-    ) as served:
+    name = "a-session-with-a-really-long-name-20261121T185903.123456Z"
+    with ServedPage(session=name, fingertip=tip, kind=Touch) as served:
         tab.goto(served.url)
         now = served.run.clock.now()
         counts = np.arange(100, 100 + cells, dtype=np.int16)[None]
@@ -163,18 +162,3 @@ def test_every_control_works_with_the_keyboard(watched: Watched) -> None:
         expect(tab.locator(".count").nth(6)).to_have_text("20")
         tab.keyboard.press("Enter")
         expect(tab.locator(".count").nth(6)).to_have_text("99")
-
-
-def test_the_token_is_given_once_in_the_address(watched: Watched) -> None:
-    tab = watched.tab
-    with ServedPage(token=TOKEN) as served:
-        for path in ("/", "/?token=no-token-at-all"):
-            tab.goto(served.url + path)
-            expect(tab.get_by_text("append /?token=... to the address")).to_be_visible()
-        assert all("the server responded with a status of 403" in text for text in watched.complaints)
-        watched.complaints.clear()
-        tab.goto(served.page.login_url)
-        served.touch(-10)
-        expect(tab.locator("#link")).to_have_text("Live")
-        assert tab.url == f"{served.url}/"
-    assert watched.complaints == []

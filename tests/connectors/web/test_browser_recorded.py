@@ -71,7 +71,7 @@ def test_a_time_is_selected_by_slider_keys_click_and_event(watched: Watched, ser
     slider, readout = tab.get_by_role("slider", name="Time in the session"), tab.locator("#readout")
     tab.locator("#instant").evaluate(MOVE, 4500)
     expect(readout).to_contain_text("0:04.50 · 22:13:24.50 UTC · counts ")
-    for text in ("probability 0.", "TCP 1.7 mm/s", "arm label slip", "truth slip"):
+    for text in ("probability 0.", "TCP 1.7 mm/s", " · label slip", "truth slip"):
         expect(readout).to_contain_text(text)
     expect(tab.locator("h1")).to_have_text("Fingertip 0Slip")
     expect(slider).to_have_attribute("aria-valuetext", "0:04.50, slip")
@@ -231,27 +231,25 @@ def test_a_page_that_is_not_up_to_date_does_not_overwrite_labels(
     assert len(session.hand_labels().spans) == 1
 
 
-def test_thinned_curves_keep_the_figures_of_the_recording(watched: Watched, run: Run) -> None:
+def test_thinned_curves_keep_the_figures_of_the_recording(
+    watched: Watched, session: Session, run: Run
+) -> None:
     """A row in a thousand is another; no figure may be that of its neighbours, nor its own theirs."""
-    rows, odd = 200_000, 123_456
-    recorded = SessionCurves(rule=Debounce(0.78))
-    time = run.start + np.arange(rows) * 10 * ms
-    probability = np.full(rows, 0.25)
-    probability[odd] = 0.75
-    counts = np.full((rows, 6), -10, np.int16)
-    counts[odd] = -333
-    onsets = np.arange(0, rows, 50)[:3000]
+    rows, odd, tab = 200_000, 123_456, watched.tab
+    time, onsets = run.start + np.arange(rows) * 10 * ms, np.arange(0, rows, 50)[:3000]
+    probability, counts = np.full(rows, 0.25), np.full((rows, 6), -10, np.int16)
+    probability[odd], counts[odd] = 0.75, -333
     state = (1 - np.arange(3000) % 2).astype(np.int8)
 
     async def fill() -> SessionPage:
+        recorded = SessionCurves(Debounce(0.78), "")
         await recorded.open(run)
-        await recorded.write(Zeroed(time, counts, counts, np.ones((rows, 6), np.bool_), finger=0))
+        await recorded.write(Zeroed(time, counts, counts, counts < 0, finger=0))
         await recorded.write(Scores(time, probability, finger=0))
         await recorded.write(Slips(time[onsets], state, time[onsets], np.full(3000, 0.9), finger=0))
         await recorded.close()
-        return SessionPage(recorded)
+        return SessionPage(recorded, session)
 
-    tab = watched.tab
     with ServedRecording(fill()) as served:
         tab.goto(served.url)
         expect(tab.locator("#ramp-to")).to_have_text("400")  # the deepest of all

@@ -1,13 +1,12 @@
 from itertools import pairwise
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.events import encode
 from connectors.web.curves import GAP, curve_json, plotted_values, thin_curve
-from operators.batch import Motion, Scores, Touch, ms, s
+from operators.batch import Scores, Touch, ms, s
 
 
 def test_an_invalid_cell_and_an_unknown_probability_are_null() -> None:
@@ -17,12 +16,6 @@ def test_an_invalid_cell_and_an_unknown_probability_are_null() -> None:
     assert json == b'{"t":[0.0],"v":[[0.0,1.0,2.0,null,4.0,5.0]]}'
     scores = Scores(np.array([s, s + 10 * ms]), np.array([0.5, np.nan]))
     assert encode(curve_json(scores.time, plotted_values(scores), s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
-
-
-def test_speed_is_that_of_the_tcp_in_mm_per_second() -> None:
-    velocity = np.array([[0.003, 0.0, -0.004, 9.0, 9.0, 9.0]])
-    motion = Motion(np.array([s]), np.array([s]), velocity, np.full((1, 6), np.nan))
-    assert plotted_values(motion) == pytest.approx([5.0])
 
 
 @given(

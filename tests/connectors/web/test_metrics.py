@@ -1,4 +1,6 @@
-import asyncio
+"""The text is read back by prometheus_client's own parser."""
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -7,9 +9,33 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from connectors import Metrics
 from connectors.web.access import TOKEN
-from operators.batch import Slips
+from connectors.web.run_metrics import RunMetrics
+from operators.batch import Faults, Slips, ms, s
 from operators.errors import ParameterError
-from operators.ports import Run, SinkStatus, SourceStatus
+from operators.health import FaultKind
+from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
+from tests.connectors.web.reading import scored
+
+NOW = 100 * s
+
+
+def key(name: str, **labels: str) -> str:
+    return f"slipflow_{name}{sorted(labels.items())}"
+
+
+def read(text: str) -> dict[str, float]:
+    """Return each sample by its name and labels."""
+    families = text_string_to_metric_families(text)
+    return {
+        f"{each.name}{sorted(each.labels.items())}": each.value
+        for found in families
+        for each in found.samples
+    }
+
+
+def slips(*times: int, state: int = 1, finger: int = 0) -> Slips:
+    time = np.array(times)
+    return Slips(time, np.full(len(time), state, np.int8), time, np.full(len(time), 0.9), finger=finger)
 
 
 async def asked(url: str, **headers: str) -> tuple[int, str, str]:
@@ -18,59 +44,101 @@ async def asked(url: str, **headers: str) -> tuple[int, str, str]:
         return response.status, response.headers["Content-Type"], await response.text()
 
 
-def test_metrics_are_served_to_this_machine_only_and_only_during_the_run(run: Run) -> None:
+async def test_metrics_are_served_to_this_machine_only_and_only_during_the_run(run: Run) -> None:
     run.sources["touch"] = SourceStatus(rows=5)
     heard = list[str]()
-
-    async def main() -> str:
-        metrics = Metrics(0, opened=heard.append)
-        assert metrics.destination == "http://127.0.0.1:0"
-        await metrics.open(run)
-        time = np.array([run.clock.now()])
-        await metrics.write(Slips(time, np.array([1], np.int8), time, np.array([0.9]), finger=0))
-        status, kind, text = await asked(metrics.url)
-        assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
-        assert heard == [metrics.url]
-        assert (await asked(metrics.url, Host="evil.example"))[0] == 421
-        assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
-        await metrics.close()
-        with pytest.raises(OSError, match="Cannot connect"):
-            await asked(metrics.url)
-        return text
-
-    families = {family.name: family for family in text_string_to_metric_families(asyncio.run(main()))}
-    assert families["slipflow_source_rows"].samples[0].value == 5
-    assert families["slipflow_slip_latency_seconds"].type == "histogram"
+    metrics = Metrics(0, opened=heard.append)
+    await metrics.open(run)
+    await metrics.write(slips(NOW))
+    status, kind, text = await asked(metrics.url)
+    assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
+    assert heard == [metrics.url]
+    assert read(text)[key("source_rows_total", source="touch")] == 5
+    assert (await asked(metrics.url, Host="evil.example"))[0] == 421
+    assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
+    await metrics.close()
+    with pytest.raises(OSError, match="Cannot connect"):
+        await asked(metrics.url)
 
 
-def test_other_machines_need_the_token_but_not_for_the_probes(
+async def test_other_machines_need_the_token_but_not_for_the_probes(
     run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run.sources["touch"], run.sinks["dataset"] = SourceStatus(), SinkStatus()
-
-    async def main() -> None:
-        wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
-        with pytest.raises(ParameterError, match="Metrics: token is None, must be set"):
-            await wide.open(run)
-        monkeypatch.setenv(TOKEN, "0123456789abcdef")
+    wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
+    with pytest.raises(ParameterError, match="Metrics: token is None, must be set"):
         await wide.open(run)
-        assert (await asked(wide.url))[0] == 403
-        own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
-        assert (await asked(wide.url, **own))[0] == 200
-        base = wide.url.removesuffix("/metrics")
-        assert (await asked(f"{base}/healthz"))[::2] == (200, "ok\n")
-        assert (await asked(f"{base}/readyz"))[::2] == (503, "no source has delivered rows\n")
-        run.sources["touch"].up = True
-        assert (await asked(f"{base}/readyz"))[0] == 200
-        run.sinks["dataset"].error = "the secret reason"
-        assert (await asked(f"{base}/readyz"))[::2] == (503, "failing: dataset\n")
-        assert (await asked(f"{base}/healthz"))[0] == 200
-        await wide.close()
-
-    asyncio.run(main())
+    monkeypatch.setenv(TOKEN, "0123456789abcdef")
+    await wide.open(run)
+    assert (await asked(wide.url))[0] == 403
+    own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
+    assert (await asked(wide.url, **own))[0] == 200
+    base = wide.url.removesuffix("/metrics")
+    assert (await asked(f"{base}/healthz"))[::2] == (200, "ok\n")
+    assert (await asked(f"{base}/readyz"))[::2] == (503, "no source has delivered rows\n")
+    run.sources["touch"].up = True
+    assert (await asked(f"{base}/readyz"))[0] == 200
+    run.sinks["dataset"].error = "the secret reason"
+    assert (await asked(f"{base}/readyz"))[::2] == (503, "failing: dataset\n")
+    assert (await asked(f"{base}/healthz"))[0] == 200
+    await wide.close()
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_an_invalid_port_is_rejected(port: int) -> None:
     with pytest.raises(ParameterError, match="from 0 to 65535"):
         Metrics(port)
+
+
+def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
+    metrics, strange = RunMetrics(run), 'a "b"\n\\c'
+    run.sources["touch"] = SourceStatus(rows=500, late=3, newest=NOW - 30 * ms, up=True)
+    run.sources[strange] = SourceStatus(failures=4, error="unplugged", gaps=[Gap(s, 3 * s, "unplugged")])
+    mqtt = SinkStatus(rows=7, queued=2, waiting=4, unstored=1, dropped=5, failures=3, error="host: refused")
+    run.sinks["mqtt"], run.sinks["dataset"] = mqtt, SinkStatus(rows=9, unstored=6)
+    run.clock_steps.append(ClockStep(NOW, -2 * s))
+    touch: dict[str, Any] = {"rows_total": 500, "late_rows_total": 3, "lag_seconds": 0.03, "up": 1}
+    other = {"up": 0, "failures_total": 4, "gaps_total": 1}
+    sink = {"up": 0, "rows_total": 7, "queued_batches": 2, "dropped_rows_total": 5, "waiting_rows": 4}
+    expected = {
+        key("run_info", session="run1", flow="live", live="true", recording=""): 1,
+        **{key(f"source_{name}", source="touch"): value for name, value in touch.items()},
+        **{key(f"source_{name}", source=strange): value for name, value in other.items()},
+        **{key(f"sink_{name}", sink="mqtt"): value for name, value in sink.items()},
+        key("sink_unstored_rows", sink="dataset"): 6,
+        key("host_clock_offset_seconds"): -2,
+        key("host_clock_steps_total"): 1,
+    }
+    found = read(metrics.text().decode())
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+    assert key("sink_waiting_rows", sink="dataset") not in found  # it acknowledges nothing
+    assert key("source_lag_seconds", source=strange) not in found
+    assert b"refused" not in metrics.text()
+
+
+@pytest.mark.parametrize("recording", [None, "stroke-9"])
+def test_slips_are_counted_and_their_latency_is_a_histogram_unless_replayed(
+    run: Run, recording: str | None
+) -> None:
+    run.recording = recording
+    metrics = RunMetrics(run)
+    metrics.add(slips(NOW - 3 * ms, NOW - 15 * ms, NOW - 9 * s))
+    metrics.add(slips(NOW - 4 * ms, state=0))
+    metrics.add(slips(NOW, finger=2))
+    found = read(metrics.text().decode())
+    events = [found[key("slip_events_total", finger="0", state=each)] for each in ("onset", "end")]
+    assert events == [3, 1]
+    bounds = "0.002", "0.005", "0.02", "5.0", "+Inf"
+    counts = [found.get(key("slip_latency_seconds_bucket", finger="0", le=le)) for le in bounds]
+    assert counts == ([0, 2, 3, 3, 4] if recording is None else [None] * 5)
+
+
+def test_faults_last_and_scores_are_counted_by_quality(run: Run) -> None:
+    metrics, cell, kind = RunMetrics(run), np.array([3], np.int8), np.full(1, FaultKind.STUCK, np.int8)
+    for active, probability in (False, 0.1), (False, np.nan), (True, 0.1), (False, 0.1):
+        metrics.add(Faults(np.array([s]), cell, kind, np.array([active]), finger=1))
+        metrics.add(scored(0, probability, finger=1))
+        found = read(metrics.text().decode())
+        assert found[key("barometer_fault", finger="1", barometer="3", kind="stuck")] == active
+    qualities = "good", "doubtful", "blind"
+    assert [found[key("scores_total", finger="1", quality=each)] for each in qualities] == [2, 1, 1]

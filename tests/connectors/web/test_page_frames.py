@@ -7,11 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.events import encode
-from connectors.web.page_frames import EVENTS_KEPT, FINGERS_MAX, KEPT, STEP, Frames, Seen, Track, rows_json
-from operators.batch import EVERY, Faults, Motion, Scores, Touch, Zeroed, ms, s
+from connectors.web.page_frames import EVENTS_KEPT, KEPT, STEP, Frames, Seen, Track, rows_json
+from operators.batch import EVERY, Faults, Scores, Touch, ms, s
 from operators.health import FaultKind
 from operators.ports import Run
-from tests.connectors.web.reading import scored, slip
+from tests.connectors.web.reading import moved, scored, slip, touched
 
 START = 90 * s  # of the run
 NOW = 100 * s
@@ -19,17 +19,12 @@ NOW = 100 * s
 
 @pytest.fixture
 def frames(run: Run) -> Frames:
-    return Frames(run)
+    return Frames(run, zeroed=True)
 
 
-def touch(kind: type[Touch], time: int, count: int, finger: int = 0) -> Touch:
-    counts = np.full((1, 6), count, np.int16)
-    return kind(np.array([time]), counts, counts, np.ones((1, 6), np.bool_), finger=finger)
-
-
-def fault(kind: FaultKind, *, active: bool, finger: int = 0) -> Faults:
+def fault(kind: FaultKind, *, active: bool) -> Faults:
     cell, kinds = np.array([3], np.int8), np.array([kind], np.int8)
-    return Faults(np.array([START]), cell, kinds, np.array([active]), finger=finger)
+    return Faults(np.array([START]), cell, kinds, np.array([active]), finger=1)
 
 
 def frame(frames: Frames, seen: Seen | None = None) -> dict[str, Any]:
@@ -41,78 +36,53 @@ def frame(frames: Frames, seen: Seen | None = None) -> dict[str, Any]:
 
 def test_a_frame_has_what_is_new_for_its_browser(frames: Frames) -> None:
     one, other = Seen(), Seen()
-    frames.add(touch(Zeroed, START + 10 * ms, -7, finger=2))
+    zeroed = touched(START + 10 * ms, -7, finger=2)
+    frames.add(Touch(zeroed.time, zeroed.counts, zeroed.temperature, zeroed.valid, finger=2))  # is ignored
+    frames.add(zeroed)
     frames.add(scored(START + 10 * ms, 0.25, finger=2))
-    velocity = np.array([[0.1, 0, 0, 0, 0, 0]])
-    frames.add(Motion(np.array([START]), np.array([START]), velocity, np.full((1, 6), np.nan)))
-    rest = {"now": 10_000.0, "zeroed": True, "slipping": [], "faults": {}, "quality": {"2": ["good", None]}}
-    first = {
-        "rows": {
-            "touch": {"2": {"t": [10.0], "v": [[-7.0] * 6]}},
-            "scores": {"2": {"t": [10.0], "v": [0.25]}},
-            "speed": {"every": {"t": [0.0], "v": [100.0]}},
-        },
-        "events": [],
-        **rest,
+    frames.add(moved(START))
+    rest = {"now": 10_000.0, "slipping": [], "faults": {}, "quality": {"2": ["good", None]}}
+    rows = {
+        "touch": {"2": {"t": [10.0], "v": [[-7.0] * 6]}},
+        "scores": {"2": {"t": [10.0], "v": [0.25]}},
+        "speed": {"every": {"t": [0.0], "v": [3.0]}},
     }
-    assert frame(frames, one) == first
+    assert frame(frames, one) == {"rows": rows, "events": [], **rest}
     assert frame(frames, one) == {"rows": {}, "events": [], **rest}
     frames.add(slip(NOW - 8 * ms, 1, finger=1))
     event = {"id": 1, "t": 9_992.0, "finger": "1", "onset": True, "p": 0.9, "quality": ["good", None]}
-    for seen, rows in ((one, {}), (other, first["rows"])):
+    for seen, new in ((one, {}), (other, rows)):
         found = frame(frames, seen)
-        assert found["rows"] == rows
-        assert found["events"] == [{**event, "latency": 8.0}]
+        assert (found["rows"], found["events"]) == (new, [{**event, "latency": 8.0}])
         assert found["slipping"] == ["1"]
     frames.add(slip(NOW, 0, finger=1))
     found = frame(frames, one)
     assert ([each["id"] for each in found["events"]], found["slipping"]) == ([2], [])
 
 
-def test_zeroed_counts_replace_raw_ones(frames: Frames) -> None:
-    seen = Seen()
-    frames.add(touch(Touch, START, 700))
-    found = frame(frames, seen)
-    assert (found["rows"]["touch"]["0"]["v"], found["zeroed"]) == ([[700.0] * 6], False)
-    frames.add(touch(Zeroed, START, -3))
-    frames.add(touch(Touch, START + 10 * ms, 700))
-    for each in (seen, Seen()):
-        found = frame(frames, each)
-        assert (found["rows"]["touch"]["0"], found["zeroed"]) == ({"t": [0.0], "v": [[-3.0] * 6]}, True)
-
-
 def test_the_quality_is_that_of_the_newest_score_and_of_the_cells(frames: Frames) -> None:
     frames.add(scored(START, 0.5, finger=1))
     assert frame(frames)["quality"] == {"1": ["good", None]}
-    frames.add(fault(FaultKind.STUCK, active=True, finger=1))
-    frames.add(fault(FaultKind.DRIFTING, active=False, finger=1))
+    frames.add(fault(FaultKind.STUCK, active=True))
+    frames.add(fault(FaultKind.DRIFTING, active=False))
     frames.add(slip(NOW, 1, finger=1))
     found = frame(frames)
     assert found["quality"] == {"1": ["doubtful", "barometer 3 stuck"]}
     assert [event["quality"][0] for event in found["events"]] == ["doubtful"]
     assert found["faults"] == {"1": {"3": "stuck"}}
-    frames.add(fault(FaultKind.STUCK, active=False, finger=1))
+    frames.add(fault(FaultKind.STUCK, active=False))
     frames.add(scored(START + 10 * ms, np.nan, finger=1))
     found = frame(frames)
     assert (found["quality"], found["faults"]) == ({"1": ["blind", "no probability"]}, {})
 
 
-def test_a_replay_at_full_speed_has_no_latency(frames: Frames, run: Run) -> None:
+def test_events_are_bounded_and_a_replay_at_full_speed_has_no_latency(frames: Frames, run: Run) -> None:
     run.live = False
-    frames.add(slip(NOW, 1, finger=EVERY))
-    [event] = frame(frames)["events"]
-    assert (event["latency"], event["finger"]) == (None, "every")
-
-
-def test_events_and_fingertips_are_bounded(frames: Frames) -> None:
     for k in range(EVENTS_KEPT + 50):
-        frames.add(slip(START + k * ms, 1 - k % 2))
-    for finger in range(FINGERS_MAX + 9):
-        frames.add(touch(Zeroed, START, -1, finger))
-        frames.add(scored(START, 0.5, finger=finger))
-    found = frame(frames)
-    assert [event["id"] for event in found["events"]] == [*range(51, EVENTS_KEPT + 51)]
-    assert [len(fingers) for fingers in found["rows"].values()] == [FINGERS_MAX] * 2
+        frames.add(slip(START + k * ms, 1 - k % 2, finger=EVERY))
+    found = frame(frames)["events"]
+    assert [event["id"] for event in found] == [*range(51, EVENTS_KEPT + 51)]
+    assert {(event["latency"], event["finger"]) for event in found} == {(None, "every")}
 
 
 def scores(*times: int) -> Scores:

@@ -1,4 +1,5 @@
 import asyncio
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -6,18 +7,20 @@ import pytest
 
 from connectors.web import session_curves as module
 from connectors.web.session_curves import SessionCurves
-from operators.batch import Faults, Labelled, Motion, Scores, Slips, Truth, Zeroed, ms, s
+from operators import Debounce
+from operators.batch import Faults, Motion, Scores, Slips, Truth, Zeroed, ms, s
 from operators.errors import InputError
 from operators.health import FaultKind
 from operators.ports import Run
 from tests.connectors.web.reading import scored, slip, touched
+from tests.storage.made import new_samples
 
 START = 90 * s
 
 
 def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips | Faults | Truth) -> SessionCurves:
     async def main() -> SessionCurves:
-        recorded = SessionCurves(about="A recorded session.")
+        recorded = SessionCurves(Debounce(), "A recorded session.")
         await recorded.open(run)
         for batch in batches:
             await recorded.write(batch)
@@ -40,22 +43,6 @@ def test_a_window_has_the_rows_between_its_ends_without_late_ones(run: Run) -> N
     assert len(cut(recorded, 0, 1000)["touch"]["0"]["t"]) == 100
     assert cut(recorded, 5000, 6000)["touch"]["0"]["t"] == []
     assert cut(recorded, -500, -100)["touch"]["0"]["t"] == []
-
-
-def test_a_long_window_is_thinned_and_the_values_at_a_time_are_not(run: Run) -> None:
-    time = START + np.arange(100_000) * 10 * ms
-    probability = np.arange(100_000) % 100 / 200
-    probability[54_321] = 0.875
-    recorded = kept(run, Scores(time, probability, finger=0), touched(START, -7))
-    scores = cut(recorded, 0, 1e6)["scores"]["0"]
-    assert len(scores["t"]) == 2000
-    at = scores["v"].index(0.875)
-    assert scores["t"][at - 1] <= 543_210 <= scores["t"][at]
-    seen: dict[str, Any] = {**recorded.values_at(543_215)}
-    assert seen["rows"]["scores"]["0"] == {"t": [543_210], "v": [0.875]}
-    assert seen["rows"]["touch"]["0"]["t"] == []  # its last row is too old
-    before: dict[str, Any] = {**recorded.values_at(-1)}
-    assert before["rows"]["scores"]["0"]["t"] == []
 
 
 def test_the_contents_have_the_length_and_the_events_in_order_of_time(run: Run) -> None:
@@ -82,30 +69,29 @@ def test_the_contents_have_the_length_and_the_events_in_order_of_time(run: Run) 
 def test_faults_and_quality_are_those_of_the_time(run: Run) -> None:
     stuck = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
     fault = Faults(np.array([START + 50 * ms]), *stuck, finger=0)
-    recorded = kept(run, *[scored(START + k * 10 * ms, 0.1) for k in range(10)], fault)
-    for at, faults, quality in ((40, {}, "good"), (60, {"0": {"3": "stuck"}}, "doubtful")):
+    scores = [scored(START + k * 10 * ms, k / 10) for k in range(10)]
+    recorded, marked = kept(run, touched(START - 2 * s, -7), *scores, fault), {"0": {"3": "stuck"}}
+    for at, time, faults, quality in (
+        (45, [40], {}, "good"),
+        (60, [60], marked, "doubtful"),
+        (-1, [], {}, None),
+    ):
         found: dict[str, Any] = {**recorded.values_at(at)}
-        assert (found["faults"], found["quality"]["0"][0]) == (faults, quality)
+        assert (found["faults"], found["quality"].get("0", [None])[0]) == (faults, quality)
+        assert found["rows"]["scores"]["0"]["t"] == time
+    assert found["rows"]["touch"]["0"]["t"] == [], "its row is too old"
 
 
 def test_labels_and_truth_are_runs_that_end_where_the_value_changes_or_a_pause_begins(run: Run) -> None:
     at = START + np.array([0, 10, 20, 30, 1000]) * ms
-    label, counts, unknown = (
-        np.array([0, 0, 1, 1, 1], np.int8),
-        np.zeros((5, 6), np.int16),
-        np.full((5, 6), np.nan),
-    )
-    flags = np.ones(5, np.bool_)
-    labelled = Labelled(
-        at, counts, counts, counts == 0, unknown, unknown, flags, np.zeros(5), label, finger=3
-    )
+    labelled = replace(new_samples(at, finger=3), label=np.array([0, 0, 1, 1, 1], np.int8))
     sliding = np.zeros(100)
     sliding[20:40] = sliding[45:60] = 0.02  # the stick phase between them is part of the slip
     time = START + np.arange(100) * 10 * ms
     truth = Truth(time, sliding, sliding, np.zeros((100, 3)), finger=3)
     contents: dict[str, Any] = {**kept(run, labelled, truth, labelled).contents()}
     assert contents["bands"] == {
-        "arm": {"3": [[0, 20, 0], [20, 30, 1], [1000, 1000, 1]]},
+        "label": {"3": [[0, 20, 0], [20, 30, 1], [1000, 1000, 1]]},
         "truth": {"3": [[0, 200, 0], [200, 600, 1], [600, 990, 0]]},
     }
 

@@ -1,6 +1,5 @@
 import asyncio
 import re
-import resource
 import socket
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -13,11 +12,13 @@ from aiohttp import ClientResponse, ClientSession, CookieJar, web
 from connectors.web import web_server
 from connectors.web.access import TOKEN, Access
 from connectors.web.web_server import STATIC, STRANGERS_MAX, WebServer, page_server
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError, InputError, ParameterError
 from tests.waiting import PATIENCE, until
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 BEARER = {"Authorization": f"Bearer {SECRET}"}
+PHRASE = "Access to the page needs its token: append /?token=... to the address"
+KINDS = {".js": "javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 
 
 async def answer(_: web.Request) -> web.Response:
@@ -49,168 +50,156 @@ async def get(session: ClientSession, path: str, **headers: str) -> tuple[int, s
         return response.status, await response.text(), response
 
 
-def test_every_response_has_security_headers() -> None:
-    async def main() -> None:
-        async with served(numbers()) as session:
-            for path in ("/data", "/nothing"):
-                headers = (await get(session, path))[2].headers
-                assert headers["Content-Security-Policy"].startswith("default-src 'self';")
-                assert "unsafe" not in headers["Content-Security-Policy"]
-                assert headers["X-Content-Type-Options"] == "nosniff"
-                assert headers["Referrer-Policy"] == "no-referrer"  # the token may be in the address
-                assert headers["Cache-Control"] == "no-store"
-                assert "Access-Control-Allow-Origin" not in headers
-
-    asyncio.run(main())
+@pytest.mark.parametrize("host", ["::", "192.168.1.5", "rig.lab"])
+def test_other_machines_need_a_token_of_the_environment(host: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert Access.of("Page", "127.0.0.1").admits(None)
+    with pytest.raises(ParameterError, match=f"token is None, must be set in {TOKEN}"):
+        Access.of("Metrics", host)
+    monkeypatch.setenv(TOKEN, SECRET)
+    assert Access.of("Page", host).accepts_token(SECRET)
 
 
-def test_only_pages_of_the_server_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("token", ["short", "x" * 300, "0123456789 abcdef", "0123456789abcdef\n", "é" * 20])
+def test_a_malformed_token_is_rejected_and_not_shown(token: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(TOKEN, token)
+    with pytest.raises(ParameterError) as caught:
+        Access.of("Page", "127.0.0.1")
+    assert token not in str(caught.value)
+
+
+def test_only_the_token_as_a_bearer_and_its_cookie_are_accepted() -> None:
+    access = Access(SECRET)
+    assert access.admits(Access(SECRET).cookie)  # also after a restart
+    assert access.admits(None, f"bearer  {SECRET}")
+    for cookie in (None, "", SECRET, Access(SECRET + "0").cookie, "ü", "\udcff"):  # aiohttp yields surrogates
+        assert not access.admits(cookie)
+    for wrong in ("", SECRET, f"Basic {SECRET}", f"Bearer {SECRET}x", "Bearer", "Bearer ü", "Bearer \udcff"):
+        assert not access.admits(None, wrong), wrong
+    assert not Access().accepts_token("")
+    assert SECRET not in access.cookie
+
+
+def test_without_a_token_only_addresses_and_names_of_this_machine_are_served() -> None:
+    for host in ("127.0.0.1:8765", "[fe80::1]:80", "LOCALHOST.", socket.gethostname()):
+        assert Access().is_own_host(host), host
+    for host in ("evil.example:8765", "", "localhost.evil.example", "a b", "[::1"):
+        assert not Access().is_own_host(host), host
+    assert Access(SECRET).is_own_host("robot.example")
+
+
+async def test_every_response_has_security_headers_and_a_rebound_host_name_is_rejected() -> None:
+    async with served(numbers()) as session:
+        for path, host, status in (
+            ("/data", "localhost:1", 200),
+            ("/no", "[::1]", 404),
+            ("/data", "x.y", 421),
+        ):
+            found, _, response = await get(session, path, Host=host)
+            assert found == status
+            headers = response.headers
+            assert headers["Content-Security-Policy"].startswith("default-src 'self';")
+            assert "unsafe" not in headers["Content-Security-Policy"]
+            assert headers["X-Content-Type-Options"] == "nosniff"
+            assert headers["Referrer-Policy"] == "no-referrer"  # the token may be in the address
+            assert headers["Cache-Control"] == "no-store"
+            assert "Access-Control-Allow-Origin" not in headers
+
+
+async def test_only_pages_of_the_server_can_write(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(web_server, "_BODY_MAX", 1000)
+    server = numbers(SECRET)
+    foreign = "http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1.evil.example", ""
+    async with served(server) as session:
 
-    async def main() -> None:
-        server = numbers(SECRET)
-        async with served(server) as session:
+        async def post(body: bytes, **headers: str) -> int:
+            async with session.post("/notes", data=body, headers={**BEARER, **headers}) as response:
+                return response.status
 
-            async def post(body: bytes, **headers: str) -> int:
-                async with session.post("/notes", data=body, headers={**BEARER, **headers}) as response:
-                    return response.status
-
-            assert await post(b"{}", Origin=server.url) == 200
-            assert await post(b"wrong", Origin=server.url) == 400
-            assert await post(b" " * 1001, Origin=server.url) == 413
-            assert await post(b"{}") == 403
-            for origin in (
-                "http://evil.example",
-                "null",
-                "http://127.0.0.1:1",
-                f"{server.url}.evil.example",
-                "",
-            ):
-                assert await post(b"{}", Origin=origin) == 403, origin
-            assert await post(b"{}", Origin=server.url, Authorization="") == 403
-            assert (await get(session, "/notes", **BEARER))[0] == 405
-
-    asyncio.run(main())
+        for body, status in ((b"{}", 200), (b"wrong", 400), (b" " * 1001, 413)):
+            assert await post(body, Origin=server.url) == status
+        assert await post(b"{}") == 403
+        for origin in (*foreign, f"{server.url}.evil.example"):
+            assert await post(b"{}", Origin=origin) == 403, origin
+        assert await post(b"{}", Origin=server.url, Authorization="") == 403
+        assert (await get(session, "/notes", **BEARER))[0] == 405
 
 
-def test_a_rebound_host_name_is_rejected() -> None:
-    async def main() -> None:
-        async with served(numbers()) as session:
-            assert (await get(session, "/data", Host="evil.example"))[0] == 421
-            assert (await get(session, "/data", Host="localhost:1"))[0] == 200
-
-    asyncio.run(main())
-
-
-def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
-    async def main() -> None:
-        with socket.create_server(("127.0.0.1", 0)) as taken:
-            port = taken.getsockname()[1]
-            with pytest.raises(EndpointError) as caught:
-                await numbers(port=port).open()
-            assert str(caught.value) == (
-                f"http://127.0.0.1:{port}: cannot serve numbers: Address already in use; choose another port"
-            )
-            server = numbers(port=port, any_port=True)
-            async with served(server):
-                assert server.url != f"http://127.0.0.1:{port}"
-
-    asyncio.run(main())
+async def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(EndpointError) as caught:
+            await numbers(port=port).open()
+        assert str(caught.value) == (
+            f"http://127.0.0.1:{port}: cannot serve numbers: Address already in use; choose another port"
+        )
+        server = numbers(port=port, any_port=True)
+        async with served(server):
+            assert server.url != f"http://127.0.0.1:{port}"
 
 
 @pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 80), ("nowhere.invalid", 0)])
-def test_a_foreign_address_is_an_error(host: str, port: int) -> None:
+async def test_a_foreign_address_is_an_error(host: str, port: int) -> None:
     with pytest.raises(EndpointError, match=rf"http://{host}:{port}: cannot serve numbers: .*choose an"):
-        asyncio.run(numbers(port=port, host=host, any_port=True).open())
+        await numbers(port=port, host=host, any_port=True).open()
 
 
-def test_the_page_and_all_its_files_are_served_and_nothing_else() -> None:
-    async def main() -> None:
-        server = page_server("127.0.0.1", 0)
-        async with served(server) as session:
-            status, page, response = await get(session, "/")
-            assert (status, response.content_type) == (200, "text/html")
-            names = re.findall(r'(?:src|href)="([^"]+)"', page)
-            for file in STATIC.glob("*.js"):
-                names += [f"{name}.js" for name in re.findall(r'from "\./(\w+)\.js"', file.read_text())]
-            assert len(names) > 8
-            kinds = {".js": "javascript", ".css": "text/css", ".svg": "image/svg+xml"}
-            for name in names:
-                status, text, response = await get(session, f"/{name}")
-                assert (status, bool(text)) == (200, True)
-                assert kinds[Path(name).suffix] in response.content_type
-            assert "Leon Sorokin" in (await get(session, "/uplot/LICENSE"))[1]
-            for path in ("/../server.py", "/..%2fserver.py", "/static/", "/uplot/../../page.py", "/uplot"):
-                reader, writer = await asyncio.open_connection(
-                    "127.0.0.1", int(server.url.rpartition(":")[2])
-                )
-                writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
-                assert (await reader.readline()).split()[1] in {b"403", b"404"}
-                writer.close()
-                await writer.wait_closed()
-
-    asyncio.run(main())
+async def test_the_page_and_all_its_files_are_served_and_nothing_else() -> None:
+    server = page_server("127.0.0.1", 0)
+    async with served(server) as session:
+        status, page, response = await get(session, "/")
+        assert (status, response.content_type) == (200, "text/html")
+        names = re.findall(r'(?:src|href)="([^"]+)"', page)
+        for file in STATIC.glob("*.js"):
+            names += [f"{name}.js" for name in re.findall(r'from "\./(\w+)\.js"', file.read_text())]
+        assert len(names) > 8
+        for name in names:
+            status, text, response = await get(session, f"/{name}")
+            assert (status, bool(text)) == (200, True)
+            assert KINDS[Path(name).suffix] in response.content_type
+        assert "Leon Sorokin" in (await get(session, "/uplot/LICENSE"))[1]
+        for path in ("/../server.py", "/..%2fserver.py", "/static/", "/uplot/../../page.py", "/uplot"):
+            reader, writer = await asyncio.open_connection("127.0.0.1", int(server.url.rpartition(":")[2]))
+            writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+            assert (await reader.readline()).split()[1] in {b"403", b"404"}
+            writer.close()
+            await writer.wait_closed()
 
 
-def test_with_a_token_nothing_is_served_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_with_a_token_nothing_is_served_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(TOKEN, SECRET)
-
-    async def main() -> None:
-        server = page_server("127.0.0.1", 0)
-        async with served(server) as session:
-            wrong = "/?token=", f"/?token={SECRET}x"
-            for path in ("/", "/data", "/page.js", "/page.css", "/nothing", *wrong):
-                status, text, response = await get(session, path)
-                assert (status, response.content_type, text.count("\n")) == (403, "text/plain", 1)
-                assert text.startswith(
-                    "Access to the page needs its token: append /?token=... to the address"
-                )
-                assert "Set-Cookie" not in response.headers
-            assert (await get(session, "/data", **BEARER))[1] == "text"
-            assert SECRET not in server.url
-            status, _, response = await get(session, server.login_url.removeprefix(server.url))
-            assert (status, response.headers["Location"]) == (303, "/")
-            cookie = response.headers["Set-Cookie"]
-            assert "HttpOnly" in cookie
-            assert "SameSite=Lax" in cookie
-            assert SECRET not in cookie
-            assert (await get(session, "/data"))[1] == "text"
-
-    asyncio.run(main())
+    server = page_server("127.0.0.1", 0)
+    async with served(server) as session:
+        for path in ("/", "/data", "/page.js", "/nothing", "/?token=", f"/?token={SECRET}x"):
+            status, text, response = await get(session, path)
+            assert (status, response.content_type, text.count("\n")) == (403, "text/plain", 1)
+            assert text.startswith(PHRASE)
+            assert "Set-Cookie" not in response.headers
+        assert (await get(session, "/data", **BEARER))[1] == "text"
+        assert SECRET not in server.url
+        status, _, response = await get(session, server.login_url.removeprefix(server.url))
+        assert (status, response.headers["Location"]) == (303, "/")
+        cookie = response.headers["Set-Cookie"]
+        assert ("HttpOnly" in cookie, "SameSite=Lax" in cookie, SECRET in cookie) == (True, True, False)
+        assert (await get(session, "/data"))[1] == "text"
 
 
-def descriptors() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
+async def test_silent_connections_are_limited_and_never_replace_one_with_access() -> None:
+    def descriptors() -> int:
+        return len(list(Path("/proc/self/fd").iterdir()))
 
+    async def get_data() -> None:  # on the same connection
+        writer.write(f"GET /data HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {SECRET}\r\n\r\n".encode())
+        assert b" 200 " in await reader.readline()
+        await reader.readuntil(b"\r\n\r\ntext")
 
-@pytest.mark.parametrize(("files", "most"), [(1024, STRANGERS_MAX), (32, 4)])
-def test_silent_connections_are_limited_and_never_replace_one_with_access(
-    files: int, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def limit(_: int) -> tuple[int, int]:
-        return files, files
-
-    monkeypatch.setattr(resource, "getrlimit", limit)
-
-    async def main() -> None:
-        server = numbers(SECRET)
-        await server.open(web.get("/data", answer))
+    server = numbers(SECRET)
+    async with asyncio.timeout(PATIENCE), served(server):
         address = "127.0.0.1", int(server.url.rpartition(":")[2])
         reader, writer = await asyncio.open_connection(*address)
-
-        async def get_data() -> None:  # on the same connection
-            writer.write(f"GET /data HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {SECRET}\r\n\r\n".encode())
-            assert b" 200 " in await reader.readline()
-            await reader.readuntil(b"\r\n\r\ntext")
-
-        async with asyncio.timeout(PATIENCE):
-            await get_data()
-            before = descriptors()
-            silent = await asyncio.gather(*(asyncio.open_connection(*address) for _ in range(3 * most)))
-            await until(lambda: descriptors() - before <= len(silent) + most)
-            await get_data()
+        await get_data()
+        before = descriptors()
+        silent = await asyncio.gather(*(asyncio.open_connection(*address) for _ in range(3 * STRANGERS_MAX)))
+        await until(lambda: descriptors() - before <= len(silent) + STRANGERS_MAX)
+        await get_data()
         for _, each in [*silent, (reader, writer)]:
             each.close()
-        await server.close()
-
-    asyncio.run(main())
