@@ -15,7 +15,7 @@ from operators.extras import software_version
 from operators.fingertip import Fingertip
 from operators.ports import Description, Run
 from storage import files
-from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, TABLES, Table, inside
+from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, Table
 from storage.lock import lock
 
 VERSION: Final = 2  # of the dataset format
@@ -32,7 +32,7 @@ def describe_dataset(root: Path) -> None:
         InputError: if it has another version, or the folder has other files and is not a dataset.
         OSError: if it cannot be written.
     """
-    path = inside(root, root / DATASET)
+    path = root / DATASET
     if not path.exists():
         held = lock(root, wait=True)
         try:
@@ -52,7 +52,7 @@ def read_dataset(root: Path) -> Description:
     Raises:
         InputError: if it cannot be read, or has another version.
     """
-    about = files.read_json(inside(root, root / DATASET))
+    about = files.read_json(root / DATASET)
     _check_version(root / DATASET, about)
     return about
 
@@ -64,7 +64,6 @@ def describe_session(
     host: str | None = None,
     tables: Iterable[Table] = (),
     fingertips: Mapping[type[Batch], Fingertip] | None = None,
-    zeroed: bool = False,
     ended: bool = False,
     put: files.Put = files.put,
 ) -> None:
@@ -76,7 +75,6 @@ def describe_session(
         host: Name of the machine; default: its host name.
         tables: Tables that may get rows.
         fingertips: Fingertips of the touch that it may get, by type.
-        zeroed: True if touch was recorded zeroed.
         ended: True at the end of the run; the session is complete then if the run has no error.
         put: Function that writes the file.
 
@@ -102,10 +100,6 @@ def describe_session(
         },
         "split": _named("split", run.describe.values()),
         "group": _named("group", run.describe.values()),
-        "units": {
-            table.name: {name: column.unit for name, column in table.columns.items() if column.unit}
-            for table in TABLES
-        },
         "complete": ended and not run.error,
     }
     if ended:
@@ -114,7 +108,6 @@ def describe_session(
             "end": _rfc3339(end),
             "end_ns": end,
             "error": run.error or None,
-            "zeroed": zeroed,
             "streams": {
                 name: {"rows": each.rows, "late": each.late, "gaps": [asdict(gap) for gap in each.gaps]}
                 for name, each in run.sources.items()
@@ -138,7 +131,7 @@ def describe_session(
 
 
 def describe_recovery(
-    folder: Path, about: Description, recovered: Mapping[str, Any], *, newest: int | None, zeroed: bool
+    folder: Path, about: Description, recovered: Mapping[str, Any], *, newest: int | None
 ) -> None:
     """Record a recovery in session.json.
 
@@ -147,7 +140,6 @@ def describe_recovery(
         about: Content of session.json.
         recovered: Result of the recovery.
         newest: Time (ns) of its newest row, which ends a session that was not closed; None: it has no rows.
-        zeroed: True if touch was recorded zeroed.
 
     Raises:
         OSError: if it cannot be written.
@@ -156,7 +148,7 @@ def describe_recovery(
     content["complete"] = about.get("complete") is True and not recovered["lost"]
     content["recovered"] = recovered
     if "end_ns" not in about:
-        content |= {"error": "was not closed", "zeroed": zeroed}
+        content["error"] = "was not closed"
         if newest is not None:
             content |= {"end": _rfc3339(newest), "end_ns": newest}
     files.put_checked(folder / SESSION, content)

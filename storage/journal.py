@@ -4,8 +4,9 @@
 
     journal/000000.wal  segment with rows of multi-part tables; numbered on
     journal/single.wal  segment with rows of single-file tables, which are written when the session ends
-    identity            JSON: version, session, number of the segment, columns of each batch type
-    record              code (1), finger (2), rows (4), number of the first in its table (8); the columns
+    identity            JSON: version, session, number of the segment, sha256 of the columns of all tables
+    record              code of the batch type (1), finger (2), cells (4), rows (4), number of the first in
+                        its table (8); the columns
 
 All numbers are little-endian and, except for the finger, unsigned. See `storage.append_log` for the file.
 """
@@ -15,6 +16,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from functools import cache
+from hashlib import sha256
 from pathlib import Path
 from struct import Struct
 from typing import Any, Final, NamedTuple
@@ -36,12 +38,12 @@ from storage.layout import (
     single_log,
 )
 
-VERSION: Final = 5  # of identity and records; other versions refuse the segment
+VERSION: Final = 6  # of identity and records; other versions refuse the segment
 SINGLE: Final = -1  # number of the segment with the rows of single-file tables
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
 MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
 
-_HEAD: Final = Struct("<BhIQ")
+_HEAD: Final = Struct("<BhIIQ")
 _KINDS: Final = tuple(TABLE_OF)  # the code of a record is the index of its batch type
 _CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
 _MOVE: Final = "; move it away to recover the rest"
@@ -226,7 +228,8 @@ class SegmentReader(LogReader):
     def __init__(self, path: Path, session: str, number: int) -> None:
         super().__init__(path)
         try:
-            self._kinds = {} if self.damage else _kinds(self.identity, str(path), session, number)
+            if not self.damage:
+                _check_identity(self.identity, str(path), session, number)
         except BaseException:
             self.close()
             raise
@@ -239,7 +242,7 @@ class SegmentReader(LogReader):
             OSError: if the file cannot be read.
         """
         for record in self.records():
-            yield _decode(record.data, self._kinds, str(self.path))
+            yield _decode(record.data, str(self.path))
 
 
 def delete_journal(folder: Path) -> None:
@@ -257,8 +260,7 @@ def delete_journal(folder: Path) -> None:
 
 def identity(session: str, number: int) -> bytes:
     """Return the identity of a segment."""
-    content = {"version": VERSION, "session": session, "segment": number, "kinds": _described_kinds()}
-    return json.dumps(content).encode()
+    return json.dumps(_identity(session, number)).encode()
 
 
 def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
@@ -269,16 +271,15 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
         names, most = columns(kind), (append_log.LIMIT - _HEAD.size) // _row_size(kind, batch.cells)
         for start in range(0, len(batch), most):
             part = batch if len(batch) <= most else batch[start : start + most]
-            head = _HEAD.pack(_CODES[kind], batch.finger, len(part), first + start)
+            head = _HEAD.pack(_CODES[kind], batch.finger, batch.cells, len(part), first + start)
             records.append(b"".join([head, *(getattr(part, name).tobytes() for name in names)]))
     return records
 
 
-def _decode(record: bytes, kinds: dict[int, type[Batch]], where: str) -> NumberedRows:
-    code, finger, count, first = _HEAD.unpack_from(record) if len(record) >= _HEAD.size else (-1, 0, 0, 0)
-    kind = kinds.get(code)
-    cells = None if kind is None else _cells(kind, count, len(record) - _HEAD.size)
-    if kind is None or cells is None:
+def _decode(record: bytes, where: str) -> NumberedRows:
+    code, finger, cells, count, first = _HEAD.unpack(record[: _HEAD.size].ljust(_HEAD.size, b"\xff"))
+    kind = _KINDS[code] if code < len(_KINDS) else None
+    if kind is None or len(record) != _HEAD.size + count * _row_size(kind, cells):
         raise InputError(where, f"has an invalid record{_MOVE}")
     values, offset = list[NDArray[Any]](), _HEAD.size
     for column in columns(kind).values():
@@ -291,61 +292,38 @@ def _decode(record: bytes, kinds: dict[int, type[Batch]], where: str) -> Numbere
 
 def _row_size(kind: type[Batch], cells: int) -> int:
     """Return the size of a row in bytes."""
-    fixed, per_cell = _ROW_SIZES[kind]
-    return fixed + cells * per_cell
+    return sum(each.dtype.itemsize * math.prod(each.sizes(cells)) for each in columns(kind).values())
 
 
-def _sizes(kind: type[Batch]) -> tuple[int, int]:
-    """Return the size of a row without its cells, and of each cell, in bytes."""
-    without, one = (
-        sum(each.dtype.itemsize * math.prod(each.sizes(cells)) for each in columns(kind).values())
-        for cells in (0, 1)
-    )
-    return without, one - without
+def _check_identity(content: bytes, where: str, session: str, number: int) -> None:
+    """Check that a segment is the one of this number, of this session, with the columns that are known.
 
-
-def _cells(kind: type[Batch], count: int, size: int) -> int | None:
-    """Return the number of cells of a record of `count` rows in `size` bytes; None if there is none."""
-    fixed, per_cell = _ROW_SIZES[kind]
-    cells, rest = divmod(size - count * fixed, count * per_cell) if count * per_cell else (0, 0)
-    return cells if cells >= 0 and not rest and size == count * _row_size(kind, cells) else None
-
-
-def _kinds(content: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
-    """Return the batch types of a segment by their codes."""
+    Raises:
+        InputError: if it is not.
+    """
     try:
-        about: Any = json.loads(content)
-        version, own, kinds = (
-            about.get("version"),
-            (about.get("session"), about.get("segment")),
-            about["kinds"],
-        )
-        names = [str(each["batch"]) for each in kinds]
-        layouts = [each["columns"] for each in kinds]
-    except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        about: dict[str, Any] = dict(json.loads(content))
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(where, f"has an invalid description{_MOVE}: {error!r}") from error
-    if version != VERSION:
-        reason = f"has version {version!r}; this slipflow reads version {VERSION}"
+    expected = _identity(session, number)
+    if about.get("version") != VERSION or about.get("columns") != expected["columns"]:
+        reason = f"has version {about.get('version')!r} or other columns; this slipflow reads {VERSION}"
         raise InputError(where, f"{reason}: recover it with the software named in session.json")
-    if own != (session, number):
-        raise InputError(where, f"is segment {own[1]!r} of session {own[0]!r}; move it back there")
-    known = {kind.__name__: kind for kind in _KINDS}
-    for name, layout in zip(names, layouts, strict=True):
-        if name not in known or _layout(known[name]) != layout:
-            reason = f"has {name} rows with unknown columns: recover it"
-            raise InputError(where, f"{reason} with the software named in session.json")
-    return dict(enumerate(map(known.__getitem__, names)))
+    if about != expected:
+        own = f"segment {about.get('segment')!r} of session {about.get('session')!r}"
+        raise InputError(where, f"is {own}; move it back there")
+
+
+def _identity(session: str, number: int) -> dict[str, Any]:
+    return {"version": VERSION, "session": session, "segment": number, "columns": _columns_sha256()}
 
 
 @cache
-def _described_kinds() -> list[dict[str, Any]]:
-    return [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
-
-
-def _layout(kind: type[Batch]) -> list[list[Any]]:
-    """Return the name, element type with byte order, shape and code names of each column."""
-    found = columns(kind).items()
-    return [[name, each.dtype.str, [*each.shape], [*each.names]] for name, each in found]
-
-
-_ROW_SIZES: Final = {kind: _sizes(kind) for kind in _KINDS}
+def _columns_sha256() -> str:
+    """Return the sha256 of name, element type with byte order, shape and code names of all columns."""
+    found = [
+        [kind.__name__, name, each.dtype.str, [*each.shape], [*each.names]]
+        for kind in _KINDS
+        for name, each in columns(kind).items()
+    ]
+    return sha256(json.dumps(found).encode()).hexdigest()

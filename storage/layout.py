@@ -26,7 +26,6 @@ from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
 from functools import cached_property
-from itertools import accumulate
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -57,6 +56,7 @@ DAMAGED: Final = "damaged"
 LABELS: Final = "labels"
 FINGER_MAX: Final = 2**15 - 1  # largest number of a fingertip, which is stored in 16 bits
 
+_LINK: Final = "is a link; a session must have none: replace it by the files"
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
 _DIGITS: Final = 12  # of the number of a file at most
 _SEGMENT: Final = re.compile(rf"[0-9]{{6,{_DIGITS}}}\.wal")
@@ -149,11 +149,15 @@ def session_folder(root: Path, session: str) -> Path:
 
     Raises:
         ParameterError: if `session` is not the name of a file.
-        InputError: if a link of that name leads out of the dataset.
+        InputError: if the folder, or that of all sessions, is a link.
     """
     if session in {"", ".", ".."} or not {"/", "\0"}.isdisjoint(session):
         raise ParameterError("Dataset", "session", session, "a file name")
-    return inside(root, root / SESSIONS / session)
+    folder = root / SESSIONS / session
+    for path in (folder.parent, folder):
+        if path.is_symlink():
+            raise InputError(str(path), _LINK)
+    return folder
 
 
 def new_session_folder(root: Path, session: str) -> Path:
@@ -161,7 +165,7 @@ def new_session_folder(root: Path, session: str) -> Path:
 
     Raises:
         ParameterError: if it is not.
-        InputError: if a link of that name leads out of the dataset.
+        InputError: as `session_folder`.
     """
     if not _NAME.fullmatch(session):
         must_be = "a file name of at most 128 letters, digits, '.', '_' or '-', first a letter or digit"
@@ -260,7 +264,7 @@ def single_log(folder: Path) -> Path:
 def check_links(folder: Path) -> None:
     """Check that the folder of a session contains no link, which could lead out of it or to another table.
 
-    The folder itself may be a link, but below ``sessions`` only one that stays in the dataset.
+    The folder itself may be a link, but not in a dataset.
 
     Raises:
         InputError: if it does, or may not be read.
@@ -268,40 +272,17 @@ def check_links(folder: Path) -> None:
     """
     sessions = folder.absolute().parent
     if sessions.name == SESSIONS:
-        inside(sessions.parent, sessions / folder.name)
-
+        session_folder(sessions.parent, folder.name)
     folders = [os.fspath(folder)]
     while folders:
         try:
             with os.scandir(folders.pop()) as entries:
                 for entry in entries:
                     if entry.is_symlink():
-                        reason = "is a link; a session must have none: replace it by the files"
-                        raise InputError(entry.path, reason)
+                        raise InputError(entry.path, _LINK)
                     if entry.is_dir():
                         folders.append(entry.path)
         except FileNotFoundError:  # a recorder deletes its journal meanwhile
             continue
         except OSError as error:
             raise read_error(error.filename, error) from error
-
-
-def inside(folder: Path, path: Path) -> Path:
-    """Return `path` if it is inside `folder` after following links.
-
-    Raises:
-        InputError: if it is not.
-    """
-    if _has_links(folder, path) and not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(str(path), f"is a link that leads out of {folder}: replace it by the files")
-    return path
-
-
-def _has_links(folder: Path, path: Path) -> bool:
-    """Return False if no name between `folder` and `path` is a link or leads upwards."""
-    try:
-        names = path.relative_to(folder).parts
-    except ValueError:
-        return True
-    between = [*accumulate((str(folder), *names), os.path.join)][1:]
-    return ".." in names or any(map(os.path.islink, between))  # false if access is denied

@@ -15,7 +15,7 @@ from operators.batch import s
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.arrow import pa, pq
-from storage.layout import MANIFEST, TABLES, is_table_file, may_exist, table_files
+from storage.layout import MANIFEST, TABLES, Table, is_table_file, may_exist, table_files
 from storage.schema import fields_of, fitted, flat
 
 MANIFEST_VERSION: Final = 2
@@ -118,6 +118,25 @@ def write_part(folder: Path, path: str, rows: pa.Table, put: files.Put = files.p
     data = sink.getvalue().to_pybytes()
     put(folder / path, data)
     return Part.of(path, rows, hashlib.sha256(data).hexdigest())
+
+
+def write_parts(
+    folder: Path, table: Table, rows: pa.Table, *, number: int, limit: int, put: files.Put = files.put
+) -> list[Part]:
+    """Write rows as files of a table, from a number on, each of at most `limit` rows; see `write_part`.
+
+    A single-file table gets one file, also without rows.
+
+    Raises:
+        OSError: if one cannot be written; each is then missing or complete.
+    """
+    size = limit if table.parted else max(len(rows), 1)
+    if table.parted:
+        files.make_folder(folder / table.name)
+    return [
+        write_part(folder, table.file(number + file), rows.slice(start, size), put)
+        for file, start in enumerate(range(0, max(len(rows), 1), size))
+    ]
 
 
 def read_part(path: Path, expected: pa.Schema, sha256: str) -> pa.Table:

@@ -9,8 +9,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final, cast
 
-from operators.batch import Batch, Zeroed
-from operators.errors import EndpointError, InputError, os_error_reason
+from operators.batch import Batch
+from operators.errors import EndpointError, os_error_reason
 from operators.ports import Description
 from storage import files
 from storage.append_log import Damage
@@ -23,7 +23,6 @@ from storage.layout import (
     LABELS,
     MANIFEST,
     TABLES,
-    TOUCH,
     Table,
     check_links,
     files_of,
@@ -34,8 +33,8 @@ from storage.layout import (
     table_files,
 )
 from storage.lock import lock
-from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
-from storage.schema import batch_type, schema, to_arrow
+from storage.parts import Part, read_manifest, write_manifest, write_parts
+from storage.schema import to_arrow
 
 PART_ROWS: Final = 100_000  # of a part made from the journal
 
@@ -132,7 +131,6 @@ class Repair:
         self._damaged = list[Path]()  # segments to be kept
         self._rows = Counter[str]()  # that the journal adds, by table
         self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
-        self._single_whole = False
         self._read_journal()
         self._covered = not self._strays or (bool(self._logs) and not self.lost)  # the journal has their rows
         if not self._covered:
@@ -174,7 +172,6 @@ class Repair:
         for table in TABLES:
             if not table.parted and self._rows[table.name] <= _count(self._parts[table.name]):
                 del self._rows[table.name]  # its file has them already
-        self._single_whole = SINGLE in self._logs and not damages[self._logs[SINGLE]]
         for path, damage in damages.items():
             if damage:
                 reason = "the recorder was cut off there" if damage.torn else "it is damaged"
@@ -215,38 +212,17 @@ class Repair:
                 damages[path] = reader.damage
 
     def _commit_journal(self) -> None:
-        """Commit the rows of the journal, with no more than a part of each multi-part table in memory."""
-        buffers = {table.name: Buffer(table.kind) for table in TABLES if self._is_empty(table)}
+        """Write the rows of the journal as the next parts of multi-part tables, or as single files."""
+        buffers = dict[Table, Buffer]()
         for table, rows in self._journal_rows({}):
-            if table.name not in self._rows:
-                continue
-            buffer = buffers.setdefault(table.name, Buffer(type(rows), cells=rows.cells))
-            for start in range(0, len(rows), PART_ROWS):
-                some = rows[start : start + PART_ROWS]
-                if table.parted and buffer.rows + len(some) > PART_ROWS:
-                    self._commit(table, buffer)
-                    buffer = buffers[table.name] = Buffer(type(rows), cells=rows.cells)
-                buffer.add(some)
-        for table in TABLES:
-            if table.name in buffers:
-                self._commit(table, buffers[table.name])
-
-    def _is_empty(self, table: Table) -> bool:
-        """Return true for a single-file table that session.json declares and of which no row was recorded."""
-        known = self._parts[table.name] or table.name in self._rows
-        declared = table.name in cast("list[str]", self._about.get("tables", []))
-        return self._single_whole and not table.parted and not known and declared
-
-    def _commit(self, table: Table, buffer: Buffer) -> None:
-        """Write rows as the next part of a multi-part table, or as its single file."""
-        rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])
-        parts = self._parts[table.name]
-        if table.parted:
-            files.make_folder(self._folder / table.name)
-            number = 1 + max((part_number(part.path) for part in parts), default=-1)
-            parts.append(write_part(self._folder, table.file(number), rows))
-        else:
-            self._parts[table.name] = [write_part(self._folder, table.file(0), rows)]
+            if table.name in self._rows:
+                buffers.setdefault(table, Buffer(type(rows), cells=rows.cells)).add(rows)
+        for table, buffer in buffers.items():
+            before = self._parts[table.name] if table.parted else []
+            number = 1 + max((part_number(part.path) for part in before), default=-1)
+            found = to_arrow(table, buffer.batches())
+            parts = write_parts(self._folder, table, found, number=number, limit=PART_ROWS)
+            self._parts[table.name] = [*before, *parts]
 
     def _describe(self, result: Recovery) -> None:
         """Record the recovery in session.json."""
@@ -262,16 +238,7 @@ class Repair:
                 "cut": [*known["cut"], *(each for each in result.cut if each not in known["cut"])],
             },
             newest=max((part.last for part in self._all_parts() if part.rows), default=None),
-            zeroed=self._zeroed(),
         )
-
-    def _zeroed(self) -> bool:
-        """Return true if touch was recorded zeroed."""
-        with suppress(InputError):
-            for part in self._parts[TOUCH.name][-1:]:
-                rows = read_part(self._folder / part.path, schema(TOUCH), part.sha256)
-                return batch_type(rows) is Zeroed
-        return False
 
     def _clean_up(self) -> list[str]:
         """Delete temporary files, strays and the journal, keep damaged files; return lines for `done`."""

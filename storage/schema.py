@@ -42,24 +42,6 @@ def fitted(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
     return pa.schema(kept, cast("Any", expected.metadata))
 
 
-@cache
-def finger_schema(table: Table) -> pa.Schema:
-    """Return the schema of the one column that `fingers` needs: the fingertip, or else the time.
-
-    >>> from storage.layout import MOTION, TOUCH
-    >>> finger_schema(TOUCH).names, finger_schema(MOTION).names
-    (['finger'], ['time'])
-    """
-    name = "finger" if table.finger else "time"
-    return pa.schema([field for field in _fields(table, 0) if field.name == name])
-
-
-@cache
-def time_schema(table: Table) -> pa.Schema:
-    """Return the schema of the columns that `times` needs."""
-    return pa.schema([field for field in _fields(table, 0) if field.name in {"time", "finger"}])
-
-
 def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
     """Return the rows of one or more batches of one type, in the order given."""
     values: dict[str, NDArray[Any]] = {
@@ -75,21 +57,6 @@ def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
 def batch_type(rows: pa.Table) -> type[Batch] | None:
     """Return the type of the batches of a table, None if its metadata lacks it."""
     return _KINDS.get((rows.schema.metadata or {}).get(b"batch", b"").decode(errors="replace"))
-
-
-def fingers(table: Table, rows: pa.Table) -> frozenset[int]:
-    """Return the fingertips that have rows; the columns of `finger_schema` suffice."""
-    if not table.finger:
-        return frozenset({EVERY} if len(rows) else ())
-    found: list[int] = np.unique(_values(rows, "finger")).tolist()
-    return frozenset(found)
-
-
-def times(table: Table, rows: pa.Table) -> dict[int, NDArray[np.int64]]:
-    """Return the times (n,) ns of the rows by fingertip; the columns of `time_schema` suffice."""
-    time = _values(rows, "time")
-    finger = _values(rows, "finger") if table.finger else np.full(len(rows), EVERY)
-    return {each: time[finger == each] for each in np.unique(finger).tolist()}
 
 
 def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Batch]:
@@ -114,15 +81,15 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
         else:
             unknown = np.nan if each.dtype.kind == "f" else -1
             values[name] = np.full((len(rows), *each.sizes(cells)), unknown, each.dtype)
-    found = fingers(table, rows)
+    finger = _values(rows, "finger") if table.finger else np.full(len(rows), EVERY)  # (n,)
+    found: list[int] = np.unique(finger).tolist()
     if len(found) <= 1:
         return {each: kind(*values.values(), finger=each) for each in found}
-    finger = _values(rows, "finger")  # (n,)
     order = finger.argsort(kind="stable")  # groups the rows by fingertip, in order
-    first = finger[order].searchsorted(sorted(found))  # (fingers,)
+    first = finger[order].searchsorted(found)  # (fingers,)
     return {
         each: kind(*(value[own] for value in values.values()), finger=each)
-        for each, own in zip(sorted(found), np.split(order, first[1:]), strict=True)
+        for each, own in zip(found, np.split(order, first[1:]), strict=True)
     }
 
 

@@ -3,10 +3,9 @@
 import logging
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, TypeAlias, cast
-from weakref import WeakValueDictionary
+from typing import TYPE_CHECKING, Any, Final, Self, cast
 
 from operators.batch import Batch, Touch
 from operators.checks import check_at_least
@@ -25,7 +24,6 @@ from storage.layout import (
     TABLES,
     Table,
     check_links,
-    inside,
     may_exist,
     part_number,
     session_folder,
@@ -38,6 +36,10 @@ from storage.recovery import recover
 if TYPE_CHECKING:
     import polars as pl
 
+PARTS_IN_MEMORY: Final = 4  # of all sessions
+
+_OTHER_TYPE: Final = 'its metadata "batch" is missing or differs from the other parts; restore a copy'
+
 log = logging.getLogger("slipflow")
 
 
@@ -49,7 +51,18 @@ class _Part:
     by_finger: Mapping[int, Batch]
 
 
-_PartFingers: TypeAlias = tuple[type[Batch], frozenset[int]]  # type and fingertips of the rows of a part
+@lru_cache(maxsize=PARTS_IN_MEMORY)
+def _read_part(path: Path, table: Table, sha256: str) -> _Part:
+    """Read and verify a part; fingertips that are read in parallel share it.
+
+    Raises:
+        InputError: as `read_part`, or if the type of its rows is not that of the table.
+    """
+    rows = read_part(path, schema.schema(table), sha256)
+    stored = schema.batch_type(rows)
+    if stored is None or not issubclass(stored, table.kind):
+        raise InputError(str(path), _OTHER_TYPE)
+    return _Part(stored, schema.from_arrow(table, stored, rows))
 
 
 @dataclass(frozen=True)
@@ -59,8 +72,7 @@ class Session:
     Rows are read as they were recorded, with the same type, order and bits. Only files in the manifest are
     read; each is verified by its sha256.
 
-    One part of each table is in memory, however long the session. Fingertips that are read in parallel, as
-    in a replay, share it.
+    The last parts that were read are in memory, however long the session.
 
     Attributes:
         folder: Folder of the session.
@@ -71,19 +83,9 @@ class Session:
     folder: Path
     about: Description = field(repr=False)
     listed: Mapping[str, Part] = field(repr=False)
-    _fingers: dict[str, list[_PartFingers]] = field(  # of the parts of a table, by its name, once read
-        default_factory=dict[str, list[_PartFingers]], init=False, repr=False, compare=False
+    _fingers: dict[type[Batch], tuple[int, ...]] = field(  # by type of the rows, once read
+        default_factory=dict[type[Batch], tuple[int, ...]], init=False, repr=False, compare=False
     )
-    _open: WeakValueDictionary[str, _Part] = field(  # parts being read, by path
-        default_factory=WeakValueDictionary[str, _Part], init=False, repr=False, compare=False
-    )
-    _only: dict[str, _Part] = field(  # part of a table with one part, by its name, until it is read
-        default_factory=dict[str, _Part], init=False, repr=False, compare=False
-    )
-
-    def __reduce__(self) -> tuple[type[Self], tuple[Path, Description, Mapping[str, Part]]]:
-        """Pickle the session without the rows in memory."""
-        return type(self), (self.folder, self.about, self.listed)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -134,10 +136,7 @@ class Session:
             return Fingertip.read(content, str(self.folder / SESSION))
         if not (fingers := self.fingers(kind)):
             return None
-        kept = self._only.copy()
-        first = next(self.read(cast("type[Touch]", kind), fingers[0]))
-        self._only.update(kept)  # `read` drops it, but the rest of its rows will be read
-        return measured(first)
+        return measured(next(self.read(cast("type[Touch]", kind), fingers[0])))
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingertips that have rows of `kind`.
@@ -147,13 +146,10 @@ class Session:
         Raises:
             InputError: as `read`.
         """
-        table = TABLE_OF.get(kind)
-        if table is None:
-            return ()
-        if table.name not in self._fingers:
-            self._fingers[table.name] = list(self._part_fingers(table))
-        of_kind = [fingers for stored, fingers in self._fingers[table.name] if issubclass(stored, kind)]
-        return tuple(sorted(frozenset[int]().union(*of_kind)))
+        if kind not in self._fingers:
+            found = frozenset[int]().union(*(part.by_finger for part in self._parts(kind)))
+            self._fingers[kind] = tuple(sorted(found))
+        return self._fingers[kind]
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
         """Yield the rows of one fingertip, as recorded, in batches of at most `rows`.
@@ -182,7 +178,10 @@ class Session:
         parts: list[pa.Table] = []
         for each in TABLES:
             if each.name == table:
-                parts += [self._rows(path, schema.schema(each)) for path in self._paths(each)]
+                parts += [
+                    read_part(self.folder / path, schema.schema(each), self.listed[path].sha256)
+                    for path in self._paths(each)
+                ]
         if not parts:
             reason = f"has no table {table!r}; it has {', '.join(self.tables) or 'none'}"
             raise InputError(str(self.folder), reason)
@@ -209,53 +208,19 @@ class Session:
         return self.about
 
     def _parts(self, kind: type[Batch]) -> Iterator[_Part]:
-        """Yield the parts with rows of `kind`."""
-        table = TABLE_OF.get(kind)
-        if table is None:
-            return
-        _only, before = self._only.pop(table.name, None), None  # keeps the part until it is read
-        for path in self._paths(table):
-            part = self._part(table, path, before)
-            before = part.kind
-            if issubclass(before, kind):
+        """Yield the parts with rows of `kind`; all parts of a table have rows of one type."""
+        table, first = TABLE_OF.get(kind), None
+        for path in self._paths(table) if table else ():
+            part = _read_part(self.folder / path, cast("Table", table), self.listed[path].sha256)
+            if first not in {None, part.kind}:
+                raise InputError(str(self.folder / path), _OTHER_TYPE)
+            first = part.kind
+            if issubclass(first, kind):
                 yield part
-
-    def _part(self, table: Table, path: str, before: type[Batch] | None = None) -> _Part:
-        """Return a part in memory, or read it."""
-        part = self._open.get(path)
-        if part is None:
-            rows = self._rows(path, schema.schema(table))
-            stored = self._kind(table, path, rows, before)
-            part = self._open[path] = _Part(stored, schema.from_arrow(table, stored, rows))
-        return part
-
-    def _part_fingers(self, table: Table) -> Iterator[_PartFingers]:
-        """Yield type and fingertips of each part of a table."""
-        before: type[Batch] | None = None
-        paths = self._paths(table)
-        if len(paths) == 1:  # a short session: read the file once
-            part = self._only[table.name] = self._part(table, paths[0])
-            yield part.kind, frozenset(part.by_finger)
-            return
-        for path in paths:
-            rows = self._rows(path, schema.finger_schema(table))
-            before = self._kind(table, path, rows, before)
-            yield before, schema.fingers(table, rows)
-
-    def _kind(self, table: Table, path: str, rows: "pa.Table", before: type[Batch] | None) -> type[Batch]:
-        """Return the type of the rows of a part, which must be that of the part `before`."""
-        stored = schema.batch_type(rows)
-        if stored is None or not issubclass(stored, table.kind) or before not in {None, stored}:
-            reason = 'its metadata "batch" is missing or differs from the other parts; restore a copy'
-            raise InputError(str(self.folder / path), reason)
-        return stored
 
     def _paths(self, table: Table) -> list[str]:
         """Return the files of a table in order."""
         return sorted(filter(table.has, self.listed), key=part_number)
-
-    def _rows(self, path: str, expected: "pa.Schema") -> "pa.Table":
-        return read_part(inside(self.folder, self.folder / path), expected, self.listed[path].sha256)
 
 
 def _recover(folder: Path) -> None:

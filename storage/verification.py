@@ -19,7 +19,6 @@ from storage.layout import (
     TABLES,
     check_links,
     files_of,
-    inside,
     is_table_file,
     may_exist,
     session_folders,
@@ -127,7 +126,7 @@ class _SessionCheck:
         self.about: Description = {}  # session.json, if it can be read
         self._has_links = self._has_manifest = True
         try:
-            check_links(inside(root, folder))
+            check_links(folder)
             self._has_links, self._has_manifest = False, False
             self.recording = locked(folder)
             self.listed = read_manifest(folder)

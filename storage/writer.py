@@ -6,20 +6,19 @@ from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from errno import EIO
-from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
 
-from operators.batch import EVERY, Batch, Zeroed
+from operators.batch import EVERY, Batch
 from operators.errors import EndpointError, ParameterError, os_error_reason
 from operators.ports import Run
 from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
 from storage.journal import APPEND_AT, Journal, NumberedRows
-from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, TOUCH, Table, new_session_folder
+from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, Table, new_session_folder
 from storage.lock import lock
-from storage.parts import Part, write_manifest, write_part
+from storage.parts import Part, write_manifest, write_parts
 from storage.schema import to_arrow
 
 
@@ -62,16 +61,15 @@ class SessionWriter:
         self._numbers = Counter[str]()  # of parts, by table
         self._journal: Journal | None = None
         self._put = files.put if run.live else files.replace
-        self._make_folder = files.make_folder if run.live else files.create_folder
         self._unsynced = False  # an fsync of the files of a replay failed
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
             files.make_folder(root, parents=True)
             describe_dataset(root)
-            self._make_folder(root / SESSIONS)
+            files.make_folder(root / SESSIONS)
             try:
-                self._make_folder(self.folder, new=True)
+                files.make_folder(self.folder, new=True)
             except FileExistsError:
                 reason = f"already has a session {run.session!r}; give this one another name"
                 raise EndpointError(str(root), reason) from None
@@ -231,41 +229,33 @@ class SessionWriter:
         if self._committing is not None:
             self.commit()
         self.commit(final=True)
-        touch = self._buffers.get(TOUCH.name)
         with self._reporting():
             if not self._run.live:
                 self._sync_replay()
-            zeroed = touch is not None and touch.kind is Zeroed
-            self._describe(zeroed=zeroed, ended=True)
+            self._describe(ended=True)
             if self._journal:
                 self._journal.remove()
         self._release()
 
-    def _describe(self, *, zeroed: bool = False, ended: bool = False) -> None:
+    def _describe(self, *, ended: bool = False) -> None:
         describe_session(
             self.folder,
             self._run,
             host=self._host,
             tables=self._tables,
             fingertips=self._fingertips,
-            zeroed=zeroed,
             ended=ended,
             put=files.put if ended else self._put,
         )
 
     def _sync_replay(self) -> None:
-        """Make the files of a replay durable; write them again after a failure: fsync could falsely succeed.
+        """Make the files of a replay durable.
 
         Raises:
-            OSError: it may be tried again.
+            OSError: also at each further try, since an fsync after a failed one proves nothing.
         """
         if self._unsynced:
-            for part in self._parts:
-                data = (self.folder / part.path).read_bytes()
-                if sha256(data).hexdigest() != part.sha256:
-                    raise OSError(EIO, "the disk has lost what was written; run the replay again")
-                files.replace(self.folder / part.path, data)
-            write_manifest(self.folder, self._parts, self._put)
+            raise OSError(EIO, "the disk has lost what was written; run the replay again")
         self._unsynced = True
         files.sync_tree(self.folder)
         for folder in (self.folder.parent, self._root):
@@ -299,13 +289,8 @@ class SessionWriter:
 
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:
         rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])
-        parts, some = list[Part](), max(len(rows), 1)
-        size = self._part_rows if table.parted else some
-        if table.parted:
-            self._make_folder(self.folder / table.name)
-        for start in range(0, some, size):  # several parts only if one batch exceeds `part_rows`
-            path = table.file(self._numbers[table.name] + len(parts))
-            parts.append(write_part(self.folder, path, rows.slice(start, size), self._put))
+        number = self._numbers[table.name]
+        parts = write_parts(self.folder, table, rows, number=number, limit=self._part_rows, put=self._put)
         self._parts += parts
         self._numbers[table.name] += len(parts)
 

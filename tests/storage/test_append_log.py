@@ -5,16 +5,15 @@ import struct
 import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
-from errno import EIO, EMFILE, ENOSPC
+from errno import EIO, ENOSPC
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from operators.errors import InputError
-from storage import append_log, files
+from storage import files
 from storage.append_log import AppendLog, Damage, LogReader
 from storage.files import MiB
 
@@ -71,25 +70,6 @@ def test_the_file_is_as_the_format_says(log: AppendLog) -> None:
     assert (first, second) == (len(header) + 4, len(header) + 4 + 12 + 5)
 
 
-def test_a_log_is_created_with_records_durably_and_replaces_another(
-    log: AppendLog, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    synced = list[str]()
-    log.append(RECORDS)
-    monkeypatch.setattr(os, "fsync", lambda file: synced.append(Path(f"/proc/self/fd/{file}").resolve().name))
-    AppendLog.create(log.path, b"", RECORDS[:2]).close()
-    assert read(log.path) == (RECORDS[:2], None)
-    assert synced == ["log.tmp", log.path.parent.name]
-
-
-def test_a_record_beyond_the_limit_is_refused(log: AppendLog, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(append_log, "LIMIT", 10)
-    log.append([bytes(10)])
-    with pytest.raises(ValueError, match="at most 10"):
-        log.append([b"small", bytes(11)])
-    assert read(log.path) == ([bytes(10)], None)
-
-
 @given(data=st.data())
 def test_a_log_with_any_damage_yields_its_first_records_only(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -144,12 +124,6 @@ def test_frames_of_another_log_are_not_read(log: AppendLog) -> None:
     for number, place in enumerate(places):
         log.path.write_bytes(whole[:place] + stale[place:])
         assert read(log.path) == (RECORDS[:number], Damage(place, len(whole) - place, torn=False))
-
-
-@pytest.mark.parametrize("content", [b"", b"SL", b"SLIPLOG", bytes(100), os.urandom(1000)])
-def test_a_file_without_a_header_is_damaged_from_its_first_byte(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "log").write_bytes(content)
-    assert read(tmp_path / "log") == ([], Damage(0, len(content), torn=len(content) <= 28))
 
 
 def test_another_version_a_link_and_a_pipe_are_refused_and_leave_no_descriptor(
@@ -230,28 +204,3 @@ def test_a_log_is_suspect_after_a_failed_fsync_however_often_it_is_repeated(
     assert log.suspect
     with pytest.raises(OSError, match="an earlier fsync failed"):
         log.sync()
-
-
-@pytest.mark.parametrize("error", [EIO, EMFILE])
-def test_a_failing_disk_is_not_damage(log: AppendLog, error: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    log.append(RECORDS)
-    with LogReader(log.path) as reader:
-        rows = reader.records()
-        next(rows)
-        monkeypatch.setattr(files, "read_at", failing(error))
-        with pytest.raises(OSError, match=os.strerror(error)):
-            list(rows)
-        assert reader.damage is None
-
-
-def test_a_long_log_is_read_one_record_at_a_time(log: AppendLog) -> None:
-    block = np.random.default_rng(0).bytes(MiB)
-    for _ in range(30):
-        log.append([block])
-    with LogReader(log.path) as reader:
-        tracemalloc.start()
-        for record in reader.records():
-            assert record.data == block
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-    assert peak < 5 * MiB

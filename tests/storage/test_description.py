@@ -39,10 +39,3 @@ def test_of_several_processes_that_begin_a_dataset_one_describes_it(
     monkeypatch.setattr(description, "lock", beaten)
     describe_dataset(tmp_path)
     assert read_dataset(tmp_path)["by"] == "another"
-
-
-def test_it_names_the_software_and_the_host(tmp_path: Path) -> None:
-    describe_session(tmp_path, new_run())
-    about = read_session(tmp_path)
-    assert str(about["software"]).startswith("slipflow 0.")
-    assert about["host"]

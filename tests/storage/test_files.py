@@ -1,22 +1,11 @@
 import os
 import tracemalloc
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from operators.errors import InputError
 from storage import files
-
-
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "x"
-    files.put(path, b"old")
-    files.put(path, b"new and longer")
-    assert path.read_bytes() == b"new and longer"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("step", ["fsync", "replace"])
@@ -87,30 +76,6 @@ def test_a_file_of_many_values_is_refused_before_it_fills_the_memory(tmp_path: P
     tracemalloc.stop()
     with pytest.raises(InputError, match=r"is larger than 8 MiB|has more than"):
         files.read_json(path)
-
-
-@settings(deadline=None)
-@given(data=st.binary())
-def test_any_bytes_are_an_object_or_an_input_error(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes
-) -> None:
-    path = tmp_path_factory.getbasetemp() / "any.json"
-    path.write_bytes(data)
-    with suppress(InputError):
-        assert isinstance(files.read_json(path), dict)
-
-
-def test_json_comes_back_as_it_was_written(tmp_path: Path) -> None:
-    content = {"a": [1, 2.5, None], "b": {"c": "µ"}}
-    files.put_json(tmp_path / "x.json", content)
-    assert files.read_json(tmp_path / "x.json") == content
-
-
-def test_a_new_folder_may_not_exist(tmp_path: Path) -> None:
-    files.make_folder(tmp_path / "a", new=True)
-    files.make_folder(tmp_path / "a")
-    with pytest.raises(FileExistsError):
-        files.make_folder(tmp_path / "a", new=True)
 
 
 def test_a_flipped_bit_anywhere_in_a_checked_object_is_refused_or_changes_nothing(tmp_path: Path) -> None:

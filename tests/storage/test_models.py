@@ -54,14 +54,6 @@ def test_weights_come_back_as_they_were_saved(
         np.testing.assert_array_equal(found[name], array)
 
 
-@pytest.mark.parametrize("data", [b"", b"PK", b"no model", (2**60).to_bytes(8, "little") + b"{}", bytes(100)])
-def test_a_damaged_file_is_reported(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "model.safetensors"
-    path.write_bytes(data)
-    with pytest.raises(InputError, match=r"is damaged or not a \.safetensors file"):
-        load_weights(path)
-
-
 def test_a_missing_file_or_another_file_type_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         load_weights(tmp_path / "model.safetensors")
@@ -87,9 +79,19 @@ def test_a_detector_is_found_by_its_name() -> None:
 
 
 def test_weights_of_something_else_are_refused_by_the_name_of_their_file(tmp_path: Path) -> None:
-    save_weights(tmp_path / "other.safetensors", {"x": np.ones(3)}, {"detector": "tcn"})
-    with pytest.raises(InputError, match=r"other\.safetensors: .* is missing"):
-        load_detector(tmp_path / "other.safetensors")
+    path = tmp_path / "other.safetensors"
+    for detector, complaint in (
+        ("tcn", r"other\.safetensors: .* is missing"),
+        ("oracle", "is for detector 'oracle'"),
+    ):
+        save_weights(path, {"x": np.ones(3)}, {"detector": detector})
+        with pytest.raises(InputError, match=complaint):
+            load_detector(path)
+    path.write_bytes(save({"x": np.ones(3)}, {"by": "others"}))  # without a checksum
+    assert load_weights(path)[1] == {"by": "others"}
+    path.write_bytes((2**60).to_bytes(8, "little") + b"{}")
+    with pytest.raises(InputError, match=r"is damaged or not a \.safetensors file"):
+        load_weights(path)
 
 
 @pytest.mark.parametrize("name", shipped_names())
@@ -105,24 +107,12 @@ def test_shipped_models_are_small_and_match_their_cards(name: str) -> None:
     assert isinstance(load_debounce(name), Debounce)
 
 
-def test_a_detector_without_a_card_says_nothing_of_debouncing(tmp_path: Path) -> None:
-    assert load_debounce("psd") is None
-    save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)})
-    assert load_debounce(tmp_path / "model.safetensors") is None
-
-
 @pytest.mark.parametrize("settings", ['{"threshold": 2}', '{"speed": 1}', "[]", "3"])
 def test_a_card_with_wrong_settings_is_reported(tmp_path: Path, settings: str) -> None:
     save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)})
     (tmp_path / "model.json").write_text(f'{{"debounce": {settings}}}')
     with pytest.raises(InputError, match="debounce"):
         load_debounce(tmp_path / "model.safetensors")
-
-
-def test_weights_of_an_unknown_detector_are_refused(tmp_path: Path) -> None:
-    save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)}, {"detector": "oracle"})
-    with pytest.raises(InputError, match="is for detector 'oracle'"):
-        load_detector(tmp_path / "model.safetensors")
 
 
 def test_a_flipped_bit_in_a_shipped_model_or_its_card_is_never_used(tmp_path: Path) -> None:
@@ -142,34 +132,12 @@ def test_a_flipped_bit_in_a_shipped_model_or_its_card_is_never_used(tmp_path: Pa
         assert flipped.suffix == ".json"  # in the space between its words
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_a_flipped_bit_in_a_shipped_model_is_noticed_without_its_card(tmp_path: Path, name: str) -> None:
-    path = shipped(name)
-    assert path is not None
-    whole, _ = load_weights(path)
-    copy = tmp_path / "model.safetensors"
-    for seed in range(40):
-        copy.write_bytes(path.read_bytes())
-        _flip(copy, seed / 40, seed % 8)
-        try:
-            found, _ = load_weights(copy)
-        except InputError:
-            continue
-        assert all(found[key].tobytes() == array.tobytes() for key, array in whole.items())
-
-
 def test_the_same_model_gives_the_same_bytes_whatever_it_says_of_itself(tmp_path: Path) -> None:
     about, data = {str(number): "x" for number in range(9)}, list[bytes]()
     for turn in (about, dict(reversed(about.items()))):
         save_weights(tmp_path / "model.safetensors", {"x": np.zeros(3)}, turn)
         data.append((tmp_path / "model.safetensors").read_bytes())
     assert data[0] == data[1]
-
-
-def test_a_model_that_others_wrote_is_read_without_a_checksum(tmp_path: Path) -> None:
-    (tmp_path / "model.safetensors").write_bytes(save({"x": np.ones(3)}, {"by": "others"}))
-    found, about = load_weights(tmp_path / "model.safetensors")
-    assert (found["x"].tolist(), about) == ([1, 1, 1], {"by": "others"})
 
 
 def test_a_card_that_was_changed_by_hand_says_how_to_keep_it(tmp_path: Path) -> None:

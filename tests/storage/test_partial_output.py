@@ -27,15 +27,6 @@ def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_target_of_a_link_is_written(tmp_path: Path) -> None:
-    (tmp_path / "target").mkdir()
-    (tmp_path / "link").symlink_to("target")
-    with partial_folder(tmp_path / "link") as folder:
-        (folder / "file").touch()
-    assert [path.name for path in (tmp_path / "target").iterdir()] == ["file"]
-    assert (tmp_path / "link").is_symlink()
-
-
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_a_failed_block_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
     def half_a_file() -> None:

@@ -2,7 +2,6 @@
 
 import errno
 import os
-from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, rmtree
 
@@ -11,9 +10,9 @@ import pytest
 from operators.batch import Labelled, ms
 from operators.errors import InputError
 from operators.ports import Gap, SinkStatus, SourceStatus
-from storage import recover, verify
+from storage import verify
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import leave, new_batch, new_run, side_by_side, two_sessions, write
+from tests.storage.made import new_batch, new_run, side_by_side, two_sessions, write
 
 BATCHES = side_by_side(5)
 
@@ -80,31 +79,6 @@ def test_a_folder_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(InputError, match=r"no such folder|is not a session"):
             verify(path)
-
-
-def test_verifying_changes_nothing_and_a_recovery_stays_known(tmp_path: Path) -> None:
-    leave(tmp_path, new_run(), BATCHES)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    assert "slipflow verify --repair" in verify(tmp_path).findings[0].text
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-    recover(tmp_path / "sessions/one")
-    after = verify(tmp_path)
-    assert (after.code, after.rows) == (3, 125)
-    assert "was recovered: 10 rows of touch" in after.findings[0].text
-
-
-def test_a_missing_part_is_lost_with_what_it_had(dataset: Path) -> None:
-    (dataset / "sessions/one/touch/part-000001.parquet").unlink()
-    [finding] = verify(dataset).findings
-    assert (finding.session, finding.weight) == ("one", "lost")
-    assert "part-000001.parquet: cannot be read: No such file or directory; it had 20 rows" in finding.text
-
-
-def test_rows_that_the_manifest_counts_otherwise_are_lost(dataset: Path) -> None:
-    folder = dataset / "sessions/two"
-    parts = [*read_manifest(folder).values()]
-    write_manifest(folder, [*parts[1:], replace(parts[0], rows=6)])
-    assert verify(folder).code == 1
 
 
 def test_a_manifest_with_fewer_rows_than_the_closed_session_counts_is_a_loss(tmp_path: Path) -> None:

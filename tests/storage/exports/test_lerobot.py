@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from operators.batch import EVERY, Motion, ms
-from operators.errors import EndpointError, InputError, ParameterError
+from operators.errors import InputError, ParameterError
 from storage import Session
 from storage.exports import lerobot
 from storage.exports.lerobot import export
@@ -239,14 +239,9 @@ def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
         export([one, other], out)
     with pytest.raises(InputError, match="too few for frames at 1000 Hz; give a lower rate"):
         export([one], out, rate=1000)
-    part = next(one.folder.glob("samples/*.parquet"))
+    damaged = record(tmp_path / "data", [new_samples(time)], "c")
+    part = next(damaged.folder.glob("samples/*.parquet"))
     part.write_bytes(part.read_bytes()[:-1])
     with pytest.raises(InputError, match="is damaged"):
-        export([one], out)
+        export([damaged], out)
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
-
-
-def test_an_existing_folder_is_not_replaced(tmp_path: Path) -> None:
-    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)])
-    with pytest.raises(EndpointError, match="must be a new or empty folder"):
-        export([session], tmp_path)

@@ -11,7 +11,6 @@ import pytest
 from jsonschema import Draft202012Validator
 
 from operators.batch import (
-    EVERY,
     Batch,
     Clocks,
     Episodes,
@@ -21,17 +20,16 @@ from operators.batch import (
     Slips,
     Touch,
     Truth,
-    Zeroed,
     ms,
     s,
 )
 from operators.errors import EndpointError, InputError
 from storage import Session
 from storage.exports import mcap_file
-from storage.exports.mcap_file import export, message_schema, messages, topic
+from storage.exports.mcap_file import export, messages, topic
 from storage.hand_labels import LabelSpan
-from storage.layout import CLOCKS, EPISODES, MOTION, SLIPS, TABLE_OF, TABLES, Table
-from tests.storage.made import new_batch, new_episodes, record
+from storage.layout import CLOCKS, MOTION, SLIPS, TABLE_OF
+from tests.storage.made import new_batch, record
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
@@ -158,16 +156,6 @@ def lenient(schema: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def test_late_rows_are_sorted_by_the_index(tmp_path: Path) -> None:
-    batch = new_batch(Zeroed, 40, start=s)
-    late = batch[np.array([*range(0, 40, 2), *range(39, 0, -2)])]
-    path = tmp_path / "late.mcap"
-    export(record(tmp_path, [late, new_batch(Motion, 40, start=s)]), path)
-    times = [time for _, time, _ in read(path)]
-    assert times == sorted(times)
-    assert alike([each for each in read(path) if each[0] == "/touch/0"]) == alike(rows(late))
-
-
 def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path) -> None:
     session = record(tmp_path, [new_batch(Touch, 30, start=s), new_batch(Motion, 20, start=2 * s)])
     session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
@@ -179,7 +167,7 @@ def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path)
     assert metadata.name == "session"
     assert set(metadata.metadata) == set(session.about)
     assert metadata.metadata["session"] == "one"
-    assert json.loads(metadata.metadata["units"]) == session.about["units"]
+    assert json.loads(metadata.metadata["sinks"]) == session.about["sinks"]
     assert (labels.name, labels.metadata["version"]) == ("hand_labels", "1")
     [span] = json.loads(labels.metadata["spans"])
     assert (span["begin"], span["end"], span["value"]) == (s, 2 * s, "slip")
@@ -232,41 +220,6 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) 
     assert (tmp_path / "one.mcap").read_text() == "mine"
 
 
-SIMPLE = {"object", "array", "number", "integer", "boolean", "string"}
-
-
-def types(found: Any) -> list[Any]:  # noqa: ANN401 - any part of a schema
-    """Every type that a schema names, and none where one is missing."""
-    nested = [*found.get("properties", {}).values(), *([found["items"]] if "items" in found else [])]
-    return [found.get("type"), *(each for value in nested for each in types(value))]
-
-
-@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_foxglove_can_read_a_schema(table: Table) -> None:
-    found = message_schema(table, table.kind)
-    Draft202012Validator.check_schema(found)
-    assert set(types(found)) <= SIMPLE  # it knows no list of types, and no null
-    assert found["title"] == f"slipflow.{table.kind.__name__}"
-    for name, column in table.columns.items():
-        if name != "time" and column.unit:
-            assert column.unit in found["properties"][name]["description"]
-
-
-def test_a_message_has_the_columns_of_the_row() -> None:
-    velocity, pose = np.array([[0.1, 0, -0.2, 0, 0, 1e-9]]), np.full((1, 6), np.nan)
-    pose[0, 2] = 0.5
-    times = np.array([1_700_000_000_123_456_789])
-    batch = Motion(times, np.array([-1]), velocity, pose, finger=EVERY)
-    ((time, data),) = messages(MOTION, batch)
-    assert time == times[0]
-    assert json.loads(data) == {
-        "timestamp": {"sec": 1_700_000_000, "nsec": 123_456_789},
-        "device_time": {"sec": -1, "nsec": 999_999_999},
-        "velocity": [0.1, 0, -0.2, 0, 0, 1e-9],
-        "pose": [None, None, 0.5, None, None, None],
-    }
-
-
 def test_unknown_values_are_omitted() -> None:
     slips = Slips(np.array([5]), np.array([1], np.int8), np.array([4]), np.array([np.nan]), finger=2)
     ((_, data),) = messages(SLIPS, slips)
@@ -281,28 +234,6 @@ def test_unknown_values_are_omitted() -> None:
     assert "drift" not in json.loads(data)
 
 
-def test_topics_of_fingertip_tables_have_the_number() -> None:
-    found = [topic(table, 3 if table.finger else EVERY) for table in TABLES]
-    assert found == [
-        *("/touch/3", "/motion", "/samples/3", "/slip/3", "/faults", "/clocks", "/episodes", "/truth/3")
-    ]
-
-
 def test_a_row_from_before_1970_is_an_error() -> None:
     with pytest.raises(InputError, match="motion, a row at -1 ns: is from before 1970"):
         list(messages(MOTION, new_batch(Motion, 1, start=-1)))
-
-
-def test_codes_are_written_as_their_names() -> None:
-    [(time, data)] = messages(EPISODES, new_episodes((s, 2 * s + 1, "tap")))
-    assert time == s
-    message = json.loads(data)
-    assert message == {
-        "timestamp": {"sec": 1, "nsec": 0},
-        "end": {"sec": 2, "nsec": 1},
-        "motion": "tap",
-        "surface": "plane",
-        "direction": 0.0,
-        "speed": 0.0,
-        "angular_speed": 0.0,
-    }
