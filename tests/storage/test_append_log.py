@@ -2,7 +2,6 @@
 
 import os
 import struct
-import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
 from errno import EIO, ENOSPC
@@ -15,7 +14,6 @@ from hypothesis import strategies as st
 from operators.errors import InputError
 from storage import files
 from storage.append_log import AppendLog, Damage, LogReader
-from storage.files import MiB
 
 RECORDS = [b"first", b"", b"SLIP" * 5, bytes(300)]
 
@@ -141,22 +139,6 @@ def test_another_version_a_link_and_a_pipe_are_refused_and_leave_no_descriptor(
         with pytest.raises(InputError, match=reason):
             LogReader(tmp_path / name)
     assert len([*Path("/proc/self/fd").iterdir()]) == before
-
-
-@pytest.mark.parametrize("claimed", [100, 64 * MiB, 2**32 - 1])
-def test_a_sparse_file_of_4_gigabytes_needs_no_memory(log: AppendLog, claimed: int) -> None:
-    log.append([b"first"])
-    with log.path.open("r+b") as file:
-        file.seek(log.end)
-        file.write(b"SLIP" + claimed.to_bytes(4, "little"))
-        file.truncate(4096 * MiB)
-    tracemalloc.start()
-    records, damage = read(log.path)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert records == [b"first"]
-    assert damage == Damage(log.end, 4096 * MiB - log.end, torn=False)
-    assert peak < 130 * MiB  # the longest record, and its frame
 
 
 def test_a_failed_append_leaves_nothing(log: AppendLog, monkeypatch: pytest.MonkeyPatch) -> None:

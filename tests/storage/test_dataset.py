@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack
-from errno import EIO
 from pathlib import Path
 from typing import Any, TypeVar, TypeVarTuple, Unpack
 
@@ -33,9 +32,8 @@ from operators.batch import (
 )
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
-from storage import Dataset, Session, files, verify
+from storage import Dataset, Session, verify
 from storage.layout import session_names
-from tests.inside import inside
 from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch, new_run
 
@@ -196,24 +194,6 @@ def test_a_description_that_cannot_be_json_is_refused_at_the_start(tmp_path: Pat
     assert session_names(tmp_path) == []
 
 
-def test_the_disk_is_never_touched_in_the_thread_of_the_event_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    threads: list[int] = []
-    fsync = os.fsync
-
-    def note(number: int) -> None:
-        threads.append(threading.get_ident())
-        fsync(number)
-
-    monkeypatch.setattr(os, "fsync", note)
-    batches = [new_batch(Touch, start=turn * s) for turn in range(4)]
-    record(Dataset(tmp_path, part_span=s), new_run(), batches)
-    assert len(list(tmp_path.glob("sessions/one/touch/*.parquet"))) == 4
-    assert threads
-    assert threading.get_ident() not in threads
-
-
 async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
     tmp_path: Path,
 ) -> None:
@@ -299,42 +279,6 @@ async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
     assert len(Session.open(tmp_path).frame("touch")) == 30
 
 
-def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(tmp_path: Path, disk: ExitStack) -> None:
-    full = False
-
-    def reach(step: str) -> None:
-        if full and not step.startswith(("unlink", "remove", "truncate")):  # these need no space
-            raise OSError(28, "No space left on device")
-
-    async def main() -> None:
-        nonlocal full
-        dataset, reasons = Dataset(tmp_path, part_span=100 * ms), list[str]()
-        await dataset.open(new_run())
-        disk.enter_context(observed(reach))
-        for number in range(120):
-            batch = new_batch(Touch, 3, start=number * 30 * ms, seed=number)
-            full = number % 20 in range(5, 15)
-            try:
-                await dataset.write(batch)
-            except EndpointError as error:
-                reasons.append(error.reason)
-                full = False
-                await dataset.write(batch)
-        full = True
-        with pytest.raises(EndpointError, match="No space left on device"):
-            await dataset.close()
-        full = False
-        await dataset.close()
-        reason = "cannot be written: No space left on device; free some space, or use another location"
-        assert set(reasons) == {reason}
-        assert len(reasons) > 5
-
-    asyncio.run(main())
-    session = Session.open(tmp_path)
-    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(360)]
-    assert session.about["complete"] is True
-
-
 @pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}, {"part_rows": 10**7}])
 def test_parts_without_rows_or_too_large_to_read_are_refused(
     tmp_path: Path, parameters: dict[str, Any]
@@ -343,10 +287,16 @@ def test_parts_without_rows_or_too_large_to_read_are_refused(
         Dataset(tmp_path, **parameters)
 
 
-def test_importing_storage_imports_neither_pyarrow_nor_polars() -> None:
-    code = "import storage, sys; print([m for m in ('pyarrow', 'polars', 'scipy') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+def test_importing_storage_does_not_import_pyarrow_which_later_takes_memory_from_the_c_library() -> None:
+    code = """
+import storage, sys
+print([each for each in ("pyarrow", "polars", "scipy") if each in sys.modules])
+storage.arrow.load()
+print(storage.arrow.pa.default_memory_pool().backend_name)
+"""
+    env = {name: value for name, value in os.environ.items() if name != "ARROW_DEFAULT_MEMORY_POOL"}
+    done = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", "system"]
 
 
 class InlineLoop(VirtualLoop):
@@ -393,22 +343,3 @@ def test_a_row_is_in_the_journal_within_50_ms_and_durable_within_a_quarter_of_a_
         assert min(each for each in appended if each >= time) - time <= 0.05 + 1e-9
         assert min(each for each in durable if each >= time) - time <= 0.25 + 1e-9
     assert max(min(each for each in durable if each >= time) - time for time in written) > 0.1
-
-
-async def test_an_error_of_the_journal_names_its_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> int:
-        raise OSError(EIO, "Input/output error")
-
-    dataset = Dataset(tmp_path)
-    await dataset.open(new_run())
-    writer = inside(dataset, "_writer")
-    assert writer.add(new_batch(Touch, 3))
-    for operation, act in (("write_at", writer.append), ("fsync", writer.sync)):
-        with monkeypatch.context() as patch:
-            patch.setattr(files, operation, fail)
-            with pytest.raises(EndpointError, match=r"/journal/000000\.wal: cannot be written: Input/output"):
-                act()
-        writer.append()
-    await dataset.close()

@@ -90,17 +90,3 @@ def test_a_flipped_bit_anywhere_in_a_checked_object_is_refused_or_changes_nothin
             assert files.read_checked(path) == content, bit
         except InputError:
             continue
-
-
-def test_an_object_without_a_check_is_read_and_an_edited_one_names_the_entry_to_remove(
-    tmp_path: Path,
-) -> None:
-    path = tmp_path / "about.json"
-    for content in ({}, {"rate_hz": 100}):
-        files.put_json(path, content)
-        assert files.read_checked(path) == content
-    files.put_checked(path, {"rate_hz": 100})
-    assert files.read_checked(path) == {"rate_hz": 100}
-    path.write_text(path.read_text().replace("100", "125"))
-    with pytest.raises(InputError, match="remove its last entry, 'check'"):
-        files.read_checked(path)

@@ -27,11 +27,8 @@ def streams(session: Session) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in session.folder.rglob("*") if path.is_file()}
 
 
-def test_a_session_without_labels_by_hand_has_version_0(session: Session) -> None:
-    assert (session.hand_labels().version, session.hand_labels().spans) == (0, ())
-
-
 def test_each_version_is_a_new_file_and_nothing_else_changes(session: Session) -> None:
+    assert (session.hand_labels().version, session.hand_labels().spans) == (0, ())
     before = streams(session)
     session.write_hand_labels(SPANS, based_on=0)
     first = streams(session)

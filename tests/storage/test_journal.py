@@ -25,7 +25,6 @@ from storage import journal
 from storage.append_log import AppendLog
 from storage.journal import MAX_WAITING, SINGLE, Journal, NumberedRows, SegmentReader
 from storage.layout import segments, single_log
-from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch
 
 KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
@@ -79,17 +78,6 @@ def test_no_more_than_ten_rows_of_a_table_wait(written: Journal, tmp_path: Path)
     assert written.add(NumberedRows(110, new_batch(Touch, MAX_WAITING)))
 
 
-def test_rows_that_cannot_be_appended_to_both_segments_are_in_neither(
-    written: Journal, tmp_path: Path
-) -> None:
-    assert written.add(NumberedRows(0, new_batch(Touch, 1)))
-    with observed(fail_appends), pytest.raises(OSError, match="No space left"):
-        written.append(NumberedRows(0, new_batch(Slips, 1)))
-    assert singles(tmp_path) == []
-    written.append(NumberedRows(0, new_batch(Slips, 3)))
-    assert (singles(tmp_path), found(tmp_path)) == ([(0, 3)], [("Touch", 0, 1)])
-
-
 def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete(
     written: Journal, tmp_path: Path
 ) -> None:
@@ -102,27 +90,6 @@ def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete(
         assert list(segments(tmp_path)) == [number, number + 1]
     assert found(tmp_path) == [("Touch", 6, 1), ("Touch", 7, 1)]
     assert singles(tmp_path) == [(0, 2)]
-
-
-def test_after_a_restart_only_the_given_rows_are_journalled(written: Journal, tmp_path: Path) -> None:
-    def fail(step: str) -> None:
-        if step == "fsync segment":
-            raise OSError(5, "Input/output error")
-
-    slips = NumberedRows(0, new_batch(Slips, 4))
-    written.append(slips)
-    assert written.add(NumberedRows(0, new_batch(Touch, 4)))
-    with observed(fail), pytest.raises(OSError, match="Input/output"):
-        written.sync()
-    assert written.suspect
-    written.begin_commit()
-    written.restart([slips])
-    assert (written.suspect, written.waiting) == (False, 0)
-    assert (singles(tmp_path), found(tmp_path), list(segments(tmp_path))) == ([(0, 4)], [], [1])
-    written.append(NumberedRows(4, new_batch(Touch, 1)))
-    written.sync()
-    written.remove()
-    assert list(tmp_path.iterdir()) == []
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [

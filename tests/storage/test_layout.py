@@ -59,28 +59,6 @@ def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:
     assert [path.name for path in session_folders(tmp_path)] == ["a", "b", "lost"]
 
 
-@pytest.fixture
-def hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A dataset whose session `one` may not be looked into, as by somebody else's rights."""
-    sessions = tmp_path / "sessions"
-    for name in ("one", "two"):
-        (sessions / name).mkdir(parents=True)
-    real = Path.stat
-
-    def stat(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
-        if path.parent == sessions / "one":
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
-        return real(path, follow_symlinks=follow_symlinks)
-
-    monkeypatch.setattr(Path, "stat", stat)
-    return tmp_path
-
-
-def test_a_session_that_may_not_be_looked_into_is_not_passed_over(hidden: Path) -> None:
-    assert session_names(hidden) == ["one"]
-    assert [path.name for path in session_folders(hidden)] == ["one"]
-
-
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOMEM])
 def test_a_file_is_missing_only_if_the_system_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int

@@ -2,7 +2,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from threading import Thread
 
 from storage.lock import lock, lock_file, locked
 
@@ -24,19 +23,6 @@ def test_a_folder_is_locked_by_one_at_a_time(tmp_path: Path) -> None:
     assert lock(tmp_path) is None
     os.close(held)
     assert not locked(tmp_path)
-
-
-def test_who_waits_gets_it_next(tmp_path: Path) -> None:
-    held, got = lock(tmp_path), list[int | None]()
-    assert held is not None
-    waiter = Thread(target=lambda: got.append(lock(tmp_path, wait=True)))
-    waiter.start()
-    assert got == []
-    os.close(held)
-    waiter.join(60)
-    [number] = got
-    assert number is not None
-    os.close(number)
 
 
 def test_a_file_is_locked_until_its_process_is_killed(tmp_path: Path) -> None:

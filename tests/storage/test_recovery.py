@@ -3,19 +3,17 @@
 import asyncio
 import errno
 import os
-from collections.abc import Callable
 from pathlib import Path
 from shutil import copyfile, copytree, rmtree
 from typing import Any
 
 import pytest
 
-from operators.errors import EndpointError, InputError, SlipflowError
+from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.layout import segments, single_log
 from storage.lock import lock
 from storage.parts import read_manifest, write_manifest
-from tests.storage.disk_steps import observed
 from tests.storage.made import leave, new_run, rows, side_by_side
 
 BATCHES = side_by_side(5)
@@ -224,28 +222,6 @@ def test_a_link_is_refused_and_nothing_is_changed(left: Path, tmp_path: Path, na
     assert [path.read_text() for path in mine.iterdir()] == ["mine"] * 3
 
 
-@pytest.mark.parametrize("number", [errno.EACCES, errno.EMFILE])
-@pytest.mark.parametrize("folder", ["journal", "touch"])
-def test_a_folder_that_cannot_be_listed_is_an_error_and_nothing_is_changed(
-    left: Path, monkeypatch: pytest.MonkeyPatch, folder: str, number: int
-) -> None:
-    before = contents(left)
-    with monkeypatch.context() as patch:
-        for name in ("listdir", "scandir"):
-            real = getattr(os, name)
-
-            def fail(path: str | Path, real: Callable[[str | Path], Any] = real) -> Any:  # noqa: ANN401
-                if Path(path) == left / folder:
-                    raise OSError(number, os.strerror(number), str(path))
-                return real(path)
-
-            patch.setattr(os, name, fail)
-        with pytest.raises(SlipflowError, match=f"cannot be read: {os.strerror(number)}"):
-            recover(left)
-    assert contents(left) == before
-    assert recover(left).complete
-
-
 @pytest.mark.parametrize("name", ["touch/part-000001.parquet", "journal/000001.wal", "MANIFEST.json"])
 def test_a_file_that_cannot_be_read_is_not_reported_as_damaged(
     left: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -265,17 +241,6 @@ def test_a_file_that_cannot_be_read_is_not_reported_as_damaged(
                 recover(left)
             assert contents(left) == before
     assert recover(left).complete
-
-
-def test_a_full_disk_leaves_everything_for_another_try(left: Path) -> None:
-    def fail(step: str) -> None:
-        if step == "fsync new manifest":
-            raise OSError(28, "No space left on device")
-
-    with observed(fail), pytest.raises(EndpointError, match="cannot be recovered: No space left on device"):
-        recover(left)
-    assert recover(left).rows["touch"] == 10
-    assert rows(left, BATCHES) == ALL
 
 
 def test_concurrent_recoveries_see_all_rows(left: Path) -> None:

@@ -3,7 +3,6 @@ from contextlib import suppress
 from errno import EIO
 from functools import partial
 from pathlib import Path
-from shutil import copytree
 
 import polars as pl
 import pytest
@@ -103,28 +102,6 @@ def test_a_replay_whose_fsync_failed_is_never_complete(tmp_path: Path) -> None:
         with pytest.raises(EndpointError, match="the disk has lost what was written; run the replay again"):
             writer.close()
     assert Session.open(tmp_path).about["complete"] is False
-
-
-def test_after_a_failed_fsync_rows_are_committed_or_journalled_again_from_memory(tmp_path: Path) -> None:
-    def fail(step: str) -> None:
-        if step == "fsync segment":
-            raise OSError(5, "Input/output error")
-
-    writer, written = _open(tmp_path, new_run()), BATCHES[:12]
-    for batch in written:
-        writer.append(batch)
-    with observed(fail), pytest.raises(EndpointError, match="Input/output"):
-        writer.sync()
-    before = {path.name: path.stat().st_ino for path in (writer.folder / "journal").iterdir()}
-    assert (writer.full(BATCHES[-1]), writer.unsynced) == (True, False)
-    writer.commit()
-    assert not writer.full(BATCHES[-1])
-    after = {path.name: path.stat().st_ino for path in (writer.folder / "journal").iterdir()}
-    assert after.keys() == {"000001.wal", "single.wal"}
-    assert after["single.wal"] != before["single.wal"]
-    copytree(writer.folder, tmp_path / "copy")
-    assert rows_found(tmp_path / "copy", BATCHES) == sum(map(len, written))
-    writer.close()
 
 
 def _open(root: Path, run: Run) -> SessionWriter:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
@@ -24,11 +23,9 @@ from operators.batch import (
     s,
 )
 from operators.errors import EndpointError, InputError
-from storage import Session
-from storage.exports import mcap_file
 from storage.exports.mcap_file import export, messages, topic
 from storage.hand_labels import LabelSpan
-from storage.layout import CLOCKS, MOTION, SLIPS, TABLE_OF
+from storage.layout import MOTION, TABLE_OF
 from tests.storage.made import new_batch, record
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
@@ -183,30 +180,6 @@ def test_a_missing_library_is_an_error_with_the_fix(
         export(session, tmp_path / "one.mcap")
 
 
-def test_a_long_session_is_read_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    batches = [new_batch(Touch, 20, start=s + k * 200 * ms, seed=k) for k in range(30)]
-    session = record(tmp_path, batches)  # 30 parts
-    held, written, most = 0, 0, 0
-    original = Session.read
-
-    def counted(self: Session, kind: Any, finger: int, rows: int = 1000) -> Any:  # noqa: ANN401 - as Session
-        nonlocal held, most
-        for batch in original(self, kind, finger, rows):
-            held += len(batch)
-            most = max(most, held - written)
-            yield batch
-
-    def progress(rows: int) -> None:
-        nonlocal written
-        written = rows
-
-    monkeypatch.setattr(Session, "read", counted)
-    monkeypatch.setattr(mcap_file, "_BATCH", 10)
-    export(session, tmp_path / "one.mcap", progress)
-    assert written == 600
-    assert most <= 40  # a part and rows that were not reported yet
-
-
 def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) -> None:
     session = record(tmp_path / "data", [new_batch(Touch, 50, start=s), new_batch(Motion, 50, start=s)])
     last = max(session.folder.glob("touch/*.parquet"))
@@ -218,20 +191,6 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) 
     with pytest.raises(EndpointError, match="exists already"):
         export(session, tmp_path / "one.mcap")
     assert (tmp_path / "one.mcap").read_text() == "mine"
-
-
-def test_unknown_values_are_omitted() -> None:
-    slips = Slips(np.array([5]), np.array([1], np.int8), np.array([4]), np.array([np.nan]), finger=2)
-    ((_, data),) = messages(SLIPS, slips)
-    assert json.loads(data) == {
-        "timestamp": {"sec": 0, "nsec": 5},
-        "finger": 2,
-        "state": 1,
-        "start": {"sec": 0, "nsec": 4},
-    }
-    clocks = Clocks(np.array([5]), np.array([4]), np.array([np.inf]), np.array([0.5]))
-    ((_, data),) = messages(CLOCKS, clocks)
-    assert "drift" not in json.loads(data)
 
 
 def test_a_row_from_before_1970_is_an_error() -> None:
