@@ -297,10 +297,9 @@ class Faults(Batch):
 
 
 class Commands(Batch):
-    """Commands to the hand from `time` on; NaN leaves force or velocity unchanged."""
+    """Commands to the hand from `time` on."""
 
-    force: Reals = column(np.float64, unit="N")  # (n,) normal force, at least 0
-    velocity: Reals = column(np.float64, 6, unit="m/s, rad/s")  # (n, 6) TCP, base frame
+    force: Reals = column(np.float64, unit="N")  # (n,) normal force, at least 0; NaN: unchanged
 
 
 class Clocks(Batch):

@@ -73,8 +73,7 @@ class GripController(Operator[Scores, Commands]):
                 forces.append(force)
         if not rows:
             return Commands.empty()
-        velocity = np.full((len(rows), 6), np.nan)
-        return Commands(batch.time[rows], np.array(forces), velocity, finger=batch.finger)
+        return Commands(batch.time[rows], np.array(forces), finger=batch.finger)
 
     @abstractmethod
     def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:

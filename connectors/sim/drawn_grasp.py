@@ -23,6 +23,7 @@ from operators.batch import Touch, Truth, concat
 
 RATE: Final = 100.0  # Hz
 SECONDS: Final = 5.0  # of a grasp; it ends earlier if the object is dropped
+CLOSING: Final = 1.0  # s, when the hand closes, after the baseline
 FIRM: Final = 0.6  # share of firm grasps
 BLOW: Final = 0.09  # m/s, of an object gripped with the least force by a blow that barely moves it
 _CURVATURES: Final[tuple[Curvature, ...]] = ("plane", "sphere", "cylinder_y", "cylinder_x")
@@ -85,11 +86,10 @@ def _draw_grasp(
     vibration = Vibration(
         _log_uniform(random, 2e-6, 1e-4), float(random.uniform(4, 16)), float(random.uniform(0, 360))
     )
-    return Grasp(
+    grasp = Grasp(
         held,
         parameters,
         int(random.integers(2**31)),
-        force=gripper.force,
         rate=gripper.rate,
         taps=taps,
         lift=lift if random.random() < 0.9 else None,  # noqa: PLR2004 - one in ten stays on the table
@@ -97,6 +97,8 @@ def _draw_grasp(
         grip=(x, y),
         vibration=vibration,
     )
+    grasp.press(gripper.force, CLOSING)
+    return grasp
 
 
 def draw_object(random: np.random.Generator) -> Object:

@@ -1,7 +1,7 @@
 """Simulated grasp: one sensorised fingertip and two passive fingers hold an object that a mallet taps.
 
-The hand begins open around an object that stands on a table. It closes at `closing`; from then on the normal
-force follows the commands at a limited rate. The equations are in `connectors.sim.body`. The passive fingers
+The hand begins open around an object that stands on a table. The normal force follows the commands at a
+limited rate. The equations are in `connectors.sim.body`. The passive fingers
 are as stiff as the sensorised one; their material and that of the table are assumed.
 """
 
@@ -126,8 +126,6 @@ class Grasp:
         held: The object.
         parameters: Parameters of the fingertip and the material (default `Parameters()`).
         seed: Random seed of the cells' rest levels and of all noise.
-        force: Normal force with which the hand closes (N).
-        closing: Instant of closing (s since the run began, default 1), after the baseline.
         rate: Rate at which the force changes unless `press` gives another (N/s, default 10).
         taps: Mallet blows on the object.
         lift: Lift of the hand; None if the object stays on the table.
@@ -147,8 +145,6 @@ class Grasp:
         parameters: Parameters | None = None,
         seed: int = 0,
         *,
-        force: float,
-        closing: float = 1.0,
         rate: float = 10.0,
         taps: Sequence[Tap] = (),
         lift: Lift | None = None,
@@ -181,7 +177,6 @@ class Grasp:
         self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)
         self._ramp = (0.0, 0.0, 0.0, rate)  # start (s), initial and final force (N), rate (N/s)
-        self.press(force, closing)
 
     def press(self, force: float, instant: float, rate: float | None = None) -> None:
         """Command a normal force from an instant on, or from the end of the simulated time if that is later.

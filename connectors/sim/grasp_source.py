@@ -53,12 +53,12 @@ class SimulatedGrasp(Source[Touch]):
 
     async def prepare(self) -> None:
         """Compile the physics, which takes seconds the first time and less than one afterwards."""
-        await asyncio.to_thread(lambda: open_grasp(self.held, 0, self.lift).sense(PERIOD / s))
+        await asyncio.to_thread(lambda: self._open().sense(PERIOD / s))
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield a sample every 10 ms."""
         origin = self._origin = clock.now()
-        grasp = self.grasp = open_grasp(self.held, self.seed, self.lift)
+        grasp = self.grasp = self._open()
         for number in count():
             await clock.sleep_until(origin + number * PERIOD)
             touch, _ = grasp.sense(number * PERIOD / s)
@@ -74,9 +74,15 @@ class SimulatedGrasp(Source[Touch]):
         return {"sensor": "TakkTile 2x3, simulated", "object": self.held.name, "seed": self.seed}
 
     def command(self, commands: Commands) -> None:
-        """Apply commands from their own times on; without a run they have no effect."""
-        if self.grasp is not None:
-            press(self.grasp, commands, self._origin)
+        """Apply commands from their own times on; without a run, or with a NaN force, they have no effect."""
+        for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
+            if self.grasp is not None and not math.isnan(force):
+                self.grasp.press(max(force, 0.0), (time - self._origin) / s)
+
+    def _open(self) -> "Grasp":
+        from connectors.sim.grasp import Grasp  # noqa: PLC0415 - loads numba: only to run
+
+        return Grasp(self.held, seed=self.seed, lift=self.lift)
 
 
 class Hand(Sink[Commands]):
@@ -98,17 +104,3 @@ class Hand(Sink[Commands]):
         """Apply commands from their own times on."""
         self._grasping.command(batch)
         return True
-
-
-def open_grasp(held: Object, seed: int, lift: Lift) -> "Grasp":
-    """Return a grasp whose hand is open until it is commanded."""
-    from connectors.sim.grasp import Grasp  # noqa: PLC0415 - loads numba: only to run
-
-    return Grasp(held, seed=seed, force=0.0, closing=0.0, lift=lift)
-
-
-def press(grasp: "Grasp", commands: Commands, origin: int) -> None:
-    """Apply commands to a grasp that began at `origin` (ns); a NaN force has no effect."""
-    for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
-        if not math.isnan(force):
-            grasp.press(max(force, 0.0), (time - origin) / s)

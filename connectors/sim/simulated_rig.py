@@ -62,13 +62,11 @@ class SimulatedRig:
         self._running.add(source)
         return self._origin
 
-    def due(self, instant: float) -> int:
-        """Return the time (ns) of the clock at an instant of the scene (s since the run began)."""
-        return self._origin + round(instant * s)
-
-    def sampled(self, timing: Timing, number: int) -> int:
-        """Return the time (ns) of the clock at which a sample of a stream arrives."""
-        return self.due(number / timing.rate + timing.latency)
+    async def arrivals(self, timing: Timing, clock: Clock) -> AsyncIterator[None]:
+        """Yield at the arrival of each sample of a stream."""
+        for number in count():
+            await clock.sleep_until(self._origin + round((number / timing.rate + timing.latency) * s))
+            yield
 
 
 class _RigStream(Source[AnyBatch]):
@@ -87,15 +85,15 @@ class _RigStream(Source[AnyBatch]):
         """The only fingertip, 0, or EVERY for the arm."""
         return self._fingers
 
-
-class SimulatedTouch(_RigStream[Touch]):
-    """Source of the simulated fingertip, created by `SimulatedRig`."""
-
     async def prepare(self) -> None:
         """Compile the physics, which takes seconds the first time and less than one afterwards."""
         from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
 
         await asyncio.to_thread(compile_physics)
+
+
+class SimulatedTouch(_RigStream[Touch]):
+    """Source of the simulated fingertip, created by `SimulatedRig`."""
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield samples, one at a time."""
@@ -105,8 +103,7 @@ class SimulatedTouch(_RigStream[Touch]):
 
         fingertip = Finger(rig.scene, rig.seed)
         try:
-            for number in count():
-                await clock.sleep_until(rig.sampled(rig.scene.touch, number))
+            async for _ in rig.arrivals(rig.scene.touch, clock):
                 if (taken := fingertip.take(1)) is None:
                     return
                 touch, truth = taken
@@ -125,18 +122,9 @@ class SimulatedTouch(_RigStream[Touch]):
         """Return the rig."""
         return {"sensor": "TakkTile 2x3, simulated", **self._rig.describe()}
 
-    @property
-    def truth(self) -> "SimulatedTruth":
-        """Source of the ground truth of this fingertip."""
-        return self._rig.truth
-
 
 class SimulatedMotion(_RigStream[Motion]):
     """Source of the simulated arm's motion, created by `SimulatedRig`."""
-
-    async def prepare(self) -> None:
-        """Compile the physics."""
-        await self._rig.touch.prepare()
 
     async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
         """Yield samples of the arm, one at a time."""
@@ -144,8 +132,7 @@ class SimulatedMotion(_RigStream[Motion]):
         from connectors.sim.arm_motion import Controller  # noqa: PLC0415 - loads numba: only to run
 
         controller = Controller(rig.scene, rig.seed)
-        for number in count():
-            await clock.sleep_until(rig.sampled(rig.scene.motion, number))
+        async for _ in rig.arrivals(rig.scene.motion, clock):
             if (motion := controller.take(1)) is None:
                 return
             if len(motion):
@@ -166,7 +153,7 @@ class SimulatedEpisodes(_RigStream[Episodes]):
         """Yield each move when it begins."""
         rig, origin = self._rig, self._rig.begin(self, clock)
         for start, move in rig.scene.moves(rig.seed):
-            await clock.sleep_until(rig.due(start))
+            await clock.sleep_until(origin + round(start * s))
             yield episode(move, start, origin, rig.scene)
 
 

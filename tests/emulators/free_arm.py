@@ -4,7 +4,7 @@ from math import inf
 
 import numpy as np
 
-from operators.batch import Commands, Reals, s
+from operators.batch import Reals, s
 from operators.rotation import compose
 
 
@@ -16,8 +16,7 @@ class FreeArm:
         acceleration: Maximum acceleration (m/s2 and rad/s2 together, default unlimited).
 
     >>> arm = FreeArm(np.zeros(6))
-    >>> forward = np.array([[0.1, 0, 0, 0, 0, 0.5]])
-    >>> arm.command(Commands(np.array([1 * s]), np.array([np.nan]), forward))
+    >>> arm.command(1 * s, np.array([0.1, 0, 0, 0, 0, 0.5]))
     >>> pose, velocity = arm.motion(3 * s)
     >>> pose.tolist()
     [0.2, 0.0, 0.0, 0.0, 0.0, 1.0]
@@ -43,11 +42,9 @@ class FreeArm:
         self._move(time)
         return self._pose.copy(), self._velocity.copy()
 
-    def command(self, commands: Commands) -> None:
-        """Apply velocities from their times on, in order; NaN means no change."""
-        for time, velocity in zip(commands.time.tolist(), commands.velocity, strict=True):
-            if not np.isnan(velocity).any():
-                self._pending.append((time, velocity.copy()))
+    def command(self, time: int, velocity: Reals) -> None:
+        """Apply a velocity (6,) from a time (ns) on."""
+        self._pending.append((time, velocity.copy()))
 
     def _move(self, time: int) -> None:
         """Integrate the motion up to an instant (ns)."""

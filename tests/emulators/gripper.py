@@ -172,7 +172,7 @@ class Mechanism:
         """Grip with a force (N) from an instant on."""
         if force != self.force:
             self.force = force
-            self._scene.command(Commands(np.array([instant]), np.array([force]), np.full((1, 6), np.nan)))
+            self._scene.command(Commands(np.array([instant]), np.array([force])))
 
 
 def encode_status(status: Status) -> bytes:

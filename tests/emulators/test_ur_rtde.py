@@ -17,7 +17,6 @@ import pytest
 
 from connectors.ur.rtde import Version
 from flows.run.clocks import LoopClock
-from operators.batch import Commands
 from tests.emulators.free_arm import FreeArm
 from tests.emulators.ur_controller import CB3, E_SERIES, UrController
 from tests.loopback import own_host
@@ -112,7 +111,7 @@ def test_the_real_receiver_reads_what_the_arm_does(version: Version) -> None:
     arm = FreeArm(np.array([0.1, 0.2, 0.3, 0.0, 3.0, 0.0]))
 
     def push(_: UrController) -> None:
-        arm.command(Commands(np.array([0]), np.array([np.nan]), np.array([[0.1, 0, 0, 0, 0, 0.5]])))
+        arm.command(0, np.array([0.1, 0, 0, 0, 0, 0.5]))
 
     assert with_ur_rtde(script, version, push, arm=arm) == [
         [[0.1, 0.2, 0.3, 0.0, 3.0, 0.0], 7, 1],

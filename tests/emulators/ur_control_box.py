@@ -15,7 +15,7 @@ from typing import Final, Protocol, cast
 import numpy as np
 
 from connectors.ur.rtde import Version
-from operators.batch import Commands, Reals
+from operators.batch import Reals
 from tests.emulators.rtde_recipe import Value
 from tests.emulators.ur_program import REGISTERS, Drive, Program, Registers
 
@@ -102,8 +102,8 @@ class Arm(Protocol):
         """Return pose (6,) m, rad and velocity (6,) m/s, rad/s of the TCP at a host time (ns)."""
         ...
 
-    def command(self, commands: Commands) -> None:
-        """Follow commands from their own times on."""
+    def command(self, time: int, velocity: Reals) -> None:
+        """Follow a velocity (6,) m/s, rad/s from a host time (ns) on."""
         ...
 
 
@@ -153,7 +153,7 @@ class ControlBox:
         change = np.abs(target - self._commanded).max()
         if change > VELOCITY_TOLERANCE or target.any() != self._commanded.any():
             self._commanded = target
-            self._arm.command(Commands(np.array([time]), np.array([np.nan]), target[None]))
+            self._arm.command(time, target)
         self._update(pose, velocity)
 
     def values(self, names: Iterable[str]) -> list[Value]:

@@ -1,4 +1,4 @@
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Align, Motion, ParameterError, Sample, Zeroed, concat, ms, s
+from operators import Align, Motion, Sample, Zeroed, concat, ms
 from operators.batch import Reals, Times
 
 How = Literal["nearest", "previous", "linear"]
@@ -100,10 +100,6 @@ def test_of_equal_stamps_the_last_up_to_the_touch_and_the_first_after_it_count(
     assert _rows(samples) == row
 
 
-def test_nearest_takes_the_later_of_two_rows_equally_near() -> None:
-    assert _rows(_join(Align(), _touch(4, 5, 6), _motion(0, 10))) == [0, 1, 1]
-
-
 @pytest.mark.parametrize("how", ["previous", "nearest", "linear"])
 def test_a_touch_without_motion_near_enough_is_kept_and_flagged(how: How) -> None:
     touch = _touch(0, 100)
@@ -169,13 +165,6 @@ def test_a_touch_sample_waits_until_the_touch_stream_is_wait_ahead() -> None:
     assert not samples.matched.any()
 
 
-def test_the_end_of_the_streams_releases_waiting_rows() -> None:
-    align = Align()
-    align.push(_touch(0, 10), _motion(0))
-    assert _rows(align.flush()) == [0, 0]
-    assert len(align.flush()) == 0
-
-
 @pytest.mark.parametrize("rows", [1, 2])
 def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match(rows: int) -> None:
     align, touch = Align(keep=50 * ms), _touch(49, 50)
@@ -190,23 +179,3 @@ def test_touch_and_motion_that_come_together_match_however_long_the_span() -> No
 
 
 # --- parameters ------------------------------------------------------------------------------------------
-
-
-def test_nearest_and_linear_must_wait_for_the_rows_they_may_take() -> None:
-    with pytest.raises(ParameterError, match="Align: wait is 10000000, must be at least 20000000"):
-        Align(wait=10 * ms)
-    Align(how="previous", wait=10 * ms)
-
-
-@pytest.mark.parametrize(
-    "parameters", [{"how": "next"}, {"within": -1}, {"keep": -1}, {"how": "previous", "wait": -1}]
-)
-def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError):
-        Align(**parameters)
-
-
-@pytest.mark.parametrize("parameters", [{"within": 0.02}, {"within": 20}, {"keep": 10.0}, {"wait": 0.1 * s}])
-def test_times_without_their_unit_are_refused(parameters: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match=r"Align: .* must be in whole ns: for 20 ms write 20 \* ms"):
-        Align(**parameters)

@@ -1,11 +1,8 @@
-from typing import Any
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import SLIP, STATIC, Debounce, ParameterError, Scores, ms
+from operators import SLIP, STATIC, Debounce, Scores, ms
 
 HIGH, LOW, NONE = 0.9, 0.1, float("nan")
 Event = tuple[int, int, int]  # state, row, row of the start
@@ -52,53 +49,10 @@ def test_events_are_those_of_the_rule(
     assert _events(debounce, *probability) == _reference(probability, consecutive, release, minimum)
 
 
-def test_a_slip_begins_with_the_second_slip_decision_and_ends_with_the_second_static_one() -> None:
-    events = _events(Debounce(), HIGH, LOW, HIGH, HIGH, HIGH, LOW, HIGH, LOW, LOW, LOW)
-    assert events == [(SLIP, 3, 2), (STATIC, 8, 7)]
-
-
-def test_a_score_at_the_threshold_is_a_slip_decision() -> None:
-    assert _events(Debounce(threshold=0.7, consecutive=1), 0.69, 0.7) == [(SLIP, 1, 1)]
-
-
-def test_nan_breaks_both_runs() -> None:
-    assert _events(Debounce(), HIGH, NONE, HIGH, HIGH) == [(SLIP, 3, 2)]
-    assert _events(Debounce(), HIGH, HIGH, LOW, NONE, LOW, LOW) == [(SLIP, 1, 0), (STATIC, 5, 4)]
-
-
-def test_an_end_waits_until_the_minimum_from_the_start_has_passed() -> None:
-    debounce = Debounce(minimum=60 * ms)
-    assert _events(debounce, HIGH, HIGH, LOW, LOW, LOW, LOW, LOW) == [(SLIP, 1, 0), (STATIC, 6, 2)]
-
-
-def test_a_new_slip_within_the_minimum_continues_the_slip() -> None:
-    debounce = Debounce(minimum=60 * ms)
-    assert _events(debounce, HIGH, HIGH, LOW, LOW, HIGH, HIGH, HIGH, LOW, LOW) == [
-        (SLIP, 1, 0),
-        (STATIC, 8, 7),
-    ]
-
-
 def test_a_slip_still_open_at_the_end_is_given_no_end() -> None:
     debounce = Debounce()
     assert _events(debounce, HIGH, HIGH) == [(SLIP, 1, 0)]
     assert len(debounce.flush()) == 0
-
-
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"threshold": 0},
-        {"threshold": 1.1},
-        {"threshold": NONE},
-        {"consecutive": 0},
-        {"release": 0},
-        {"minimum": -1},
-    ],
-)
-def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match=r"^Debounce: "):
-        Debounce(**parameters)
 
 
 def test_events_do_not_keep_the_memory_of_their_batch() -> None:

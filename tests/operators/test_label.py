@@ -1,5 +1,3 @@
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +5,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from operators import SLIP, STATIC, UNKNOWN, Label, Labelled, ParameterError, Sample, concat, ms
+from operators import SLIP, STATIC, UNKNOWN, Label, Labelled, Sample, concat, ms
 from operators.batch import Reals, Times
 
 
@@ -132,26 +130,3 @@ def test_at_the_end_samples_without_the_motion_of_their_later_instant_are_unknow
 
 
 # --- parameters ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        {"speed": -1},
-        {"speed": 0.3},
-        {"speed": np.nan},
-        {"limit": np.nan},
-        {"rotation": -0.1},
-        {"within": -1},
-        {"within": 20.0},
-        {"delay": 70},
-        {"delay": -0.07},
-        {"normal": (0, 0, 0)},
-        {"normal": (0, 1)},
-        {"normal": (0, 1, np.inf)},
-        {"normal": (0, 1, np.nan)},
-    ],
-)
-def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match=r"^Label: "):
-        Label(**parameters)

@@ -1,9 +1,8 @@
 import math
 
 import numpy as np
-import pytest
 
-from operators import SLIP, STATIC, UNKNOWN, Labelled, MaskLifted, ParameterError
+from operators import SLIP, STATIC, UNKNOWN, Labelled, MaskLifted
 
 PLACE = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)  # looks down
 
@@ -44,8 +43,3 @@ def test_a_surface_may_lie_any_way() -> None:
     assert MaskLifted(wall).push(batch).label.tolist() == [SLIP, SLIP]
     away = (0.6, 0.3, 0.1, 0.0, math.pi / 2, 0.0)
     assert MaskLifted(away).push(batch).label.tolist() == [UNKNOWN, UNKNOWN]
-
-
-def test_a_margin_below_0_is_refused() -> None:
-    with pytest.raises(ParameterError):
-        MaskLifted(PLACE, margin=-0.001)

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -43,15 +42,6 @@ def test_sixteen_taxels_in_kilopascals_become_the_fingertip_of_the_shipped_detec
 def test_without_another_unit_the_readings_stay_the_same() -> None:
     made = Pool(gain=0.5).output_fingertip(PAD)
     assert (made.layout, made.unit, made.resolution, made.range) == (PAD.layout, "kPa", 0.02, (0, 2000))
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"gain": 0.0}, {"gain": float("inf")}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
-)
-def test_groups_and_gain_must_be_possible(wrong: dict[str, object]) -> None:
-    with pytest.raises(ParameterError, match="Pool: "):
-        Pool(**cast("Any", wrong))
 
 
 def test_a_fingertip_without_the_cells_of_a_group_is_refused() -> None:

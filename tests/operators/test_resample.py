@@ -3,7 +3,6 @@ import pytest
 
 from operators import Resample, Touch, Zeroed, ms, s
 from operators.batch import Counts, Flags, Times
-from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE
 
 
@@ -63,9 +62,3 @@ def test_zeroed_input_stays_zeroed_and_the_fingertip_has_the_new_rate() -> None:
     made = Resample(rate=50).push(zeroed)
     assert (type(made), made.finger) == (Zeroed, 1)
     assert Resample(rate=50).output_fingertip(TAKKTILE).rate == 50
-
-
-@pytest.mark.parametrize(("rate", "gap"), [(0, 1), (2e6, 1), (float("nan"), 1), (1, 0)])
-def test_rate_and_gap_must_be_possible(rate: float, gap: int) -> None:
-    with pytest.raises(ParameterError, match="Resample: "):
-        Resample(rate=rate, gap=gap)

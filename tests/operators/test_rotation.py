@@ -30,15 +30,6 @@ def test_interpolation_of_rotations_equals_scipys_slerp(
 
 
 @given(first=vectors, second=vectors)
-def test_the_way_between_rotations_begins_and_ends_at_them(
-    first: tuple[float, float, float], second: tuple[float, float, float]
-) -> None:
-    for part, end in ((0.0, first), (1.0, second)):
-        found = Rotation.from_rotvec(interpolate_rotation(first, second, part))
-        assert (found.inv() * Rotation.from_rotvec(end)).magnitude() < 1e-7
-
-
-@given(first=vectors, second=vectors)
 def test_a_rotation_and_the_difference_compose_to_the_other(
     first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> None:
@@ -48,8 +39,3 @@ def test_a_rotation_and_the_difference_compose_to_the_other(
     assert np.linalg.norm(way) < np.pi + 1e-9
     end = Rotation.from_rotvec(compose(first, by=way))
     assert (end.inv() * Rotation.from_rotvec(second)).magnitude() < 1e-7
-
-
-def test_no_rotation_turns_nothing() -> None:
-    assert rotate((1.0, 2.0, 3.0), quaternion((0.0, 0.0, 0.0))) == (1, 2, 3)
-    assert interpolate_rotation((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5) == (0, 0, 0)

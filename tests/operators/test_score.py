@@ -126,11 +126,6 @@ def test_a_detector_whose_compiler_is_not_installed_is_given_windows() -> None:
         Score(_Uncompiled(length=5, missing="torch")).prepare()
 
 
-def test_a_hop_out_of_range_is_refused() -> None:
-    with pytest.raises(ParameterError, match="Score: hop is 0, must be at least 1"):
-        Score(_Keeper(), hop=0)
-
-
 @given(seed=st.integers(0, 2**32 - 1), rows=st.integers(0, 30))
 def test_an_invalid_value_is_replaced_by_the_last_valid_one_of_its_column(seed: int, rows: int) -> None:
     rng = np.random.default_rng(seed)

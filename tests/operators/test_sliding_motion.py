@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Align, Label, ParameterError, SlidingMotion, Truth, Zeroed, ms
+from operators import Align, Label, SlidingMotion, Truth, Zeroed, ms
 from operators.batch import Codes, Reals, Times
 
 PERIOD = 10 * ms
@@ -70,9 +70,3 @@ def test_slips_are_those_of_the_reference(speeds: list[float], stick: int) -> No
         row in slides or any(first <= row <= last for first, last in slips) for row in range(len(speeds))
     ]
     assert found.tolist() == expected
-
-
-@pytest.mark.parametrize("parameters", [{"speed": -0.1}, {"stick": -1}])
-def test_parameters_below_0_are_refused(parameters: dict[str, int]) -> None:
-    with pytest.raises(ParameterError, match="at least 0"):
-        SlidingMotion(**parameters)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import ParameterError, Touch, Window, ms
+from operators import Touch, Window, ms
 
 
 def _touch(rows: int) -> Touch:
@@ -39,9 +39,3 @@ def test_windows_cannot_be_written_to() -> None:
         windows.counts[0, 0, 0] = 1
     with pytest.raises(ValueError, match="read-only"):
         windows.valid[0, 0, 0] = True
-
-
-@pytest.mark.parametrize("parameter", ["length", "hop"])
-def test_parameters_out_of_range_are_refused(parameter: str) -> None:
-    with pytest.raises(ParameterError, match=f"Window: {parameter} is 0, must be at least 1"):
-        Window(**{parameter: 0})

@@ -1,9 +1,9 @@
 """Targets of the fit of the scene: real and published figures, and the same figures of a simulated plan."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -14,13 +14,13 @@ from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Parameters, Scene
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
+from flows.learn.evaluation.sample_metrics import confusion, f1
 from flows.learn.labelled_recordings import LabelledRecording, scene_seed, simulated_recordings
 from flows.learn.scoring import windows
 from operators import Health
 from operators.batch import UNKNOWN, Faults, Flags, Reals, concat
 from operators.detectors import Detector
 from operators.errors import InputError
-from tests.scene.scene_confusions import MotionConfusions, MotionGroup
 from tests.scene.scene_statistics import FREQUENCIES, TABLE, measure
 
 PLAN: Final = PaperPlan(repeats=2, rotations=2)  # that the constants are fitted on
@@ -30,6 +30,17 @@ HOP: Final = 20  # samples between evaluated samples
 # rubber (T-RO 2025, 10.1109/TRO.2024.3508315): vac_zv1_zd6_t20, vac_zv3_zd6_t8, zv1_zd6_t8
 RELAXED: Final[Mapping[float, float]] = {0.25: 0.966, 1.0: 0.925, 4.0: 0.872}
 FAULTY: Final = 0.5  # %, largest share of samples with a fault or a saturated cell
+
+
+class MotionKind(NamedTuple):
+    """Kind of motion on a surface, as in the paper's Table III."""
+
+    kind: str  # primary, oblique or rotation
+    speed: float | None  # m/s; None: rotation
+    surface: str
+
+
+MotionGroup: TypeAlias = Callable[[MotionKind], bool]  # True for the kinds in the group
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,19 +73,35 @@ def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
     """Simulate a plan; return its figures, in the order of `targets`."""
     recordings = simulated_recordings(plan, seed)
     faulty = [_degraded(scene, scene_seed(seed, n)) for n, scene in enumerate(plan.scenes(seed))]
-    evaluated = [each.evaluated(HOP) for each in recordings]
-    slip = [network.score(windows(each, network.length, HOP)) > 1 / 2 for each in recordings]
-    found = MotionConfusions.of(recordings, evaluated, slip)
+    counted = [count for each in recordings for count in confusions(each, network)]
     statistics = measure(recordings)
+
+    def of_kinds(group: MotionGroup) -> Reals:
+        return np.asarray(np.sum([count for kind, count in counted if group(kind)], axis=0))
+
     return np.array(
         [
-            *(found.f1(group) for _, group, _ in groups()[1:]),
+            *(
+                f1(np.sum([count for kind, count in counted if group(kind)], axis=0))
+                for _, group, _ in groups()[1:]
+            ),
             *(row.distance(statistics[row.key]) for row in TABLE if row.low),
             *relaxed(plan.parameters),
             *_shape(statistics),
             max(100 * np.concatenate(faulty).mean(), FAULTY),
         ]
     )
+
+
+def confusions(recording: LabelledRecording, network: Detector) -> Iterator[tuple[MotionKind, Reals]]:
+    """Yield the predictions by kind of motion, counted as `confusion` does; none if strokes are unknown."""
+    at, slip = recording.evaluated(HOP), network.score(windows(recording, network.length, HOP)) > 1 / 2
+    if (strokes := recording.strokes) is not None:
+        oblique = strokes.oblique[at]
+        kinds = (("primary", ~oblique), ("oblique", oblique))
+        for kind, part in kinds if strokes.speed else (("rotation", oblique | ~oblique),):
+            counts = confusion(slip[part], recording.slip[at][part])
+            yield MotionKind(kind, strokes.speed, strokes.surface), counts
 
 
 def _degraded(scene: Scene, seed: int) -> Flags:

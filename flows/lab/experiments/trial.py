@@ -101,8 +101,6 @@ class Trial:
             self.held,
             self.fingertip,
             self.seed,
-            force=0.0,
-            closing=0.0,
             lift=lift,
             taps=taps,
             friction=self.friction,

@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
-from math import nan
 from typing import Any, cast
 
 import numpy as np
@@ -82,11 +81,9 @@ async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> Asy
         yield Lab(server, scene, Run("run1", "live", LoopClock(), 0), asked)
 
 
-def commands(*forces: float, velocity: float = nan) -> Commands:
+def commands(*forces: float) -> Commands:
     """Return a row for each force (N), 1 ns apart."""
-    return Commands(
-        np.arange(len(forces)), np.array(forces, float), np.full((len(forces), 6), velocity)
-    ).check()
+    return Commands(np.arange(len(forces)), np.array(forces, float)).check()
 
 
 def counted(gripper: Gripper) -> dict[str, int]:

@@ -89,8 +89,8 @@ async def test_requests_are_paced_and_the_newest_force_is_sent() -> None:
 
 async def test_rows_without_a_force_have_no_effect() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
-        await gripper.write(commands(20.0, 30.0, nan, nan, velocity=0.1))
-        await gripper.write(commands(nan, nan, velocity=0.1))
+        await gripper.write(commands(20.0, 30.0, nan, nan))
+        await gripper.write(commands(nan, nan))
         await gripper.write(commands())
         await asyncio.sleep(5)
         assert [each.force for each in at.writes] == [0, 0, 85]

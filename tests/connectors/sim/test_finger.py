@@ -57,18 +57,6 @@ def test_a_plan_that_ends_ends_the_samples() -> None:
     assert finger.take(1) is None
 
 
-def test_faults_show_in_their_cells_alone() -> None:
-    clean, _ = take(Finger(Scene(STROKE), 1), 140)
-    faults = Faults(dead=(0,), stuck=(1,), floored=(2,), offset=(0, 0, 0, 7.0, 0, 0))
-    touch, _ = take(Finger(Scene(STROKE, faults=faults), 1), 140)
-    assert touch.valid.all(axis=0).tolist() == [False, True, True, True, True, True]
-    assert not touch.counts[:, [0, 2]].any()
-    assert len(np.unique(touch.counts[:, 1])) == 1
-    above = clean.counts[:, 3] > 0  # not on the floor
-    np.testing.assert_array_equal(touch.counts[above, 3], clean.counts[above, 3] + 7)
-    np.testing.assert_array_equal(touch.counts[:, 4:], clean.counts[:, 4:])
-
-
 def test_stamps_follow_the_clock_that_the_scene_declares() -> None:
     timing = Timing(100.0, latency=0.01, offset=-0.1, drift=0.001)
     touch, truth = take(Finger(Scene(touch=timing), 0), 101)

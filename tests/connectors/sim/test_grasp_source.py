@@ -14,7 +14,7 @@ START = 1_700_000_000 * s
 
 
 def _force(time: int, force: float) -> Commands:
-    return Commands(np.array([time]), np.array([force]), np.full((1, 6), np.nan))
+    return Commands(np.array([time]), np.array([force]))
 
 
 def _taken(grasp: SimulatedGrasp, seconds: float, force: float | None = None) -> tuple[Touch, GraspState]:

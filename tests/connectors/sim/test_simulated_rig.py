@@ -1,14 +1,15 @@
 import asyncio
 import json
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
 from connectors.sim.scene import Move, Moves, Scene, Timing
 from connectors.sim.simulated_rig import SimulatedRig, true_slips
-from operators.batch import MOTIONS, SURFACES, Batch, Episodes, Motion, Touch, Truth, concat, ms
-from operators.errors import ParameterError
+from flows.graph.testing import run_virtually
+from flows.run.clocks import LoopClock
+from operators.batch import MOTIONS, SURFACES, Batch, Episodes, Touch, Truth, concat, ms
 from operators.ports import Source
 
 ORIGIN = 1_700_000_000_000_000_000
@@ -21,44 +22,22 @@ PLAN = Moves(
 )
 
 
-class Virtual:
-    """A clock that jumps to whatever is waited for."""
+def gather(*sources: Source[Any], start: int = ORIGIN) -> list[Any]:
+    """Return all rows of each source, in a run that begins at `start` (ns)."""
 
-    def __init__(self, now: int = ORIGIN) -> None:
-        self.time = now
+    async def every(source: Source[Batch], clock: LoopClock) -> Batch:
+        return concat(source.kind, [batch async for batch in source.batches(clock)])
 
-    def now(self) -> int:
-        return self.time
+    async def main() -> list[Any]:
+        clock = LoopClock(start)
+        return await asyncio.gather(*(every(each, clock) for each in sources))
 
-    async def sleep_until(self, time: int) -> None:
-        await asyncio.sleep(0)
-        self.time = max(self.time, time)
-
-
-async def gather(source: Source[Any], clock: Virtual, at_most: int = 100_000) -> list[Batch]:
-    batches: list[Batch] = []
-    async for batch in source.batches(clock):
-        batches.append(batch)
-        if sum(map(len, batches)) >= at_most:
-            break
-    return batches
-
-
-def run(
-    rig: SimulatedRig, clock: Virtual | None = None, at_most: int = 100_000
-) -> tuple[list[Touch], list[Motion]]:
-    async def both() -> tuple[list[Batch], list[Batch]]:
-        shared = clock or Virtual()
-        return await asyncio.gather(gather(rig.touch, shared, at_most), gather(rig.motion, shared, at_most))
-
-    touch, motion = asyncio.run(both())
-    return cast("list[Touch]", touch), cast("list[Motion]", motion)
+    return run_virtually(main())
 
 
 def test_both_streams_run_at_their_rates_from_one_origin() -> None:
-    touch, motion = run(SimulatedRig(Scene(PLAN)))
-    assert {len(batch) for batch in [*touch, *motion]} == {1}
-    t, m = concat(Touch, touch), concat(Motion, motion)
+    rig = SimulatedRig(Scene(PLAN))
+    t, m = gather(rig.touch, rig.motion)
     assert t.time[0] == ORIGIN
     assert set(np.diff(t.time).tolist()) == {10_000_000}
     assert m.time[0] == ORIGIN + 70_000_000
@@ -67,25 +46,16 @@ def test_both_streams_run_at_their_rates_from_one_origin() -> None:
 
 def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
     rig = SimulatedRig(Scene(PLAN))
-    first, second = annotations(rig), annotations(rig, Virtual(ORIGIN + 500))
+    first, second = annotations(rig), annotations(rig, ORIGIN + 500)
     np.testing.assert_array_equal(first[0].counts, second[0].counts)
     for one, other in zip(first, second, strict=True):
         np.testing.assert_array_equal(one.time + 500, other.time)
 
 
-def annotations(rig: SimulatedRig, clock: Virtual | None = None) -> tuple[Touch, Episodes, Truth]:
+def annotations(rig: SimulatedRig, start: int = ORIGIN) -> tuple[Touch, Episodes, Truth]:
     """Return touch, episodes and truth of a run."""
-
-    async def main() -> list[list[Batch]]:
-        shared, sources = clock or Virtual(), (rig.touch, rig.episodes, rig.truth)
-        return await asyncio.gather(*(gather(cast("Any", each), shared) for each in sources))
-
-    touch, episodes, truth = asyncio.run(main())
-    return (
-        concat(Touch, cast("Any", touch)),
-        concat(Episodes, cast("Any", episodes)),
-        concat(Truth, cast("Any", truth)),
-    )
+    touch, episodes, truth = gather(rig.touch, rig.episodes, rig.truth, start=start)
+    return touch, episodes, truth
 
 
 def test_each_move_is_an_episode() -> None:
@@ -114,11 +84,6 @@ def test_the_truth_has_a_row_for_each_touch_row() -> None:
     touch, _, truth = annotations(SimulatedRig(lossy))
     assert len(touch) < 180
     np.testing.assert_array_equal(truth.time + 4 * ms, touch.time)
-
-
-def test_bad_parameters_are_refused() -> None:
-    with pytest.raises(ParameterError, match="seed"):
-        SimulatedRig(seed=-1)
 
 
 def truth(sliding: list[float], start: int = 0) -> Truth:

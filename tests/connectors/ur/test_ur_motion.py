@@ -33,7 +33,7 @@ from operators import (
     ms,
     s,
 )
-from operators.batch import Commands, Times
+from operators.batch import Times
 from tests.emulators.free_arm import FreeArm
 from tests.emulators.ur_control_box import SafetyMode
 from tests.emulators.ur_controller import ANYWHERE, CB3, E_SERIES, UrController
@@ -83,7 +83,7 @@ class Lab:
 @asynccontextmanager
 async def lab(version: Version = E_SERIES, rate: float = 125.0, drift: float = 0.0) -> AsyncGenerator[Lab]:
     clock, arm = LoopClock(1_700_000_000 * s), FreeArm(POSE)
-    arm.command(Commands(np.array([clock.now()]), np.array([nan]), FORWARD[None]))
+    arm.command(clock.now(), FORWARD)
     async with UrController(
         arm, host=HOST, ports=ANYWHERE, version=version, now=clock.now, drift=drift
     ) as controller:

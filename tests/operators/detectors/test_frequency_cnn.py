@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from operators import InputError
 from operators.batch import Counts, Reals
-from operators.detectors import Detector
 from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn, shapes
 
 Arrays = dict[str, NDArray[Any]]
@@ -87,15 +85,3 @@ def test_it_is_the_network_that_the_paper_states(
     expected = [_plain(weights, image(each)) for each in inputs]
     assert np.ptp(expected) > 0.1
     np.testing.assert_allclose(kind(weights).score(windows), expected, atol=1e-5)
-
-
-def test_names_tell_the_two_images_apart() -> None:
-    detectors: list[Detector] = [FrequencyCnn(_random()), InterleavedFrequencyCnn(_random())]
-    assert [each.name for each in detectors] == ["frequency_cnn", "frequency_cnn_interleaved"]
-    assert {each.length for each in detectors} == {100}
-
-
-@both
-def test_weights_are_checked(kind: type[FrequencyCnn]) -> None:
-    with pytest.raises(InputError, match=rf"^{kind.__name__} weights: std is 0, must be above 0$"):
-        kind(_random() | {"std": np.array([1, 1, 0, 1, 1, 1])})

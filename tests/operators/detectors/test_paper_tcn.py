@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from operators import InputError
 from operators.batch import Counts, Reals
 from operators.detectors import PaperTcn
 from operators.detectors.paper_tcn import shapes
@@ -89,8 +88,3 @@ def test_it_has_the_originals_accuracy_on_the_real_trace() -> None:
     right = (detector.score(windows) >= 0.5) == (table["label"][99:] == 1)
     assert len(right) == 278
     assert right.mean() == pytest.approx(0.687, abs=5e-4)
-
-
-def test_weights_are_checked() -> None:
-    with pytest.raises(InputError, match=r"^PaperTcn weights: std is 0, must be above 0$"):
-        PaperTcn(_random() | {"std": np.array([1, 1, 0, 1, 1, 1])})

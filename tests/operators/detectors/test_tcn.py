@@ -12,7 +12,7 @@ from torch.nn.functional import conv1d, pad
 
 from operators import InputError, ParameterError
 from operators.batch import Counts, Reals
-from operators.detectors import TRAINED, Streaming, Tcn
+from operators.detectors import Tcn
 from operators.detectors.tcn import shapes
 
 Arrays: TypeAlias = dict[str, NDArray[Any]]
@@ -120,15 +120,6 @@ def test_however_the_samples_are_cut_the_bits_are_the_same(cuts: list[int], fing
     np.testing.assert_array_equal(np.concatenate(pieces), tcn.stream(fingers).push(counts))
 
 
-@sized
-def test_each_window_is_judged_by_itself(size: Size) -> None:
-    tcn = Tcn(_weights(size))
-    windows = _windows(_counts(tcn.length + 69)[:, 0], tcn.length)
-    one_by_one = [tcn.score(windows[i : i + 1]).item() for i in range(70)]
-    np.testing.assert_array_equal(tcn.score(windows), one_by_one)
-    assert tcn.score(windows[:0]).shape == (0,)
-
-
 def test_counts_may_be_reals_read_only_or_strided() -> None:
     tcn, counts = Tcn(_weights()), _counts(120, fingers=2)
     expected = tcn.stream(2).push(counts)
@@ -175,28 +166,10 @@ def test_counts_of_another_shape_are_refused_and_change_nothing() -> None:
     np.testing.assert_array_equal(stream.push(counts), tcn.stream(2).push(counts))
 
 
-def test_no_fingertip_is_refused() -> None:
-    with pytest.raises(ParameterError, match="TcnStream: fingers is 0, must be at least 1"):
-        Tcn(_weights()).stream(0)
-
-
 def test_arrays_of_an_older_version_are_ignored() -> None:
     older = _weights() | {"velocity/kernel": np.ones((32, 4)), "familiar/limit": np.zeros(1)}
     counts = _counts(60)
     np.testing.assert_array_equal(Tcn(older).stream().push(counts), Tcn(_weights()).stream().push(counts))
-
-
-def test_it_streams_and_is_known_by_its_name() -> None:
-    assert isinstance(Tcn(_weights()), Streaming)
-    assert {name: TRAINED[name] for name in (Tcn.name,)} == {"tcn": Tcn}
-
-
-@pytest.mark.parametrize("name", sorted(_weights()))
-def test_a_missing_array_is_named(name: str) -> None:
-    weights = _weights()
-    del weights[name]
-    with pytest.raises(InputError, match=f"^Tcn weights: {name} is missing$"):
-        Tcn(weights)
 
 
 @pytest.mark.parametrize("name", sorted(set(_weights()) - {"dilations"}))
@@ -205,13 +178,6 @@ def test_an_array_of_another_shape_is_named(name: str) -> None:
         Tcn(_weights() | {name: np.ones((3, 2, 1, 1))})
     with pytest.raises(InputError, match=f"^Tcn weights: {name} has shape"):
         Tcn(_weights() | {name: np.ones(0)})
-
-
-def test_an_array_that_is_not_finite_is_named() -> None:
-    weights = _weights()
-    weights["conv2/bias"][1] = np.inf
-    with pytest.raises(InputError, match="conv2/bias is not finite"):
-        Tcn(weights)
 
 
 @pytest.mark.parametrize("dilations", [[1.0, 3.0], [1, 0], [1, -3], [1, 1001]])

@@ -23,11 +23,6 @@ def test_an_array_of_another_shape_is_named() -> None:
         check_weights("Net", {"kernel": np.ones((3, 2)), "bias": np.zeros(3)}, SHAPES)
 
 
-def test_a_standard_deviation_of_0_is_named() -> None:
-    with pytest.raises(InputError, match=r"^Net weights: std is 0, must be above 0$"):
-        check_weights("Net", {"std": np.array([1, 0])}, {"std": (2,)})
-
-
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_an_array_that_is_not_finite_is_named(value: float) -> None:
     with pytest.raises(InputError, match=r"^Net weights: bias is not finite$"):

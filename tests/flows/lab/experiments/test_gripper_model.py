@@ -12,12 +12,12 @@ from operators import Commands, ParameterError, s
 
 def _commands(*forces: float, instant: float = 0.1) -> Commands:
     times = np.full(len(forces), round(instant * s))
-    return Commands(times, np.array(forces), np.full((len(forces), 6), np.nan))
+    return Commands(times, np.array(forces))
 
 
 def _force(model: GripperModel, *commands: Commands, at: float = 1.0) -> float:
     """Return the force (N) at an instant (s)."""
-    grasp = Grasp(named("box"), force=0.0, closing=0.0)
+    grasp = Grasp(named("box"))
     actuator = Actuator(model, grasp)
     for each in commands:
         actuator.execute(each)

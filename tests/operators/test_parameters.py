@@ -1,0 +1,85 @@
+"""Parameters that no operator or detector accepts."""
+
+from math import inf, nan
+from typing import Any
+
+import pytest
+
+from operators import (
+    Align,
+    Debounce,
+    DeviceClock,
+    Grip,
+    Health,
+    Label,
+    MaskLifted,
+    ParameterError,
+    Pool,
+    Resample,
+    Score,
+    SlidingMotion,
+    StepGrip,
+    WatchClock,
+    Window,
+    Zero,
+    ms,
+)  # fmt: skip
+from operators.detectors import Psd
+
+BASE = (0.0,) * 6
+REFUSED: dict[Any, list[dict[str, Any]]] = {
+    Zero: [{"scans": 0}, *({"baseline": each} for each in (-40_000, 40_000, (), (0, 0, 0, 0, 0, 40_000)))],
+    Align: [
+        {"how": "next"},
+        {"within": -1},
+        {"keep": -1},
+        {"how": "previous", "wait": -1},
+        {"wait": 10 * ms},
+    ],
+    Label: [
+        *({"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"limit": nan}, {"rotation": -0.1}, {"within": -1}),
+        *({"normal": each} for each in ((0, 0, 0), (0, 1), (0, 1, inf), (0, 1, nan))),
+    ],
+    MaskLifted: [{"contact_pose": BASE, "margin": -0.001}],
+    SlidingMotion: [{"speed": -0.1}, {"stick": -1}],
+    Resample: [{"rate": 0}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
+    Pool: [{"gain": 0.0}, {"gain": inf}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
+    Window: [{"length": 0}, {"hop": 0}],
+    Score: [{"detector": Psd(), "hop": 0}],
+    Psd: [{"length": 1}, {"cutoff": -1}, {"cutoff": 48}, {"threshold": 0}],
+    Debounce: [
+        *({"threshold": each} for each in (0, 1.1, nan)),
+        *({"consecutive": 0}, {"release": 0}, {"minimum": -1}),
+    ],
+    Health: [
+        *({"dead_after": 0}, {"stuck_after": 0}, {"saturated_after": 0}, {"drift": 0}),
+        *({"floor": 9, "ceiling": 9}, {"clear_after": -1}),
+    ],
+    DeviceClock: [{"window": 59}, {"window": 0}, {"drift": -1e-6}, {"drift": nan}, {"jump": -1}],
+    WatchClock: [{"window": 59}, {"drift": nan}, {"every": 0}],
+    Grip: [
+        *({"force": 11.0}, {"min_force": -1.0}, {"threshold": 0.0}, {"rate": 0.0}, {"consecutive": 0}),
+        *({"gain": -1.0}, {"max_ratio": 1.0}, {"min_ratio": 1.5}, {"doubling_time": 0}),
+    ],
+    StepGrip: [{"step": 0.0}],
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"), [(kind, settings) for kind, each in REFUSED.items() for settings in each]
+)
+def test_a_parameter_out_of_range_is_refused_by_its_name(kind: type[Any], settings: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=rf"^{kind.__name__}: .*{list(settings)[-1]}"):
+        kind(**settings)
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        *((Align, each) for each in ({"within": 0.02}, {"within": 20}, {"keep": 10.0}, {"wait": 1e8})),
+        *((Label, each) for each in ({"delay": 70}, {"delay": -0.07}, {"within": 20.0})),
+    ],
+)
+def test_times_without_their_unit_are_refused(kind: type[Any], settings: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=r" .* must be in whole ns: for 20 ms write 20 \* ms"):
+        kind(**settings)
