@@ -8,23 +8,25 @@ import { $, colour } from "./dom.js";
 
 export const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
 const STEPS = [10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000]; // ms
-const HUES = ["--left", "--middle", "--right"];
+const CHROMA = 0.13, HUES = [55, 305]; // of OKLCH: orange on the left, violet on the right, no red
 
-// Return the hue and dash of each cell of a layout: hues from left to right; rows above the lowest are dotted.
+// Return colour and dash of each cell's curve: hue from left to right, lightness from the lowest row up, dots for the upper of two rows.
 export function styles(layout) {
-  const cells = [];
+  const cells = [], [low, high] = ["--curve-low", "--curve-high"].map((name) => Number(colour(name)));
+  const between = (from, to, k, count) => (count > 1 ? from + ((to - from) * k) / (count - 1) : (from + to) / 2);
   layout.forEach((row, y) => row.forEach((cell, x) => {
-    const above = layout.length - 1 - y;
-    if (cell >= 0) cells[cell] = { hue: HUES[Math.floor((3 * x) / row.length)], dash: above ? [2 * above, 3] : undefined };
+    const above = layout.length - 1 - y, light = between(low, high, above, layout.length), hue = between(...HUES, x, row.length);
+    if (cell >= 0) cells[cell] = { stroke: `oklch(${light} ${CHROMA} ${hue})`, dash: above && layout.length === 2 ? [2, 3] : undefined };
   }));
   return cells;
 }
 
 class Chart {
-  // `range(low, high)` returns the ends of the vertical axis; `extra(plot)` draws more; `text(value)` labels a value.
+  // `series()` returns stroke and dash of each curve; `range(low, high)` the ends of the vertical axis; `extra(plot)` draws more;
+  // `text(value)` labels a value.
   constructor(id, series, range, { extra = () => {}, text = null } = {}) {
-    Object.assign(this, { host: $(id), series, range, extra, text, lowest: false });
-    this.data = [[], ...series.map(() => [])];
+    Object.assign(this, { host: $(id), series, range, extra, text, lowest: false, marked: null });
+    this.clear();
     this.view = { begin: -10000, end: 0, origin: 0, slips: [] };
     this.#build();
     new ResizeObserver(() => this.#resize()).observe(this.host);
@@ -32,13 +34,20 @@ class Chart {
 
   draw(data, view) {
     this.view = view;
-    this.data = data ?? [[], ...this.series.map(() => [])];
+    if (data) this.data = data;
+    else this.clear();
     this.plot.setData(this.data);
   }
 
   rebuild() {
     this.plot.destroy();
     this.#build();
+  }
+
+  // Fade all curves but one; null: none.
+  mark(series) {
+    this.marked = series;
+    this.plot.setSeries(series === null ? null : series + 1, { focus: true });
   }
 
   #build() {
@@ -51,6 +60,7 @@ class Chart {
         height: this.host.clientHeight || 120,
         legend: { show: false },
         cursor: { show: false },
+        focus: { alpha: 0.1 },
         padding: [10, RIGHT, 0, 0],
         scales: {
           x: { time: false, range: () => [this.view.begin, this.view.end] },
@@ -62,13 +72,18 @@ class Chart {
         ],
         series: [
           {},
-          ...this.series.map(({ hue, dash }) => ({ stroke: colour(hue), width: 1.6, dash, points: { show: false } })),
+          ...this.series().map(({ stroke, dash }) => ({ stroke, width: 1.6, dash, points: { show: false } })),
         ],
         hooks: { drawAxes: [(plot) => this.#mark(plot)], draw: [(plot) => this.extra(plot)] },
       },
       this.data,
       this.host,
     );
+    if (this.marked !== null) this.mark(this.marked);
+  }
+
+  clear() {
+    this.data = [[], ...this.series().map(() => [])];
   }
 
   #resize() {
@@ -135,9 +150,9 @@ export class Charts {
     this.raw = false; // true: `range` is that of the counts
     this.range = [0, 1023];
     this.amount = String; // text of counts
-    const pressure = steppedRange(60), black = [{ hue: "--probability" }];
+    const pressure = steppedRange(60), black = () => [{ stroke: colour("--ink") }];
     const ends = (low, high) => (this.raw ? this.range : pressure(low, high));
-    this.counts = new Chart("counts", [], ends, { text: (value) => this.amount(value) });
+    this.counts = new Chart("counts", () => styles(this.shown ?? []), ends, { text: (value) => this.amount(value) });
     this.scores = new Chart("scores", black, () => [0, 1], { extra: (plot) => this.#drawThreshold(plot) });
     this.motion = new Chart("motion", black, steppedRange(10));
     this.all = [this.counts, this.scores, this.motion];
@@ -148,8 +163,7 @@ export class Charts {
   set layout(layout) {
     if (this.shown === layout) return;
     this.shown = layout;
-    this.counts.series = styles(layout);
-    this.counts.data = [[], ...this.counts.series.map(() => [])];
+    this.counts.clear();
     this.counts.rebuild();
   }
 

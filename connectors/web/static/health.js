@@ -33,12 +33,11 @@ export function showHealth({ sources, sinks, errors, lost, waiting, declared_hz:
     : recording.length ? `Recording, ${number.format(rows)} rows` : "Not recording");
 }
 
-// Show the cells of the fingertips: `faults` by fingertip and cell.
-export function showCells(fingers, faults) {
-  $("cells").replaceChildren(...fingers.map((finger) => {
-    const names = Object.entries(faults[finger] ?? {}).map(([k, kind]) => `barometer ${k} ${kind}`);
-    return line(element("td", "", title(finger)), state(!names.length, names.join(", ") || "good"));
-  }));
+// Show the faults by fingertip and cell.
+export function showCells(faults) {
+  const rows = Object.entries(faults).map(([finger, kinds]) => [title(finger), Object.entries(kinds).map(([k, kind]) => `barometer ${k} ${kind}`)]);
+  $("cells").replaceChildren(...(rows.length ? rows : [["All", []]]).map(([name, found]) =>
+    line(element("td", "", name), state(!found.length, found.join(", ") || "good"))));
 }
 
 function up({ gaps }) {

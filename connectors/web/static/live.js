@@ -78,7 +78,7 @@ export function live(view) {
     view.events.show(when);
     if (frame.report) {
       showHealth(frame.report);
-      showCells(view.streams.fingers, view.faults);
+      showCells(view.faults);
     }
     if (frame.end) {
       ended = frame.end;

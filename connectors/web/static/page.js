@@ -18,8 +18,8 @@ class View {
   constructor() {
     this.charts = new Charts();
     this.events = new Events();
-    this.pads = new Pads($("fingers"), (finger) => this.choose(finger), (value) => this.amount(value));
-    Object.assign(this, { finger: null, name: "", hasScores: true, drawn: 0, written: 0, onchange: () => this.dirty() });
+    this.pads = new Pads($("fingers"), (finger) => this.choose(finger), (cell) => this.mark(cell), (value) => this.amount(value));
+    Object.assign(this, { finger: null, marked: null, name: "", hasScores: true, drawn: 0, written: 0, onchange: () => this.dirty() });
     this.fingertip = null;
     this.clear();
   }
@@ -69,6 +69,13 @@ class View {
   choose(finger) {
     this.finger = finger;
     this.onchange();
+  }
+
+  // Highlight the curve of a cell; null: none.
+  mark(cell) {
+    this.marked = cell;
+    this.charts.counts.mark(cell);
+    this.dirty();
   }
 
   // Add rows by stream and fingertip; `put` is "push" or "replace".
@@ -142,7 +149,7 @@ class View {
     this.charts.raw = !zeroed;
     const text = zeroed ? `${unit} ${side} the unloaded reading` : `raw ${unit}, which ${turn} with pressure`;
     write($("counts-title"), zeroed ? "Pressure of each barometer" : "Reading of each barometer");
-    write($("counts-unit"), text);
+    write($("counts-unit"), this.marked === null ? text : `${text} · barometer ${this.marked} highlighted`);
     write($("unit"), `${unit === "counts" || !zeroed ? text[0].toUpperCase() + text.slice(1) : text}.`);
   }
 
@@ -160,16 +167,14 @@ class View {
     write($("probability"), of("scores")?.toFixed(2) ?? "–");
     write($("speed"), of("speed")?.toFixed(1) ?? "–");
     const [word, reason] = this.quality[finger] ?? this.quality.every ?? [];
-    $("quality").hidden = !word;
-    $("quality").classList.toggle("bad", word !== "good");
-    write($("quality"), reason ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : `Quality: ${word}`);
+    write($("quality"), reason ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : "");
   }
 
   // Show whether each fingertip slips: unknown without a score and an event.
   #showState(figures, until) {
     const states = new Map(this.streams.fingers.map((finger) => {
       const known = (figures.of("scores", finger)?.last?.[0] ?? null) !== null || this.events.any(finger, until);
-      return [finger, this.slips(finger) ? "slip" : known ? "no slip" : "unknown"];
+      return [finger, this.slips(finger) ? "slip" : known ? "no slip" : this.hasScores ? "unknown" : "no detector"];
     }));
     for (const [finger, state] of states) this.pads.state(finger, state);
     const state = states.get(this.finger);

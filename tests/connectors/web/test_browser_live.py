@@ -11,8 +11,8 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Debounce, FaultKind, Faults, Run, Score, Touch, Zero
-from operators.fingertip import Fingertip, grid
+from operators import Debounce, FaultKind, Faults, Run, Score, Touch, Zero, Zeroed, ms
+from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
 from tests.connectors.web.browsing import Served, ServedPage, Watched, shaking, sideways
 from tests.connectors.web.reading import moved, scored
@@ -109,6 +109,39 @@ def test_zeroed_counts_are_shown_as_pressure_in_the_layout_of_the_sensor(watched
         assert [float(cells.nth(k).evaluate(get)) for k in (0, 3)] == pytest.approx([0.15, 0.1])
 
 
+@pytest.mark.parametrize("cells", [1, 6, 16, 64])
+def test_each_curve_has_its_own_look_and_its_tile_highlights_it(watched: Watched, cells: int) -> None:
+    tab, tip = watched.tab, TAKKTILE if cells == 6 else Fingertip(grid(cells), 100.0, "kPa", 0.01, (0, 4000))
+    look = "key => getComputedStyle(key).color + key.classList"
+    with ServedPage(fingertip=tip) as served:
+        tab.goto(served.url)
+        now, counts = (
+            served.run.clock.now(),
+            np.arange(1, cells + 1, dtype=np.int16) * np.ones((9, 1), np.int16),
+        )
+        time = now + np.arange(9) * 10 * ms
+        for finger in range(3):
+            served.write(Zeroed(time, counts, counts, counts > 0, finger=finger), scored(now, 0.1, finger))
+        keys, pad = tab.locator(".key"), tab.locator(".pad").first
+        expect(keys).to_have_count(3 * cells)
+        for scheme in ("light", "dark"):
+            tab.emulate_media(color_scheme=scheme)
+            assert len({keys.nth(k).evaluate(look) for k in range(cells)}) == cells
+        chart, unit = tab.locator("#counts"), tab.locator("#counts-unit")
+        plain, tile = chart.screenshot(), pad.locator("td").last
+        tile.hover()
+        expect(unit).to_contain_text(f"barometer {tile.get_attribute('data-cell')} highlighted")
+        assert cells == 1 or chart.screenshot() != plain
+        tab.mouse.move(0, 0)
+        expect(unit).not_to_contain_text("highlighted")
+        tile.click()  # as with a finger
+        tab.mouse.move(0, 0)
+        expect(tab.locator("td.marked")).to_have_count(3)
+        expect(unit).to_contain_text("highlighted")
+        assert tab.locator("body").inner_text().count("good") == 1
+    assert watched.complaints == []
+
+
 def test_the_page_reconnects_to_a_restarted_server_unless_that_has_another_token(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as first:
@@ -153,6 +186,12 @@ def test_every_control_works_with_the_keyboard(watched: Watched) -> None:
         tab.keyboard.press("ArrowDown")
         expect(tab.get_by_role("radio", name="Fingertip 1")).to_be_checked()
         expect(tab.locator("h1")).to_have_text("Fingertip 1Slip")
+        tab.keyboard.press("Shift+Tab")
+        tab.keyboard.press("ArrowRight")
+        tab.keyboard.press("ArrowRight")
+        expect(tab.locator("#counts-unit")).to_contain_text("barometer 4 highlighted")
+        tab.keyboard.press("Escape")
+        expect(tab.locator("#counts-unit")).not_to_contain_text("highlighted")
         tab.keyboard.press("Shift+Tab")
         tab.keyboard.press("Enter")
         expect(tab.get_by_role("button", name="Resume")).to_have_attribute("aria-pressed", "true")

@@ -163,6 +163,11 @@ def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
         tab.keyboard.press("Control+s")
         expect(tab.locator("#label-state")).to_have_text("1 span, saved as version 1")
         assert sideways(tab) == 0
+        bands, save = tab.locator("#bands").bounding_box(), tab.locator("#label-save").bounding_box()
+        assert bands
+        assert save
+        assert 0 < save["y"] + save["height"] - bands["y"] < 844, "a screen shows both"
+        expect(tab.locator("h1")).to_have_text("Fingertip 0No detector")
     assert [value for _, _, value in spans(session)] == ["slip"]
     assert watched.complaints == []
 
