@@ -1,7 +1,5 @@
 """Demonstration without hardware: a simulated rig, slip events, and a synchronised, labelled dataset."""
 
-from pathlib import Path
-
 from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
 from flows.record import ARM_LATENCY, declare_recording
@@ -13,7 +11,6 @@ def demo(
     out: str = "recordings",
     broker: str | None = None,
     rig: str = "demo",
-    outbox: Path | None = None,
     seed: int = 0,
 ) -> Flow:
     """Record a simulated fingertip and arm into `out`, detect slip, and publish the events to `broker`.
@@ -22,7 +19,6 @@ def demo(
         out: Folder of the dataset.
         broker: Broker URL, such as mqtt://localhost; None: publish nothing.
         rig: Rig name used in topics.
-        outbox: Folder that keeps the published events; None: one per rig.
         seed: Random seed of the simulation.
     """
     flow = Flow("demo")
@@ -42,7 +38,6 @@ def demo(
                 model=identify_detector("tcn"),
                 threshold=debounce.threshold,
                 consecutive=debounce.consecutive,
-                outbox=outbox,
             )
         )
     return flow

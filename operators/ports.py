@@ -80,7 +80,6 @@ class SinkStatus:
     failures: int = 0
     error: str = ""  # latest failure; empty while the sink works
     records: bool = False  # copy of `Sink.records`
-    replay_destination: str | None = None  # of a replay, if a live run has another one
 
 
 @dataclass

@@ -144,12 +144,6 @@ def test_the_source_refuses_what_is_no_line_of_counts(
         asyncio.run(received(source, sent))
 
 
-def test_the_source_says_that_a_connection_was_lost(made: Callable[..., dict[str, Any]]) -> None:
-    source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
-    with pytest.raises(EndpointError, match="was lost: Connection reset by peer"):
-        asyncio.run(received(source, b"", reset=True))
-
-
 def test_the_sink_takes_back_what_the_disk_had_no_room_for(
     tmp_path: Path, made: Callable[..., dict[str, Any]]
 ) -> None:

@@ -2,9 +2,7 @@
 
 import asyncio
 import json
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
@@ -222,21 +220,6 @@ def test_the_consumer_prints_each_event(
     ]
 
 
-def test_the_consumer_of_the_page_prints_one_line_if_there_is_no_broker(tmp_path: Path) -> None:
-    (tmp_path / "consumer.py").write_text(block(PAGE, "consumer.py"))
-    done = subprocess.run(
-        [sys.executable, "consumer.py", "mqtt://127.0.0.1:1"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    [line] = done.stderr.splitlines()
-    assert line.startswith("error: mqtt://127.0.0.1:1")
-
-
 class Message:
     """Stands for std_msgs/String and Bool."""
 
@@ -313,17 +296,6 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return done
 
 
-def test_the_bridge_shuts_down_on_ctrl_c(ros: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    module = loaded("slip_bridge.py")
-
-    async def interrupted(_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(vars(module)["SlipBridge"], "follow", interrupted)
-    vars(module)["main"]()
-    assert ros == ["init 0", "shutdown"]
-
-
 @pytest.mark.usefixtures("ros")
 def test_the_bridge_publishes_each_event_to_ros(
     broker: TestBroker, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -338,14 +310,3 @@ def test_the_bridge_publishes_each_event_to_ros(
     assert bridge.made["slip/lab/rig/finger_0"].published == [True, False]
     assert bridge.made["slip/lab/rig/finger_2"].published == [True]
     assert not bridge.warnings
-
-
-@pytest.mark.usefixtures("ros")
-def test_a_late_event_does_not_change_the_state() -> None:
-    bridge = vars(loaded("slip_bridge.py"))["SlipBridge"]()
-    for seq, time, onset in ((1, 10, True), (3, 30, False), (2, 20, True)):
-        bridge.publish(
-            Event("lab-1", "ur 10", "0", "e", seq, onset=onset, time=time, probability=0.9, latency=1)
-        )
-    assert len(bridge.made["slip/events"].published) == 3
-    assert bridge.made["slip/lab_1/ur_10/finger_0"].published == [True, False]

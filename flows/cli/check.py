@@ -2,14 +2,10 @@
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import typer
 
 from flows.cli.options import AsJson, Settings, Target, parse_settings
-
-if TYPE_CHECKING:
-    from flows.graph.node import Node
 
 
 def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
@@ -36,7 +32,8 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
         typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
     else:
         typer.echo(flow)
-        typer.echo(f"{flow.name}: OK (sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())})")
+        sources, sinks = (", ".join(node.name for node in nodes) for nodes in (flow.sources(), flow.sinks()))
+        typer.echo(f"{flow.name}: OK (sources: {sources}; sinks: {sinks})")
         for name, each in declaration.parameters.items():
             value = each.value(flow.name, chosen[name]) if name in chosen else each.default
             typer.echo(f"  --set {replace(each, default=value)}")
@@ -44,7 +41,3 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
                 typer.echo(f"      {each.about}")
     if found:
         raise typer.Exit(2)
-
-
-def _names(nodes: "list[Node]") -> str:
-    return ", ".join(node.name for node in nodes)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from functools import cache
 from importlib import import_module
 from inspect import getdoc
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 import typer
 import typer.main
@@ -15,32 +15,30 @@ if TYPE_CHECKING:
     from typer._click import Command, Context, HelpFormatter
 
 
-class Entry(NamedTuple):
-    """A command that is not imported yet."""
-
-    panel: str
-    help: str  # first sentence of the function's docstring; `slipflow --help` prints it
-    module: str  # in flows.cli; contains a function with the name of the command
+_MODULES: Final = {"demo": "demo_command", "import": "import_command"}  # else the name of the command
 
 
 class CommandTable(Mapping[str, "Command"]):
     """Commands by name, imported when they are first used.
 
     Args:
-        entries: All commands, in the order of the help.
+        panels: Summaries of the commands by name, in panels, in the order of the help.
     """
 
-    def __init__(self, entries: dict[str, Entry]) -> None:
-        self.entries = entries
+    def __init__(self, panels: Mapping[str, Mapping[str, str]]) -> None:
+        self.panels = panels
+        self.summaries = {name: text for panel in panels.values() for name, text in panel.items()}
 
     def __getitem__(self, name: str) -> "Command":
-        return _command(name, self.entries[name].module)
+        if name not in self.summaries:
+            raise KeyError(name)
+        return _command(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.entries)
+        return iter(self.summaries)
 
     def __len__(self) -> int:
-        return len(self.entries)
+        return len(self.summaries)
 
 
 class PanelGroup(TyperGroup):
@@ -54,12 +52,9 @@ class PanelGroup(TyperGroup):
 
     def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:  # noqa: ARG002 - typer's
         """Write a section for each panel."""
-        panels = dict[str, list[tuple[str, str]]]()
-        for name, entry in self.table.entries.items():
-            panels.setdefault(entry.panel, []).append((name, entry.help))
-        for panel, rows in panels.items():
+        for panel, summaries in self.table.panels.items():
             with formatter.section(panel):
-                formatter.write_dl(rows, col_max=max(map(len, self.table)))
+                formatter.write_dl([*summaries.items()], col_max=max(map(len, self.table)))
 
 
 def command_group(text: str, table: CommandTable) -> typer.Typer:
@@ -71,9 +66,9 @@ def command_group(text: str, table: CommandTable) -> typer.Typer:
 
 
 @cache
-def _command(name: str, module: str) -> "Command":
+def _command(name: str) -> "Command":
     """Import a command; its docstring is the help, whose lines below ``Examples:`` are not wrapped."""
-    commands = import_module(f"flows.cli.{module}")
+    commands = import_module(f"flows.cli.{_MODULES.get(name, name)}")
     function: Callable[..., Any] = getattr(commands, name, None) or getattr(commands, f"{name}_")
     text, _, lines = (getdoc(function) or "").partition("Examples:\n")
     epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one

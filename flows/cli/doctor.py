@@ -45,14 +45,12 @@ def doctor(
 
 def _declared(target: str | None, settings: list[str] | None) -> "dict[str, Endpoint]":
     """Return the sources and sinks of a flow by name."""
-    from operators.ports import Sink, Source
-
     if target is None:
         if settings:
             raise typer.BadParameter("--set requires a flow")
         return {}
-    nodes = load_flow(target, settings).nodes
-    return {node.name: node.part for node in nodes if isinstance(node.part, Source | Sink)}
+    flow = load_flow(target, settings)
+    return {node.name: part for node, part in {**flow.sources(), **flow.sinks()}.items()}
 
 
 async def _diagnose(parts: "dict[str, Endpoint]") -> "Findings":

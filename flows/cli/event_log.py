@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Final, TextIO
 
 if TYPE_CHECKING:
     from flows.graph import Flow
-    from flows.graph.node import Node, Part
     from operators.ports import Json, Run
 
 _SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # in URLs
@@ -93,22 +92,20 @@ def begin_log(form: Format = Format.TEXT, stream: TextIO | None = None) -> None:
     logging.basicConfig(handlers=[handler])
 
 
-def with_json_console(flow: "Flow") -> "Flow":
-    """Return a copy of a flow whose consoles print JSON; if it has none, add one for slips and faults."""
+def print_json(flow: "Flow") -> None:
+    """Let the consoles of a flow print JSON; if it has none, add one for slips and faults."""
     from connectors import Console
     from operators import Faults, Slips
 
-    def part(node: "Node") -> "Part":
-        return Console(node.part.stream, "json") if isinstance(node.part, Console) else node.part
-
-    copy = flow.replaced(part)
-    if not any(isinstance(node.part, Console) for node in copy.nodes):
+    consoles = [sink for sink in flow.sinks().values() if isinstance(sink, Console)]
+    for each in consoles:
+        each.format = "json"
+    if not consoles:
         console = Console(format="json")
         for kind in (Slips, Faults):
-            first = next((node for node in copy.nodes if node.gives is kind), None)
+            first = next((node for node in flow.nodes if node.gives is kind), None)
             if first is not None:
-                copy.add_sink(console, first)
-    return copy
+                flow.add_sink(console, first)
 
 
 @contextmanager

@@ -2,10 +2,8 @@
 
 import json
 import logging
-import sys
-from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from textwrap import indent
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -19,14 +17,9 @@ if TYPE_CHECKING:
 
     from flows.graph import Flow
     from flows.run.replays import Replayed
-    from operators.ports import Recording, Run, Source
+    from operators.ports import Recording, Run
 
 models = logging.getLogger("slipflow.models")
-
-
-def separate_result(*, as_json: bool, log: Format) -> AbstractContextManager[object]:
-    """Redirect the output of sinks to stderr if stdout is for a JSON result; a JSON log stays on stdout."""
-    return redirect_stdout(sys.stderr) if as_json and log is Format.TEXT else nullcontext()
 
 
 def session_name(flow: "Flow") -> str:
@@ -53,14 +46,14 @@ async def execute(
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
     from flows.run.replay_runner import first_time, log_replay_destinations, replayed, replayed_recording
-    from flows.run.stop_signals import signals_to
+    from flows.run.supervision import signals_to
 
     log_models(flow)
     clock = None if recording is None else LoopClock(first_time(recording), pace)
     flow = flow if recording is None else replayed(flow, recording)
-    if replayed_recording(cast("Source[Any]", node.part) for node in flow.sources()) is not None:
+    if replayed_recording(flow) is not None:
         log_replay_destinations(flow)
-    live = LiveRunner(flow, session_name(flow), clock=clock, duration=limit, signals=False)
+    live = LiveRunner(flow, session_name(flow), clock=clock, duration=limit)
     with signals_to(live.stop), logged(live.run):  # the log announces a run that signals already end
         return await live.execute()
 

@@ -8,20 +8,12 @@ from flows.cli.options import parse_address
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from flows.graph import Flow
     from flows.graph.node import Node
     from operators.batch import Batch
 
 
-def add_page(
-    flow: "Flow",
-    listen: str | None = None,
-    *,
-    browse: bool = False,
-    opened: "Callable[[str], None] | None" = None,
-) -> None:
+def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -> None:
     """Add a sink to a flow that shows it on the live page, with the threshold of its first `Debounce`.
 
     A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells.
@@ -30,7 +22,6 @@ def add_page(
         flow: Flow to change.
         listen: Address as ``[HOST:]PORT``.
         browse: Open a browser if a person uses this terminal.
-        opened: Called with the page's URL when it is served; the default prints it.
 
     Raises:
         ParameterError: if the page cannot be served at this address.
@@ -45,7 +36,7 @@ def add_page(
         announce_page("live page", url, page.login_url, browse=browse)
 
     watch_cells(flow)
-    page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or announce)
+    page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=announce)
     for node in page_streams(flow):
         flow.add_sink(page, node)
 
@@ -77,13 +68,10 @@ def watch_cells(flow: "Flow") -> "Node | None":
     return None
 
 
-def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None" = None) -> None:
+def add_metrics(flow: "Flow", listen: str) -> None:
     """Add a sink to a flow that serves metrics of its run, and of its first slips, faults and scores.
 
-    Args:
-        flow: Flow to change.
-        listen: Address as ``[HOST:]PORT``.
-        opened: Called with the URL when the metrics are served; the default prints it.
+    `listen` is the address as ``[HOST:]PORT``.
     """
     from connectors import Metrics
     from operators import Faults, Scores, Slips
@@ -91,7 +79,7 @@ def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None
     host, port = parse_address("--metrics", listen)
     kinds = Slips, Faults, Scores
     inputs = [next((node for node in flow.nodes if node.gives is kind), None) for kind in kinds]
-    metrics = Metrics(port, host, opened=opened or (lambda url: note(f"metrics: {url}")))
+    metrics = Metrics(port, host, opened=lambda url: note(f"metrics: {url}"))
     flow.add("metrics", metrics, *filter(None, inputs))
 
 

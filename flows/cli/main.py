@@ -9,36 +9,37 @@ from typing import Annotated, Final, NoReturn
 
 import typer
 
-from flows.cli.commands import CommandTable, Entry, command_group, usage_error
+from flows.cli.commands import CommandTable, command_group, usage_error
 from flows.cli.terminal import note
 
-_RUN, _VIEW, _LEARN, _ROBOTS, _DATA = (
-    "Record and run",
-    "View",
-    "Train and evaluate",
-    "Robots",
-    "Data",
-)
-TABLE: Final = CommandTable(
+TABLE: Final = CommandTable(  # with the first sentences of the functions' docstrings
     {
-        "run": Entry(_RUN, "Run a flow live, or replay recordings through it.", "run"),
-        "demo": Entry(_RUN, "Detect slip on a simulated rig; no hardware is needed.", "demo_command"),
-        "check": Entry(_RUN, "Find errors in a flow without running it, and draw it.", "check"),
-        "doctor": Entry(_RUN, "Check this machine, and the devices that a flow uses.", "doctor"),
-        "show": Entry(_VIEW, "Show a recorded session in a browser, and label it by hand.", "show"),
-        "watch": Entry(_VIEW, "Print slip events from an MQTT broker, each once.", "watch"),
-        "train": Entry(_LEARN, "Train a slip detector.", "train"),
-        "calibrate": Entry(_LEARN, "Tune the debounce for a stated rate of false alarms.", "calibrate"),
-        "evaluate": Entry(_LEARN, "Compare detectors on a dataset.", "evaluate"),
-        "collect": Entry(_ROBOTS, "Drive an arm through a collection plan and record it.", "collect"),
-        "experiment": Entry(
-            _ROBOTS, "Run a robot experiment of the paper in closed loop, simulated.", "experiment"
-        ),
-        "verify": Entry(_DATA, "Read all files of a dataset and report losses and damage.", "verify"),
-        "fetch": Entry(_DATA, "Download, verify and import a public dataset of real touch.", "fetch"),
-        "import": Entry(_DATA, "Import CSV or Parquet files of any fingertip as sessions.", "import_command"),
-        "export": Entry(_DATA, "Export recordings to LeRobot or MCAP, or a model to ONNX.", "export"),
-        "simulate": Entry(_DATA, "Simulate a collection plan as a labelled dataset.", "simulate"),
+        "Record and run": {
+            "run": "Run a flow live, or replay recordings through it.",
+            "demo": "Detect slip on a simulated rig; no hardware is needed.",
+            "check": "Find errors in a flow without running it, and draw it.",
+            "doctor": "Check this machine, and the devices that a flow uses.",
+        },
+        "View": {
+            "show": "Show a recorded session in a browser, and label it by hand.",
+            "watch": "Print slip events from an MQTT broker, each once.",
+        },
+        "Train and evaluate": {
+            "train": "Train a slip detector.",
+            "calibrate": "Tune the debounce for a stated rate of false alarms.",
+            "evaluate": "Compare detectors on a dataset.",
+        },
+        "Robots": {
+            "collect": "Drive an arm through a collection plan and record it.",
+            "experiment": "Run a robot experiment of the paper in closed loop, simulated.",
+        },
+        "Data": {
+            "verify": "Read all files of a dataset and report losses and damage.",
+            "fetch": "Download, verify and import a public dataset of real touch.",
+            "import": "Import CSV or Parquet files of any fingertip as sessions.",
+            "export": "Export recordings to LeRobot or MCAP, or a model to ONNX.",
+            "simulate": "Simulate a collection plan as a labelled dataset.",
+        },
     }
 )
 app = command_group(

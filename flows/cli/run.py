@@ -1,13 +1,15 @@
 """The command `slipflow run`."""
 
+import sys
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flows.cli.event_log import Format, begin_log, with_json_console
-from flows.cli.execution import execute, replay_all, report_run, separate_result
+from flows.cli.event_log import Format, begin_log, print_json
+from flows.cli.execution import execute, replay_all, report_run
 from flows.cli.live_view import add_metrics, add_page
 from flows.cli.options import (
     AsJson,
@@ -96,12 +98,12 @@ def run(
     check_outputs(flow, paths)
     recording = open_recording(paths[0], note) if paths else None
     if log is Format.JSON:
-        flow = with_json_console(flow)
+        print_json(flow)
     if page or listen:
         add_page(flow, listen, browse=not no_browser)
     if metrics:
         add_metrics(flow, metrics)
-    with separate_result(as_json=as_json, log=log):
+    with redirect_stdout(sys.stderr if as_json and log is Format.TEXT else sys.stdout):
         done = run_punctually(execute(flow, limit=limit, recording=recording, pace=pace or 1.0))
     report_run(done, log=log, as_json=as_json)
 

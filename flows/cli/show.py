@@ -58,7 +58,7 @@ def show(
 
 
 async def _show(session: "Session", detector: str, server: "WebServer", *, browse: bool) -> None:
-    from flows.run.stop_signals import signals_to
+    from flows.run.supervision import signals_to
 
     note(f"{session.name}: reading" + f" and scoring by {detector}" * (detector != _NONE))
     page = await load(session, detector)

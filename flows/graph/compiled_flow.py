@@ -10,7 +10,7 @@ from flows.graph.validation import sink_fingertips, validate
 from operators.batch import EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, LateRowFilter, Operator, output_type
-from operators.ports import Sink, Source
+from operators.ports import Source
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
 Values: TypeAlias = Mapping[int, Batch]  # batches of sources and operators in one push
@@ -132,9 +132,9 @@ class CompiledFlow:
             entry: _Entrance(index, entry[0] in read, self._downstream(index))
             for index, entry in enumerate(self.entries)
         }
-        self.fingertips = sink_fingertips(flow.nodes)
+        self.fingertips = sink_fingertips(flow)
         self.sink_types = {
-            node.part.destination: {
+            sink.destination: {
                 cast("type[Batch]", parent.gives): tuple(
                     sorted(
                         {each for same in node.inputs if same.gives is parent.gives for each in same.fingers}
@@ -142,8 +142,7 @@ class CompiledFlow:
                 )
                 for parent in node.inputs
             }
-            for node in flow.nodes
-            if isinstance(node.part, Sink)
+            for node, sink in flow.sinks().items()
         }
 
     @property
@@ -197,7 +196,7 @@ class CompiledFlow:
         for stage in stages:
             try:
                 out = step(stage, values)
-            except (Exception, SystemExit) as error:
+            except Exception as error:
                 raise self._failure(stage.node, error) from error
             if out is not None:
                 values[stage.index] = out
@@ -205,9 +204,9 @@ class CompiledFlow:
                     deliveries.append((stage.node, out))
         return deliveries
 
-    def _failure(self, node: Node, error: Exception | SystemExit) -> OperatorError:
-        reason = "calls sys.exit" if isinstance(error, SystemExit) else str(error)
-        if not isinstance(error, SlipflowError | SystemExit):
+    def _failure(self, node: Node, error: Exception) -> OperatorError:
+        reason = str(error)
+        if not isinstance(error, SlipflowError):
             reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
         reason += "" if _is_tested(node) else location(node.part, error)
         return OperatorError(self._flow, node.name, reason)

@@ -50,13 +50,13 @@ class Flow:
         _check_part(self, Source, source)
         return Stream(self, self.add(name or source.kind.__name__.lower(), source))
 
-    def sources(self) -> list[Node]:
-        """Return the nodes of the sources."""
-        return [node for node in self.nodes if isinstance(node.part, Source)]
+    def sources(self) -> dict[Node, Source[Any]]:
+        """Return the sources by their nodes."""
+        return {node: node.part for node in self.nodes if isinstance(node.part, Source)}
 
-    def sinks(self) -> list[Node]:
-        """Return the nodes of the sinks."""
-        return [node for node in self.nodes if isinstance(node.part, Sink)]
+    def sinks(self) -> dict[Node, Sink[Any]]:
+        """Return the sinks by their nodes."""
+        return {node: node.part for node in self.nodes if isinstance(node.part, Sink)}
 
     def __str__(self) -> str:
         return text(self.name, self.nodes)
@@ -83,8 +83,8 @@ class Flow:
     def add_sink(self, sink: Sink[Any], stream: Node) -> None:
         """Connect a stream to a new or an existing sink; `Stream.to` calls this."""
         _check_part(self, Sink, sink, stream)
-        for node in self.sinks():
-            if node.part is sink:
+        for node, known in self.sinks().items():
+            if known is sink:
                 node.inputs.append(stream)
                 return
         self.add(type(sink).__name__.lower(), sink, stream)

@@ -36,12 +36,6 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         ),
         "m": Kind("a length", {"mm": "1/1000", "cm": "1/100", "m": "1"}, "1.5mm or 0.0015m"),
         "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
-        "B": Kind(
-            "a size",
-            {f"{prefix}B": str(1000**n) for n, prefix in enumerate("KMGT", 1)}
-            | {f"{prefix}iB": str(1024**n) for n, prefix in enumerate("KMGT", 1)},
-            "500KB, 500MB, 200GB or 1TiB",
-        ),
         "N": Kind("a force", {"N": "1"}, "2N or 0.5N"),
         "1/ns": Kind(
             "a rate",

@@ -24,7 +24,6 @@ class TestSource(Source[B], Generic[B]):
         kind: Type of the batches.
         batches: Batches and exceptions, in order; the first row is at the start of the run.
         fingers: Fingertips of the batches.
-        delay: Time from a batch's newest row to its arrival, ns.
     """
 
     __test__ = False
@@ -35,9 +34,8 @@ class TestSource(Source[B], Generic[B]):
         batches: Iterable[B | Exception] = (),
         *,
         fingers: tuple[int, ...] = (EVERY,),
-        delay: int = 0,
     ) -> None:
-        self._kind, self._fingers, self._delay = kind, fingers, delay
+        self._kind, self._fingers = kind, fingers
         self._rest = list(batches)
         self._origin: tuple[int, int] | None = None  # first stamp and the clock's time then, ns
 
@@ -61,7 +59,7 @@ class TestSource(Source[B], Generic[B]):
                 if self._origin is None:
                     self._origin = (int(item.time[0]), clock.now())
                 first, began = self._origin
-                await clock.sleep_until(began + int(item.time[-1]) - first + self._delay)
+                await clock.sleep_until(began + int(item.time[-1]) - first)
             yield item
 
     def __str__(self) -> str:

@@ -1,6 +1,6 @@
 """Checks of a flow before it runs, and the fingertips of its streams."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import fields
 from functools import cache
 from inspect import signature
@@ -50,23 +50,18 @@ def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
         *_wrong_types(flow),
         *_shared_destinations(flow),
         *_duplicate_streams(flow),
-        *(trace_fingertips(flow.name, flow.nodes)[1] if fingertips else ()),
+        *(trace_fingertips(flow)[1] if fingertips else ()),
     ]
 
 
-def trace_fingertips(flow: str, nodes: Sequence[Node]) -> tuple[dict[Node, Fingertip], list[FlowError]]:
-    """Return the fingertip of each stream, where it is known, and the edges that do not fit.
-
-    Args:
-        flow: Name of the flow, for the errors.
-        nodes: Its nodes, each after its inputs.
-    """
+def trace_fingertips(flow: Flow) -> tuple[dict[Node, Fingertip], list[FlowError]]:
+    """Return the fingertip of each stream, where it is known, and the edges that do not fit."""
     found, problems = dict[Node, Fingertip](), list[FlowError]()
-    for node in nodes:
+    for node in flow.nodes:  # each after its inputs
         try:
             fingertip = _of_output(node, found)
         except FingertipError as error:
-            problem = FlowError(flow, f"{node.inputs[0].name} -> {node.name}", str(error))
+            problem = FlowError(flow.name, _edge(node.inputs[0], node), str(error))
             problem.__cause__ = error
             problems.append(problem)
             continue
@@ -75,17 +70,16 @@ def trace_fingertips(flow: str, nodes: Sequence[Node]) -> tuple[dict[Node, Finge
     return found, problems
 
 
-def sink_fingertips(nodes: Sequence[Node]) -> dict[str, dict[type[Batch], Fingertip]]:
+def sink_fingertips(flow: Flow) -> dict[str, dict[type[Batch], Fingertip]]:
     """Return the fingertips of the touch streams of each sink, by its destination and their type."""
-    found, _ = trace_fingertips("", nodes)
+    found, _ = trace_fingertips(flow)
     return {
-        node.part.destination: {
+        sink.destination: {
             kind: found[parent]
             for parent in node.inputs
             if parent in found and issubclass(kind := cast("type[Batch]", parent.gives), Touch)
         }
-        for node in nodes
-        if isinstance(node.part, Sink)
+        for node, sink in flow.sinks().items()
     }
 
 
@@ -191,15 +185,13 @@ def _missing(given: type[Batch], wanted: tuple[type[Batch], ...]) -> str:
 
 def _shared_destinations(flow: Flow) -> Iterator[FlowError]:
     users: dict[str, Node] = {}
-    for node in flow.sinks():
-        if not isinstance(node.part, Sink):
-            continue
-        first = users.setdefault(node.part.destination, node)
+    for node, sink in flow.sinks().items():
+        first = users.setdefault(sink.destination, node)
         if first is not node:
             where, other = (
                 _edge(each.inputs[0], each) if each.inputs else each.name for each in (node, first)
             )
-            reason = f"writes to {node.part.destination}, as does {other}: use one sink for both"
+            reason = f"writes to {sink.destination}, as does {other}: use one sink for both"
             yield FlowError(flow.name, where, reason)
 
 

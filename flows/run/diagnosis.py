@@ -17,7 +17,6 @@ from operators.extras import EXTRAS, install_command, missing_packages, require_
 from operators.ports import Clock, Endpoint, Finding
 
 LIMIT: Final = 20.0  # s, for a source or sink
-PYTHONS: Final = ((3, 11), (3, 13))  # oldest and newest supported version
 OMITTED: Final = ("numba", "polars", "scipy")  # a small installation may lack them, see deploy/edge.txt
 _TIMEX: Final = "@Illl"  # start of struct timex: modes, offset, frequency, largest error (us)
 _TIMEX_BYTES: Final = 512  # at least
@@ -82,19 +81,10 @@ def i2c_finding() -> Finding:
 
 def host_findings() -> Iterator[Finding]:
     """Yield findings about Python, slipflow's packages and extras, and the clock."""
-    yield python_finding(sys.version_info[:2])
+    yield Finding("Python", sys.version.split()[0])
     yield from package_findings()
     yield clock_finding()
     yield i2c_finding()
-
-
-def python_finding(running: tuple[int, int]) -> Finding:
-    """Return whether slipflow supports a version of Python."""
-    oldest, newest = (".".join(map(str, each)) for each in PYTHONS)
-    text = f"{sys.version.split()[0]} (supported: {oldest} to {newest})"
-    if PYTHONS[0] <= running <= PYTHONS[1]:
-        return Finding("Python", text)
-    return Finding("Python", f"{text}: create the environment with Python {oldest} to {newest}", "note")
 
 
 def package_findings() -> Iterator[Finding]:

@@ -3,24 +3,20 @@
 import asyncio
 import gc
 from collections.abc import Coroutine, Mapping, Sequence
-from contextlib import aclosing, nullcontext
-from functools import partial
+from contextlib import aclosing
 from typing import Any, Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
-from flows.graph.drawing import streams
 from flows.graph.node import Node, check_extras, consumers
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import contained, reason_of, warn
-from flows.run.replay_runner import close_sinks, other_destination, replayed_recording
-from flows.run.service_notification import ALIVE, READY, STOPPING, notify_systemd
+from flows.run.replay_runner import close_sinks, new_run
 from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
-from flows.run.stop_signals import signals_to
+from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd
 from operators.batch import Batch, ms, s
-from operators.errors import EndpointError, OperatorError
-from operators.ports import Clock, ClockStep, Run, Sink, Source, SourceStatus
+from operators.ports import Clock, ClockStep, Run, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
 REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
@@ -44,7 +40,6 @@ class LiveRunner:
         session: Identifier of the run.
         clock: Clock of the run; default: `LoopClock`.
         duration: End of the run after this time, ns; default: when all sources end.
-        signals: Stop on SIGINT and SIGTERM. A stopped replay is marked as incomplete.
 
     Raises:
         FlowError: if the flow is wired wrongly.
@@ -57,37 +52,20 @@ class LiveRunner:
         *,
         clock: Clock | None = None,
         duration: int | None = None,
-        signals: bool = True,
     ) -> None:
         self.compiled = CompiledFlow(flow)
         check_extras(flow.nodes)
         self.clock = clock or LoopClock()
-        self._duration, self._signals = duration, signals
-        sources: dict[Node, Source[Any]] = {
-            node: node.part for node in flow.nodes if isinstance(node.part, Source)
+        self._duration = duration
+        self.run = new_run(session, flow, self.compiled, self.clock)
+        self._sources, self._stop, self._abandoned = flow.sources(), asyncio.Event(), asyncio.Event()
+        self._readers = {
+            node: SourceReader(node.name, each, self.run) for node, each in self._sources.items()
         }
-        self.run = Run(
-            session,
-            flow.name,
-            self.clock,
-            self.clock.now(),
-            recording=replayed_recording(sources.values()),
-            declaration=tuple(streams(flow.nodes)),
-            describe={node.name: node.describe() for node in sources},
-            sink_types=self.compiled.sink_types,
-            fingertips=self.compiled.fingertips,
-        )
-        self._sources, self._stop, self._abandoned = sources, asyncio.Event(), asyncio.Event()
-        self._readers = {node: SourceReader(node.name, source, self.run) for node, source in sources.items()}
         self._queues = {
-            node: SinkQueue(node.name, node.part, self._stop.set)
-            for node in flow.nodes
-            if isinstance(node.part, Sink)
+            node: SinkQueue(node.name, each, self._stop.set) for node, each in flow.sinks().items()
         }
-        for queue in self._queues.values():
-            self.run.sinks[queue.name] = queue.status
-            if self.run.recording is not None:
-                queue.status.replay_destination = other_destination(queue.sink)
+        self.run.sinks = {queue.name: queue.status for queue in self._queues.values()}
         self._readers_of = {
             node: [self._queues[each] for each in readers if each in self._queues]
             for node, readers in consumers(flow.nodes).items()
@@ -117,35 +95,34 @@ class LiveRunner:
             SlipflowError: if a sink cannot be opened, an operator fails or a source breaks its contract;
                 earlier output is committed.
         """
-        with signals_to(self.stop) if self._signals else nullcontext():
-            prepared = await _unless(self._stop, self._prepare())
-            self.run.start = self.clock.now()
-            if not prepared or not await _unless(self._abandoned, self._open_sinks()):
-                self.run.error = "was stopped before it began"
-                return self.run
-            writers = [queue.start() for queue in self._queues.values()]
-            gc.freeze()  # else a collection searches all modules, which takes 60 ms
-            try:
-                await self._read_all(writers)
-                await self._deliver(self._enqueue(self.compiled.flush()))
-            except Exception as error:
-                self.run.error = reason_of(error)
-                raise
-            finally:
-                gc.unfreeze()
-                await self._end_sinks(writers)
+        prepared = await _unless(self._stop, self._prepare())
+        self.run.start = self.clock.now()
+        if not prepared or not await _unless(self._abandoned, self._open_sinks()):
+            self.run.error = "was stopped before it began"
+            return self.run
+        writers = [queue.start() for queue in self._queues.values()]
+        gc.freeze()  # else a collection searches all modules, which takes 60 ms
+        try:
+            await self._read_all(writers)
+            await self._deliver(self._enqueue(self.compiled.flush()))
+        except Exception as error:
+            self.run.error = reason_of(error)
+            raise
+        finally:
+            gc.unfreeze()
+            await self._end_sinks(writers)
         return self.run
 
     async def _prepare(self) -> None:
-        for node, source in self._sources.items():
-            with contained(partial(OperatorError, self.run.flow, node.name)):
+        for source in self._sources.values():
+            with contained():
                 await source.prepare()
 
     async def _open_sinks(self) -> None:
         opened: list[SinkQueue] = []
         try:
             for queue in self._queues.values():
-                with contained(partial(EndpointError, queue.sink.destination)):
+                with contained():
                     await queue.sink.open(self.run)
                 opened.append(queue)
         except BaseException as error:

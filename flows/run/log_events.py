@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -40,15 +40,11 @@ def warn(name: str, text: str, **about: Json) -> None:
 
 
 @contextmanager
-def contained(failure: Callable[[str], SlipflowError]) -> Generator[None]:
+def contained() -> Generator[None]:
     """Pass on the cancellation of this task only; that of a task that the code awaits is a failure.
-
-    Args:
-        failure: Returns the error of a source or sink for a reason.
 
     Raises:
         RuntimeError: if the code raises CancelledError although this task was not cancelled.
-        SlipflowError: if the code calls `sys.exit`.
     """
     try:
         yield
@@ -57,14 +53,3 @@ def contained(failure: Callable[[str], SlipflowError]) -> Generator[None]:
         if task is None or task.cancelling():
             raise
         raise RuntimeError("a task that it awaited was cancelled") from error
-    except SystemExit as error:
-        raise failure(exit_reason(error)) from error
-
-
-def exit_reason(error: SystemExit) -> str:
-    """Return the reason of a failure by `sys.exit`.
-
-    >>> exit_reason(SystemExit(2))
-    'calls sys.exit(2)'
-    """
-    return f"calls sys.exit({'' if error.code is None else repr(error.code)})"

@@ -2,8 +2,6 @@
 
 import asyncio
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from functools import partial
 from itertools import chain, islice
 from typing import Any, cast
 
@@ -17,8 +15,8 @@ from flows.graph.node import Node, Part, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.log_events import contained, reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Clocks, Faults, Labelled, Motion, Scores, Slips, Touch
-from operators.errors import EndpointError, InputError
-from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
+from operators.errors import InputError
+from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
 
 def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
@@ -35,7 +33,7 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
         InputError: if the recording lacks the stream of a source.
     """
     origin = first_time(recording) if paced else None
-    sources = [node.part for node in flow.nodes if isinstance(node.part, Source)]
+    kinds = [source.kind for source in flow.sources().values()]
 
     def recorded(node: Node) -> Part:
         part = node.part
@@ -43,7 +41,7 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
             return part
         kind = cast("type[Batch]", part.kind)
         fingers = recording.fingers(kind)
-        if sum(cast("type[Batch]", other.kind) is kind for other in sources) > 1:
+        if kinds.count(kind) > 1:
             fingers = tuple(finger for finger in fingers if finger in part.fingers)
         if not fingers and kind not in ANNOTATIONS:
             reason = f"has no {kind.__name__.lower()} stream, which source {node.name!r} needs"
@@ -53,23 +51,34 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
     return flow.replaced(recorded)
 
 
-def replayed_recording(sources: Iterable[Source[Any]]) -> str | None:
-    """Return the name of the recording that the sources replay, or None."""
-    names = (source.recording for source in sources)
+def replayed_recording(flow: Flow) -> str | None:
+    """Return the name of the recording that the sources of a flow replay, or None."""
+    names = (source.recording for source in flow.sources().values())
     return next((name for name in names if name is not None), None)
-
-
-def other_destination(sink: Sink[Any]) -> str | None:
-    """Return the destination of a sink in a replay; None: that of a live run."""
-    return None if sink.replay_destination == sink.destination else sink.replay_destination
 
 
 def log_replay_destinations(flow: Flow) -> None:
     """Log the destinations that differ between a replay and a live run."""
-    for node in flow.sinks():
-        if (destination := other_destination(cast("Sink[Any]", node.part))) is not None:
+    for node, sink in flow.sinks().items():
+        if (destination := sink.replay_destination) != sink.destination:
             text = f"{node.name}: the replay is written to {destination}"
             warn("replay_destination", text, sink=node.name, destination=destination)
+
+
+def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:
+    """Return the state of a run that begins now, without the status of its sources and sinks."""
+    return Run(
+        session,
+        flow.name,
+        clock,
+        clock.now(),
+        live=live,
+        recording=replayed_recording(flow),
+        declaration=tuple(streams(flow.nodes)),
+        describe={node.name: node.describe() for node in flow.sources()},
+        sink_types=compiled.sink_types,
+        fingertips=compiled.fingertips,
+    )
 
 
 class ReplayRunner:
@@ -104,24 +113,12 @@ class ReplayRunner:
         self._consumers = consumers(self._flow.nodes)
         self._recording, self._rows = recording, rows
         self._clock = EventClock(0)
-        self.run = Run(
-            session,
-            flow.name,
-            self._clock,
-            0,
-            live=False,
-            recording=replayed_recording(cast("Source[Any]", node.part) for node in self._flow.sources()),
-            declaration=tuple(streams(flow.nodes)),
-            sink_types=self.compiled.sink_types,
-            fingertips=self.compiled.fingertips,
-        )
-        for node in self._flow.sources():
-            self.run.describe[node.name] = node.describe()
-            self.run.sources[node.name] = SourceStatus()
-        for node in self._flow.sinks():
-            sink = cast("Sink[Any]", node.part)
-            destination = other_destination(sink)
-            self.run.sinks[node.name] = SinkStatus(records=sink.records, replay_destination=destination)
+        self.run = new_run(session, self._flow, self.compiled, self._clock, live=False)
+        self.run.declaration = tuple(streams(flow.nodes))  # as in a live run
+        self.run.sources = {node.name: SourceStatus() for node in self._flow.sources()}
+        self.run.sinks = {
+            node.name: SinkStatus(records=sink.records) for node, sink in self._flow.sinks().items()
+        }
 
     async def execute(self) -> Run:
         """Run to the end of the recording.
@@ -139,8 +136,8 @@ class ReplayRunner:
         self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
         opened: list[Sink[Any]] = []
         try:
-            for sink in (cast("Sink[Any]", node.part) for node in self._flow.sinks()):
-                with _contained(sink):
+            for sink in self._flow.sinks().values():
+                with contained():
                     await sink.open(self.run)
                 opened.append(sink)
             filters = self.compiled.late_filters
@@ -170,13 +167,9 @@ class ReplayRunner:
         for node, batch in deliveries:
             for reader in self._consumers[node]:
                 if isinstance(reader.part, Sink):
-                    with _contained(reader.part):
+                    with contained():
                         await reader.part.write(batch)
                     self.run.sinks[reader.name].rows += len(batch)
-
-
-def _contained(sink: Sink[Any]) -> AbstractContextManager[None]:
-    return contained(partial(EndpointError, sink.destination))
 
 
 async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> None:
@@ -188,7 +181,7 @@ async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> No
     errors = list[Exception]()
     for sink in sinks:
         try:
-            with _contained(sink):
+            with contained():
                 await sink.close()
         except Exception as error:  # noqa: BLE001 - the other sinks must be closed too
             errors.append(error)
@@ -225,19 +218,18 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
 
 
 def first_time(recording: Recording) -> int:
-    """Return the first stamp of a recording, ns: of touch and motion, or without these of derived streams.
+    """Return the first stamp of a recording, ns.
 
     Raises:
         InputError: if the recording is empty.
     """
-    derived: tuple[type[Batch], ...] = (Labelled, Scores, Slips, Faults, Clocks, *ANNOTATIONS)
-    for kinds in (Touch, Motion), derived:
-        times = [
-            int(batch.time[0])
-            for kind in kinds
-            for finger in recording.fingers(kind)
-            for batch in islice(recording.read(kind, finger, 1), 1)
-        ]
-        if times:
-            return min(times)
-    raise InputError(recording.name, "is empty: it has no rows to replay")
+    kinds: tuple[type[Batch], ...] = Touch, Motion, Labelled, Scores, Slips, Faults, Clocks, *ANNOTATIONS
+    times = (
+        int(batch.time[0])
+        for kind in kinds
+        for finger in recording.fingers(kind)
+        for batch in islice(recording.read(kind, finger, 1), 1)
+    )
+    if (first := min(times, default=None)) is None:
+        raise InputError(recording.name, "is empty: it has no rows to replay")
+    return first

@@ -20,7 +20,7 @@ from pathlib import Path
 from re import sub
 from tempfile import TemporaryDirectory
 from threading import Lock
-from typing import Any, Final, cast
+from typing import Final
 
 from flows.graph import Flow
 from flows.graph.drawing import streams
@@ -33,7 +33,7 @@ from flows.run.replay_runner import ReplayRunner, log_replay_destinations, repla
 from flows.run.run_summary import Summary
 from flows.run.session_output import new_session, remove_partial, write_errors
 from operators.errors import FlowError, InputError, SlipflowError
-from operators.ports import Recording, Sink, Source
+from operators.ports import Recording
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import make_folder
@@ -147,7 +147,7 @@ class Replays:
         self._source, self.flow = source, source.flow()
         found = recordings(paths)
         check_outputs(self.flow, found)
-        self._roots = [Path(n.part.destination) for n in self.flow.sinks() if isinstance(n.part, Dataset)]
+        self._roots = [*_roots(self.flow).values()]
         if self._roots:
             _check_names(found)
         self.existing = [path for path in found if self._exists(path)]
@@ -156,7 +156,7 @@ class Replays:
     @property
     def exclusive_sinks(self) -> list[str]:
         """Sinks that only one process at a time may write to."""
-        return [n.name for n in self.flow.sinks() if isinstance(n.part, Sink) and not n.part.shared]
+        return [node.name for node, sink in self.flow.sinks().items() if not sink.shared]
 
     def run(
         self,
@@ -207,9 +207,9 @@ class Replays:
         recording = open_recording(path, log.warning)
         first = (
             int(batch.time[0])
-            for node in replayed(self.flow, recording, paced=False).sources()
-            for finger in node.fingers
-            for batch in islice(recording.read(cast("Source[Any]", node.part).kind, finger, 1), 1)
+            for source in replayed(self.flow, recording, paced=False).sources().values()
+            for finger in source.fingers
+            for batch in islice(recording.read(source.kind, finger, 1), 1)
         )
         return min(first, default=0)
 
@@ -226,9 +226,8 @@ def replay(task: _Task) -> Replayed:
                     flow = task.source.flow()
                 stack.enter_context(redirect_stdout(printed))
                 scratch = {
-                    node: stack.enter_context(new_session(Path(node.part.destination), task.session))
-                    for node in flow.sinks()
-                    if isinstance(node.part, Dataset)
+                    node: stack.enter_context(new_session(root, task.session))
+                    for node, root in _roots(flow).items()
                 }
                 recording = open_recording(Path(task.recording), log.warning)
                 flow = flow.replaced(partial(_written_to, scratch))
@@ -282,7 +281,7 @@ def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
     """
     paths = list(paths)
     validate(flow, fingertips=not paths)
-    written = {Path(node.part.destination) for node in flow.sinks() if isinstance(node.part, Dataset)}
+    written = {*_roots(flow).values()}
     for path in paths:
         if written & set(path.resolve().parents):
             raise InputError(str(path), "is in the dataset that the flow records into: choose another folder")
@@ -308,6 +307,11 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     for each in trace.warnings:
         warn(f"warning: {path}: {each} (slipflow import --map states units)")
     return trace
+
+
+def _roots(flow: Flow) -> dict[Node, Path]:
+    """Return the folders of the datasets that a flow records into."""
+    return {node: Path(sink.destination) for node, sink in flow.sinks().items() if isinstance(sink, Dataset)}
 
 
 def _written_to(scratch: Mapping[Node, Path], node: Node) -> Part:

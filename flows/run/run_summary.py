@@ -50,6 +50,5 @@ class Summary:
             lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
         for name, sink in self.sinks.items():
             error = f": {sink.error}" if sink.error else ""
-            where = f", to {sink.replay_destination}" if sink.replay_destination else ""
-            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{where}{error}")
+            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{error}")
         return "\n".join(lines)

@@ -3,12 +3,11 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
-from functools import partial
+from contextlib import suppress
 from math import inf
 from typing import Any, Final
 
-from flows.run.log_events import contained, exit_reason, reason_of, warn
+from flows.run.log_events import contained, reason_of, warn
 from operators.batch import Batch
 from operators.errors import EndpointError, OutputClosedError
 from operators.ports import BackOff, Sink, SinkStatus
@@ -113,7 +112,7 @@ class SinkQueue:
                 self.status.queued = len(self._waiting)
                 self._room.set()
                 await self._write(batch)
-            with self._contained():
+            with contained():
                 await self.sink.close()
         except asyncio.CancelledError:
             self._drop_waiting()
@@ -128,18 +127,12 @@ class SinkQueue:
             self.status.waiting, self.status.unstored = self.sink.waiting, 0
             self._room.set()
 
-    def _contained(self) -> AbstractContextManager[None]:
-        return contained(partial(EndpointError, self.sink.destination))
-
     def _take(self, batch: Batch) -> bool:
         """Return True if the sink took the batch at once; after an error, `write` tries again."""
         try:
             taken = self.sink.take(batch)
         except Exception as error:  # noqa: BLE001 - no error of a sink may stop the others
             self._failed(error)
-            return False
-        except SystemExit as error:
-            self._failed(EndpointError(self.sink.destination, exit_reason(error)))
             return False
         if taken:
             self._wrote(batch)
@@ -151,7 +144,7 @@ class SinkQueue:
         while True:
             self._write_start = loop.time()
             try:
-                with self._contained():
+                with contained():
                     await self.sink.write(batch)
             except asyncio.CancelledError:
                 self.status.dropped += len(batch)

@@ -4,7 +4,6 @@ import asyncio
 from collections import defaultdict
 from collections.abc import AsyncGenerator
 from dataclasses import asdict
-from functools import partial
 from math import inf
 from typing import Any, Final, cast
 
@@ -58,7 +57,7 @@ class SourceReader:
 
         Raises:
             OperatorError: if a batch does not have the type or shape that the source declares, or the source
-                raises one of `MISTAKES` or calls `sys.exit`.
+                raises one of `MISTAKES`.
             SlipflowError: if the source raises one other than EndpointError.
         """
         retry = BackOff()
@@ -66,7 +65,7 @@ class SourceReader:
             while True:
                 stream = self._source.batches(self._run.clock)
                 try:
-                    with contained(partial(OperatorError, self._run.flow, self.name)):
+                    with contained():
                         async for batch in stream:
                             if not self._checked(batch).time.size:
                                 continue

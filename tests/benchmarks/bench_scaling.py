@@ -118,7 +118,7 @@ class Forgetful(TestSink):
 
 async def carry_out(flow: Flow) -> Run:
     """Run a flow live."""
-    return await LiveRunner(flow, "scaling", signals=False).execute()
+    return await LiveRunner(flow, "scaling").execute()
 
 
 def live(touch: Touch, fingers: int = 1, rows: int = 1, sinks: int = 1) -> float:

@@ -17,6 +17,7 @@ import numpy as np
 from connectors import Mqtt
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
+from flows.run.supervision import signals_to
 from operators import SLIP, STATIC, Clock, Clocks, Faults, Operator, Slips, Source, Touch, Zero, Zeroed, s
 
 SITE, RIG = "chaos", "rig"
@@ -75,7 +76,9 @@ async def main(url: str, outbox: str) -> None:
     flow = Flow("chaos")
     zeroed = flow.source(Fingertip(), "touch") | Zero(515)
     (zeroed | Alternating()).to(ReportingMqtt(url, SITE, RIG, outbox=outbox))
-    await LiveRunner(flow, f"chaos-{time.time_ns()}").execute()
+    runner = LiveRunner(flow, f"chaos-{time.time_ns()}")
+    with signals_to(runner.stop):
+        await runner.execute()
 
 
 if __name__ == "__main__":

@@ -167,7 +167,7 @@ class World:
             if rig_run.session != LAST:
                 touch.to(dataset)
                 slips.to(dataset)
-        runner = self.runner = LiveRunner(flow, rig_run.session, signals=False)
+        runner = self.runner = LiveRunner(flow, rig_run.session)
         if self.healed and rig_run.session != LAST:  # stopped in the moment in which it started
             runner.stop()
         await runner.execute()

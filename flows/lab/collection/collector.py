@@ -18,7 +18,7 @@ from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_driver import Arm, StrokeDriver
 from flows.lab.collection.stroke_plan import Limits, PlannedPath, StrokeSeries
 from flows.run.live_runner import LiveRunner
-from flows.run.stop_signals import signal_handlers
+from flows.run.supervision import signal_handlers
 from operators import (
     Align,
     DeviceClock,
@@ -164,7 +164,7 @@ class Collector:
         self.driver.about = {**about, **series.describe()}
         flow = self._declare(series.surface.middle, monitor)
         # signals are handled by the collection, which stops the arm first
-        runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
+        runner = self._runner = LiveRunner(flow, name, clock=self.clock)
         self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
         driving = asyncio.create_task(self._drive(series, monitor))

@@ -20,13 +20,16 @@ from tests.connectors.web.reading import moved, scored
 TOKEN = "0123456789abcdef"  # noqa: S105 - of tests
 
 
-def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched) -> None:
+def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(
+    watched: Watched, monkeypatch: pytest.MonkeyPatch
+) -> None:
     tab, addresses = watched.tab, list[str]()
+    monkeypatch.setattr("flows.cli.live_view.announce_page", lambda _, url, *__, **___: addresses.append(url))
     flow = Flow("pressed")
     zeroed = flow.source(TestSource(Touch, shaking(60), fingers=(0,))) | Zero()
     (zeroed | Score(load_detector("psd")) | Debounce()).to(TestSink())
     with Served() as served:
-        add_page(flow, "127.0.0.1:0", opened=addresses.append)
+        add_page(flow, "127.0.0.1:0")
 
         async def begin() -> LiveRunner:
             return LiveRunner(flow, "session-7", clock=LoopClock())

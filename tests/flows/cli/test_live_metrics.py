@@ -3,6 +3,7 @@ from collections.abc import AsyncIterator
 from itertools import count
 
 import numpy as np
+import pytest
 from aiohttp import ClientSession
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -15,41 +16,29 @@ from flows.run.live_runner import LiveRunner
 from operators import Clock, Debounce, Scores, Slips, Source, Touch
 
 
-def slipping() -> Flow:
+def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are() -> None:
     flow = Flow("slipping")
-    scores = flow.source(TestSource(Scores, [Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))]))
-    (scores | Debounce()).to(TestSink())
-    return flow
-
-
-def test_the_metrics_take_slips_faults_scores_and_clocks() -> None:
-    flow = slipping()
-    add_metrics(flow, "0")
+    (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
+    add_metrics(flow, "9464")
     assert problems(flow) == []
-    [node] = [node for node in flow.nodes if isinstance(node.part, Metrics)]
+    [node] = [node for node, sink in flow.sinks().items() if isinstance(sink, Metrics)]
     assert [parent.gives for parent in node.inputs] == [Slips, Scores]
+    add_metrics(flow, "9464")
+    [problem] = problems(flow)
+    assert "metrics2: writes to http://127.0.0.1:9464, as does metrics" in str(problem)
 
 
-def test_a_flow_without_slips_has_metrics() -> None:
-    flow, heard = Flow("scored"), list[str]()
-    flow.source(TestSource(Scores, [Scores(np.arange(4), np.full(4, 0.1))])).to(TestSink())
-    add_metrics(flow, "0", heard.append)
+def test_a_flow_of_touch_alone_has_metrics(capsys: pytest.CaptureFixture[str]) -> None:
+    flow = Flow("raw")
+    flow.source(TestSource(Touch)).to(TestSink())
+    add_metrics(flow, "0")
     assert problems(flow) == []
 
     async def main() -> None:
         await LiveRunner(flow, "run1").execute()
 
     asyncio.run(main())
-    assert len(heard) == 1
-
-
-def test_two_metrics_at_one_address_are_an_error() -> None:
-    flow = Flow("scored")
-    flow.source(TestSource(Touch)).to(TestSink())
-    add_metrics(flow, "9464")
-    add_metrics(flow, "9464")
-    [problem] = problems(flow)
-    assert "metrics2: writes to http://127.0.0.1:9464, as does metrics" in str(problem)
+    assert capsys.readouterr().err.startswith("metrics: http://127.0.0.1:")
 
 
 class FailingOnce(Source[Scores]):
@@ -73,8 +62,7 @@ class FailingOnce(Source[Scores]):
 
 def test_a_live_run_serves_its_metrics() -> None:
     async def main() -> dict[str, float]:
-        flow, source, urls = Flow("slipping"), FailingOnce(), list[str]()
-        writes, again = count(), asyncio.Event()
+        flow, source, writes, again = Flow("slipping"), FailingOnce(), count(), asyncio.Event()
 
         async def hold() -> None:
             if next(writes):  # the second
@@ -83,10 +71,11 @@ def test_a_live_run_serves_its_metrics() -> None:
         scores = flow.source(source, "touch")
         scores.to(TestSink(before_write=hold))
         (scores | Debounce(consecutive=1)).to(TestSink())
-        add_metrics(flow, "0", urls.append)
+        add_metrics(flow, "0")
+        [metrics] = [sink for sink in flow.sinks().values() if isinstance(sink, Metrics)]
         running = asyncio.create_task(LiveRunner(flow, "run1").execute())
         await again.wait()
-        async with ClientSession() as session, session.get(urls[0]) as response:
+        async with ClientSession() as session, session.get(metrics.url) as response:
             text = await response.text()
         source.asked.set()
         await running

@@ -15,13 +15,13 @@ from typer.testing import CliRunner
 from flows.cli import __main__, main
 from tests.command import SLIPFLOW, slipflow
 
-ENTRIES = main.TABLE.entries
+SUMMARIES = main.TABLE.summaries
 
 
 def test_help_lists_every_command_in_panels_with_the_most_used_first() -> None:
     text = slipflow("--help").stdout
     shown = [line.split()[0] for line in text.splitlines() if line.startswith("  ")]
-    assert set(ENTRIES) <= set(shown)
+    assert set(SUMMARIES) <= set(shown)
     panels = ["Record and run:", "View:", "Train and evaluate:", "Robots:", "Data:"]
     assert [line for line in text.splitlines() if line in panels] == panels
     assert shown[shown.index("run") :][:4] == ["run", "demo", "check", "doctor"]
@@ -32,13 +32,13 @@ def test_version_prints_the_installed_version() -> None:
     assert (done.returncode, done.stdout) == (0, f"slipflow {version('slipflow')}\n")
 
 
-@pytest.mark.parametrize("name", ENTRIES)
+@pytest.mark.parametrize("name", SUMMARIES)
 def test_each_command_has_help_that_starts_as_in_the_list(name: str) -> None:
     shown = CliRunner().invoke(main.app, [name, "--help"], prog_name="slipflow")
     assert shown.exit_code == 0
     usage, text = shown.output.partition("\n\n")[::2]
     assert usage.split()[:3] == ["Usage:", "slipflow", name]
-    assert " ".join(text.split()).startswith(ENTRIES[name].help)
+    assert " ".join(text.split()).startswith(SUMMARIES[name])
 
 
 def test_help_imports_no_command() -> None:

@@ -25,16 +25,6 @@ def wrong() -> Flow:
 """
 
 
-def test_a_dataset_is_replayed_session_by_session(tiny: Path, tmp_path: Path) -> None:
-    done = slipflow("run", "record", "--replay", tiny, "--set", f"out={tmp_path}", "--jobs", "2")
-    assert done.returncode == 0, done.stderr
-    *lines, total = done.stdout.splitlines()
-    names = session_names(tiny)
-    assert [line.split(" -> ")[0].rpartition("/")[2] for line in lines] == names
-    assert total.startswith(f"{len(names)} recordings, ")
-    assert len(session_names(tmp_path)) == len(names)
-
-
 def test_each_replay_has_a_summary_and_a_failed_one_an_error(tiny: Path, tmp_path: Path) -> None:
     dataset = copytree(tiny, tmp_path / "dataset")
     first, second, third = [dataset / "sessions" / name for name in session_names(dataset)[:3]]

@@ -49,37 +49,6 @@ def test_a_trace_of_another_rate_is_refused_with_the_operator_that_converts_it(t
     assert "psd needs 100 Hz; the data has 100000 Hz: Resample(rate=100)" in done.stderr
 
 
-def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Path) -> None:
-    path = shaking(tmp_path, 120)
-    full = slipflow("run", "live", "--set", "detector=psd", "--replay", path)
-    paced = slipflow("run", "live", "--set", "detector=psd", "--replay", path, "--pace", "4")
-    events = [
-        [line.split("  p ")[0].strip() for line in done.stdout.splitlines() if "slip" in line]
-        for done in (full, paced)
-    ]
-    assert events[0] == events[1] != []
-
-
-@pytest.mark.parametrize(
-    ("rows", "message"),
-    [
-        (["0.00,1,2,3,4,5,6", "nan,1,2,3,4,5,6"], "line 3, column t"),
-        (["0.00,1,2,3,4,5,6", "0.01,1,2,3,inf,5,6"], "line 3, column s4"),
-        (["0.02,1,2,3,4,5,6", "0.01,1,2,3,4,5,6"], "line 3"),
-        (["0.00,1,2,3,4,5,six"], "line 2, column s6"),
-        ([], "has no rows"),
-    ],
-    ids=["nan", "infinity", "backwards", "text", "empty"],
-)
-def test_an_error_in_a_trace_is_one_line_with_its_position(
-    tmp_path: Path, rows: list[str], message: str
-) -> None:
-    path = trace(tmp_path, *rows)
-    line = error("run", "live", "--replay", path)
-    assert line.startswith(path)
-    assert message in line
-
-
 def test_other_invalid_input_is_a_one_line_error(tmp_path: Path) -> None:
     here = shaking(tmp_path)
     wrong = tmp_path / "wrong.csv"

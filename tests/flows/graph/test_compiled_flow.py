@@ -12,7 +12,6 @@ from flows.graph.testing import TestSink, TestSource
 from operators import (
     EVERY,
     Align,
-    Batch,
     BatchError,
     Debounce,
     DeviceClock,
@@ -106,18 +105,6 @@ def test_a_compiled_flow_lists_types_and_fingertips_of_each_sink() -> None:
     }
 
 
-def test_streams_given_together_reach_their_join_together() -> None:
-    flow = Flow("f")
-    zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
-    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
-    compiled = CompiledFlow(flow)
-    left, right = compiled.entries
-    hour = [k * 10 * ms for k in range(1000)]
-    [(_, joined)] = compiled.push({left: touch(*hour), right: motion(*hour)})
-    assert isinstance(joined, Sample)
-    assert joined.matched.all()
-
-
 def test_flush_passes_delayed_rows_through_the_following_operators() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Keep() | Debounce(consecutive=2)).to(TestSink())
@@ -134,14 +121,6 @@ def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
     compiled = CompiledFlow(flow)
     with pytest.raises(BatchError, match=r"source 'scores' yielded fingertip 3, but declares \(0,\)"):
         compiled.push({(compiled.entries[0][0], 3): scores(0.9, finger=3)})
-
-
-def test_nothing_in_gives_nothing_out() -> None:
-    flow = Flow("f")
-    flow.source(TestSource(Scores)).to(TestSink())
-    compiled = CompiledFlow(flow)
-    assert compiled.push({compiled.entries[0]: Scores.empty()}) == []
-    assert compiled.flush() == list[tuple[object, Batch]]()
 
 
 class Forgetful(Operator[Scores, Scores]):

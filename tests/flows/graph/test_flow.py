@@ -5,22 +5,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
-from operators import Align, Debounce, FlowError, Motion, Sample, Scores, Slips, Touch, Zero
-
-
-def test_a_stream_has_the_output_type_of_its_operator() -> None:
-    flow = Flow("f")
-    slips = flow.source(TestSource(Scores)) | Debounce()
-    assert slips.node.gives is Slips
-    assert slips.node.takes == (Scores,)
-
-
-def test_a_join_takes_its_pair_in_order() -> None:
-    flow = Flow("f")
-    touch, motion = flow.source(TestSource(Touch)) | Zero(), flow.source(TestSource(Motion))
-    joined = touch & motion | Align()
-    assert joined.node.gives is Sample
-    assert [node.gives for node in joined.node.inputs] == list(joined.node.takes)
+from operators import Align, Debounce, FlowError, Motion, Scores, Touch, Zero
 
 
 def test_sources_of_one_kind_get_names_of_their_own() -> None:

@@ -1,12 +1,9 @@
 import asyncio
 import time
 
-import numpy as np
-import pytest
-
-from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.testing import run_virtually
 from flows.run.clocks import EventClock, LoopClock
-from operators import EndpointError, Scores, ms, s
+from operators import s
 
 
 def test_virtual_sleep_takes_no_time_but_shows_on_the_clock() -> None:
@@ -35,13 +32,6 @@ def test_virtual_tasks_wake_in_the_order_of_their_times() -> None:
     assert woken == [1, 2, 3]
 
 
-def test_work_in_a_thread_is_waited_for() -> None:
-    async def main() -> int:
-        return await asyncio.to_thread(lambda: 42)
-
-    assert run_virtually(main()) == 42
-
-
 def test_a_paced_clock_runs_at_its_pace() -> None:
     async def main() -> tuple[float, int]:
         clock = LoopClock(start=0, pace=10)
@@ -59,25 +49,6 @@ def test_an_event_clock_never_waits_and_never_goes_back() -> None:
         return clock.now()
 
     assert asyncio.run(main()) == 9
-
-
-def test_a_test_source_yields_each_batch_at_its_time() -> None:
-    batches = [Scores(np.array([k * 10 * ms]), np.array([0.5])) for k in range(3)]
-
-    async def main() -> list[int]:
-        clock = LoopClock(start=0)
-        return [clock.now() async for _ in TestSource(Scores, batches, delay=5 * ms).batches(clock)]
-
-    assert run_virtually(main()) == [5 * ms, 15 * ms, 25 * ms]
-
-
-def test_a_test_sink_raises_the_given_failures() -> None:
-    sink = TestSink(failures=[EndpointError("x", "no")])
-    batch = Scores(np.array([0]), np.array([0.5]))
-    with pytest.raises(EndpointError):
-        asyncio.run(sink.write(batch))
-    asyncio.run(sink.write(batch))
-    assert sink.written == [batch]
 
 
 def test_calls_in_threads_take_no_virtual_time() -> None:

@@ -1,13 +1,15 @@
 """Live runs of scores that come every 10 ms, in virtual time."""
 
-from collections.abc import AsyncIterator
+import asyncio
+from collections.abc import AsyncIterator, Callable, Mapping
+from typing import Any
 
 import numpy as np
 
 from flows.graph import Flow
-from flows.graph.testing import TestSink, run_virtually
+from flows.graph.testing import TestSink, VirtualLoop, run_virtually
 from flows.run.live_runner import LiveRunner
-from operators import Clock, Run, Scores, Source, ms
+from operators import Clock, Run, Scores, Sink, Source, ms
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -16,11 +18,32 @@ def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
     return [Scores(np.array([k * 10 * ms]), np.array([probability])) for k in rows]
 
 
-def execute(flow: Flow, *, duration: int | None = None) -> Run:
-    """A whole run, in virtual time."""
+def flow_of(source: Source[Any], *sinks: Sink[Any]) -> Flow:
+    """A flow from one source to sinks."""
+    flow = Flow("f")
+    stream = flow.source(source)
+    for sink in sinks:
+        stream.to(sink)
+    return flow
+
+
+def execute(
+    flow: Flow,
+    *,
+    duration: int | None = None,
+    stops: tuple[float, ...] = (),
+    at: Mapping[float, Callable[[LiveRunner, VirtualLoop], object]] | None = None,
+) -> Run:
+    """A whole run, in virtual time, stopped at some times (s), and with calls `at` others."""
 
     async def main() -> Run:
-        return await LiveRunner(flow, "test", duration=duration).execute()
+        runner, loop = LiveRunner(flow, "test", duration=duration), asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        for time in stops:
+            loop.call_later(time, runner.stop)
+        for time, call in (at or {}).items():
+            loop.call_later(time, call, runner, loop)
+        return await runner.execute()
 
     return run_virtually(main())
 
@@ -33,12 +56,18 @@ def times(sink: TestSink) -> list[int]:
 class Endless(Source[Scores]):
     """A score every 10 ms, for ever."""
 
+    recorded: str | None = None
+
     def __init__(self) -> None:
         self.closed = False
 
     @property
     def kind(self) -> type[Scores]:
         return Scores
+
+    @property
+    def recording(self) -> str | None:
+        return self.recorded
 
     async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
         try:

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from flows.run.clocks import LoopClock
-from flows.run.diagnosis import clock_finding, diagnose, package_findings, python_finding
+from flows.run.diagnosis import clock_finding, diagnose, package_findings
 from operators import Clock, Finding, InputError, Scores, Source
 from operators.extras import install_command
 
@@ -64,11 +64,6 @@ async def test_a_missing_extra_is_the_only_finding(hide_packages: Callable[..., 
     hide_packages("pymodbus")
     found = (await diagnose({"device": device}, LoopClock()))["device"]
     assert found == [Finding("device", f"needs pymodbus: {install_command('gripper')}", "bad")]
-
-
-def test_python_versions_that_are_not_supported_are_noted() -> None:
-    states = [python_finding(version).state for version in ((3, 10), (3, 11), (3, 13), (3, 14))]
-    assert states == ["note", "good", "good", "note"]
 
 
 def test_missing_packages_are_noted_with_their_remedy(hide_packages: Callable[..., None]) -> None:

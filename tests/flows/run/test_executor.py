@@ -4,7 +4,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from io import FileIO
 from pathlib import Path
 from time import sleep
 
@@ -107,11 +106,6 @@ if __name__ == "__main__":
         parent.kill()
     while not ended(int(place.read_text())):
         sleep(0.01)
-
-
-def test_a_result_that_cannot_be_pickled_is_an_error() -> None:
-    with workers(2) as executor, pytest.raises(TypeError, match=r"cannot pickle .*FileIO"):
-        list(map_tasks(FileIO, [os.devnull] * 2, executor))
 
 
 def test_zero_jobs_and_jobs_on_a_cluster_are_refused() -> None:

@@ -1,7 +1,6 @@
 """A live rig and replays of it on one real broker, as subscribers of both see them."""
 
 import asyncio
-import dataclasses
 import json
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors import Consumer, Event, Mqtt
+from connectors import Consumer, Mqtt
 from connectors.mqtt.rig_names import outbox_path
 from flows.graph import Flow
 from flows.graph.testing import TestSource
@@ -20,7 +19,6 @@ from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, first_time, replayed
 from operators import Batch, Operator, Slips, Touch, ms, s
 from operators.batch import AnyBatch
-from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Run, Source
 from tests.connectors.mqtt.broker_process import Received, TestBroker
 from tests.waiting import PATIENCE
@@ -168,48 +166,6 @@ def test_a_replay_keeps_retained_messages_and_files_of_the_rig(
     asyncio.run(replay(declared(broker.url, given(), "other", named)))
     assert not named.exists()
     assert (tmp_path / "named-replay.outbox").exists()
-
-
-@BOTH
-def test_a_replay_is_named_in_its_info_and_its_events_are_of_the_recordings_time(
-    broker: TestBroker, replay: Way
-) -> None:
-    listener = broker.listen(f"{REPLAY}/#")
-    asyncio.run(replay(declared(broker.url, given())))
-    heard = listener.rest()
-    [info] = [json.loads(each.payload) for each in heard if each.topic == f"{REPLAY}/info"]
-    assert (info["recording"], info["session"]) == ("stroke-9", "again")
-    events = [Event.decode(each.payload.encode()) for each in heard if each.topic == f"{REPLAY}/0/event"]
-    assert [(each.rig, each.time) for each in events] == [
-        ("rig-replay", RECORDED + k * 10 * ms) for k in range(7)
-    ]
-    assert {each.latency for each in events} == {None}
-
-
-@BOTH
-def test_a_flow_whose_rig_is_called_a_replay_is_for_replays(broker: TestBroker, replay: Way) -> None:
-    listener = broker.listen("slip/#")
-    asyncio.run(replay(declared(broker.url, given(), "rig-replay")))
-    assert sessions(listener.rest(), REPLAY) == ["again"] * 7
-
-    async def live() -> None:
-        await LiveRunner(declared(broker.url, given(), "rig-replay"), "live").execute()
-
-    with pytest.raises(ParameterError, match="rig is 'rig-replay', must be a name that does not end in"):
-        asyncio.run(live())
-    assert not listener.rest()
-
-
-@BOTH
-def test_two_replays_of_a_rig_at_once_are_one_too_many(broker: TestBroker, run: Run, replay: Way) -> None:
-    async def main() -> None:
-        first = Mqtt(broker.url)
-        await first.open(dataclasses.replace(run, recording="stroke-8"))
-        with pytest.raises(EndpointError, match="two runs may not publish as one rig"):
-            await replay(declared(broker.url, given()))
-        await first.close()
-
-    asyncio.run(main())
 
 
 def test_a_consumer_of_all_rigs_is_given_no_old_event_and_one_of_the_replay_is(broker: TestBroker) -> None:

@@ -21,7 +21,6 @@ from operators.errors import FlowError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
 from storage import Session
 from storage.layout import session_folder, session_names
-from storage.parts import read_part
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.flows.run.recorder import Recorder
 
@@ -77,23 +76,6 @@ def source(target: str, **settings: str) -> FlowSource:
 
 def replay(felt: str, paths: list[Path], out: Path, **settings: str) -> list[Replayed]:
     return list(Replays(source(felt, out=str(out), **settings), paths).run())
-
-
-def test_each_file_of_a_short_session_is_read_once(
-    felt: str, four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    short = [path for path in four if path.name in {"05-seconds", "06-seconds"}]
-    stated = [Session.open(path).about["fingertips"] for path in short]
-    assert stated == [{}, {}]  # so they are measured
-    opened = list[Path]()
-
-    def counted(path: Path, *args: Any) -> Any:  # noqa: ANN401 - as `read_part`
-        opened.append(path)
-        return read_part(path, *args)
-
-    monkeypatch.setattr("storage.session.read_part", counted)
-    assert [each.error for each in replay(felt, short, tmp_path / "out")] == ["", ""]
-    assert opened == [path / "touch/part-000000.parquet" for path in short]
 
 
 def written(out: Path) -> list[tuple[str, dict[str, bytes]]]:
@@ -221,13 +203,6 @@ def test_recordings_are_published_in_order_as_one_rig_and_the_destination_is_log
     assert len({(each.epoch, each.seq) for each in events}) == len(events)  # each replay numbers its own
     assert [each.session for each in events] == sorted(each.session or "" for each in events)
     assert {each.session for each in events} == {path.name for path in four[:2]}
-
-
-def test_a_flow_that_cannot_be_built_is_reported_before_any_replay(felt: str, four: list[Path]) -> None:
-    with pytest.raises(
-        InputError, match=r"^felt: has no parameter 'speed'; it has out, broker, spoilt, least$"
-    ):
-        Replays(source(felt, speed="1"), four)
 
 
 def test_an_interrupted_replay_leaves_no_part_of_a_session(

@@ -5,7 +5,6 @@ import pytest
 
 from flows.run.run_summary import Summary
 from operators import Run
-from operators.batch import s
 from operators.ports import Gap, SinkStatus, SourceStatus
 
 
@@ -37,14 +36,6 @@ def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
     ]
 
 
-def test_the_summary_of_a_replay_names_another_destination(ended: Run) -> None:
-    ended.sinks["mqtt"] = SinkStatus(rows=7, replay_destination="mqtt://host/slip/v1/lab/mine-replay")
-    assert Summary.of(ended).report().splitlines()[2:] == [
-        "  dataset: 12 rows out, 0 dropped",
-        "  mqtt: 7 rows out, 0 dropped, to mqtt://host/slip/v1/lab/mine-replay",
-    ]
-
-
 def dropped(run: Run) -> None:
     run.sinks["dataset"].dropped = 1
 
@@ -63,4 +54,3 @@ def test_rows_that_were_dropped_and_ends_that_are_down_are_losses(
 ) -> None:
     spoil(ended)
     assert Summary.of(ended).lost
-    assert ended.clock.now() == 100 * s

@@ -1,0 +1,108 @@
+"""Signals, and messages to a service manager, received by a socket like systemd's."""
+
+import asyncio
+import os
+import signal
+import socket
+from collections.abc import AsyncIterator, Iterator
+from contextlib import suppress
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from flows.graph.testing import TestSink
+from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd, signal_handlers, signals_to
+from operators import Clock, EndpointError, Scores, Source, s
+from tests.flows.run.live import execute, flow_of, scores
+from tests.waiting import PATIENCE
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_each_signal_calls_stop_within_the_block_and_is_handled_as_before_after_it(
+    number: signal.Signals,
+) -> None:
+    before, called = signal.getsignal(number), asyncio.Semaphore(0)
+    with signals_to(called.release):
+        for _ in range(2):
+            os.kill(os.getpid(), number)
+            await called.acquire()
+    assert signal.getsignal(number) is before
+    assert not asyncio.get_running_loop().remove_signal_handler(number), "it is gone already"
+
+
+async def test_a_signal_that_was_ignored_before_is_ignored_again_after_the_block() -> None:
+    before = signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    try:
+        with signal_handlers({signal.SIGUSR1: asyncio.Event().set}):
+            pass
+        os.kill(os.getpid(), signal.SIGUSR1)  # would end this process
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+
+
+def test_signals_are_left_alone_in_another_thread() -> None:
+    async def run() -> None:
+        with signals_to(pytest.fail):
+            pass
+
+    before = signal.getsignal(signal.SIGTERM)
+    thread = Thread(target=asyncio.run, args=[run()])
+    thread.start()
+    thread.join()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+async def test_a_loop_that_sleeps_wakes_for_a_signal() -> None:
+    received = asyncio.Event()
+    with signal_handlers({signal.SIGUSR2: received.set}):
+        sending = Thread(target=signal.raise_signal, args=(signal.SIGUSR2,))
+        sending.start()
+        async with asyncio.timeout(PATIENCE):
+            await received.wait()
+        sending.join()
+
+
+@pytest.fixture
+def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    path = tmp_path / "notify"
+    monkeypatch.setenv("NOTIFY_SOCKET", str(path))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(path))
+        listener.setblocking(False)  # noqa: FBT003 - socket's signature
+        yield listener
+
+
+class Device(Source[Scores]):
+    """A source that hangs after one row, or fails."""
+
+    def __init__(self, *, fails: bool) -> None:
+        self.fails = fails
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        if self.fails:
+            raise EndpointError("device", "unplugged")
+        yield scores(0, 1)[0]
+        await clock.sleep_until(clock.now() + 3600 * s)
+
+
+@pytest.mark.parametrize(("fails", "fed"), [(True, 9), (False, 5)])  # of 9: silent from 5 s on
+def test_a_run_is_ready_and_stops_and_the_watchdog_starves_only_while_a_source_hangs(
+    manager: socket.socket, *, fails: bool, fed: int
+) -> None:
+    execute(flow_of(Device(fails=fails), TestSink()), duration=9 * s)
+    found = list[str]()
+    with suppress(BlockingIOError):
+        while True:
+            found.append(manager.recv(100).decode())
+    assert found == [READY, *[ALIVE] * fed, STOPPING]
+
+
+@pytest.mark.parametrize("address", ["", "relative", "/nobody/listens"])
+def test_a_missing_manager_is_no_error(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", address)
+    notify_systemd(READY)
