@@ -65,15 +65,6 @@ def test_the_operator_passes_the_conformance_suite(
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 
-@pytest.mark.parametrize("kept", ["batch.counts[-1:].copy()", "until.item(-1)"])
-def test_the_suite_notices_if_the_operator_forgets(
-    kept: str, made: Callable[..., dict[str, Any]], same: Callable[[Batch, Batch], None]
-) -> None:
-    forgets = made("active_rows.py", kept, "None" if "copy" in kept else "-1")
-    with pytest.raises(AssertionError):
-        test_conformance.test_cutting_the_input_anywhere_changes_nothing(case=case_of(forgets), same=same)
-
-
 def test_source_sink_and_detector_are_what_they_say(made: Callable[..., dict[str, Any]]) -> None:
     assert issubclass(made("lines.py")["LineTouch"], Source)
     assert issubclass(made("event_file.py")["EventFile"], Sink)

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar, Self
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -220,80 +221,39 @@ def test_the_consumer_prints_each_event(
     ]
 
 
-class Message:
-    """Stands for std_msgs/String and Bool."""
-
-    def __init__(self, *, data: object) -> None:
-        self.data = data
-
-
-class Publisher:
-    """Stands for a publisher of rclpy."""
-
-    def __init__(self) -> None:
-        self.published: list[Any] = []
-
-    def publish(self, message: Message) -> None:
-        self.published.append(message.data)
-
-
 class Node:
     """Stands for rclpy.node.Node, as far as the bridge uses it."""
 
     def __init__(self, name: str) -> None:
-        self.name, self.parameters, self.made = name, dict[str, Any](), dict[str, Publisher]()
+        self.name, self.parameters, self.made = name, dict[str, Any](), dict[str, list[Any]]()
         self.warnings = list[str]()
-
-    def destroy_node(self) -> None:
-        self.made.clear()
 
     def declare_parameter(self, name: str, default: object) -> None:
         self.parameters.setdefault(name, default)
 
-    def get_parameter(self, name: str) -> Any:  # noqa: ANN401 - what has a value
-        return type("Parameter", (), {"value": self.parameters[name]})
+    def get_parameter(self, name: str) -> SimpleNamespace:
+        return SimpleNamespace(value=self.parameters[name])
 
-    def get_logger(self) -> Any:  # noqa: ANN401 - what has a warning
-        return type("Logger", (), {"warning": self.warnings.append})
+    def get_logger(self) -> SimpleNamespace:
+        return SimpleNamespace(warning=self.warnings.append)
 
-    def create_publisher(self, kind: type, topic: str, qos: object) -> Publisher:
-        assert isinstance(kind, type)
-        assert re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", topic), (
-            "no name of a ROS topic"
-        )
+    def create_publisher(self, kind: type, topic: str, qos: object) -> SimpleNamespace:
+        assert re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", topic, re.ASCII), "no name of a ROS topic"
+        assert kind
         assert qos
         assert topic not in self.made
-        self.made[topic] = Publisher()
-        return self.made[topic]
-
-
-def anything(**settings: object) -> dict[str, object]:
-    return settings
+        self.made[topic] = published = list[Any]()
+        return SimpleNamespace(publish=lambda message: published.append(message.data))
 
 
 @pytest.fixture
-def ros(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Stand-ins for the modules of ROS 2 that the bridge imports; what was done to rclpy as a whole."""
-    done = list[str]()
-
-    def init(*, signal_handler_options: int) -> None:
-        done.append(f"init {signal_handler_options}")
-
-    kinds = type("String", (Message,), {}), type("Bool", (Message,), {})
-    durability = type("DurabilityPolicy", (), {"TRANSIENT_LOCAL": 1})
-    modules: dict[str, dict[str, object]] = {
-        "rclpy": {"init": init, "try_shutdown": lambda: done.append("shutdown")},
-        "rclpy.node": {"Node": Node},
-        "rclpy.qos": {"DurabilityPolicy": durability, "QoSProfile": anything},
-        "rclpy.signals": {"SignalHandlerOptions": type("SignalHandlerOptions", (), {"NO": 0})},
-        "std_msgs": {},
-        "std_msgs.msg": {"String": kinds[0], "Bool": kinds[1]},
-    }
-    for name, members in modules.items():
-        module = ModuleType(name)
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, name, module)
-    return done
+def ros(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stand-ins for the modules of ROS 2 that the bridge imports."""
+    for name in ("rclpy", "rclpy.qos", "rclpy.signals", "std_msgs"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    monkeypatch.setitem(sys.modules, "rclpy.node", SimpleNamespace(Node=Node))
+    messages = SimpleNamespace(String=SimpleNamespace, Bool=SimpleNamespace)
+    monkeypatch.setitem(sys.modules, "std_msgs.msg", messages)
 
 
 @pytest.mark.usefixtures("ros")
@@ -304,9 +264,9 @@ def test_the_bridge_publishes_each_event_to_ros(
     monkeypatch.setattr(module, "Consumer", Entered)
     bridge = vars(module)["SlipBridge"]()
     bridge.parameters |= {"broker": broker.url, "position_file": str(tmp_path / "position")}
-    events: list[str] = bridge.made["slip/events"].published
+    events: list[str] = bridge.made["slip/events"]
     follow(broker, run, bridge.follow, lambda: len(events) == 3)
     assert [Event.decode(each.encode()).state for each in events] == ["onset", "end", "onset"]
-    assert bridge.made["slip/lab/rig/finger_0"].published == [True, False]
-    assert bridge.made["slip/lab/rig/finger_2"].published == [True]
+    assert bridge.made["slip/lab/rig/finger_0"] == [True, False]
+    assert bridge.made["slip/lab/rig/finger_2"] == [True]
     assert not bridge.warnings

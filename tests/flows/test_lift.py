@@ -6,9 +6,7 @@ from connectors.sim.grasp import GraspState, least_force
 from connectors.sim.grasp_source import SimulatedGrasp
 from connectors.sim.objects import named
 from flows.graph import Flow
-from flows.graph.loading import load
 from flows.graph.testing import TestSink, run_virtually
-from flows.graph.validation import problems
 from flows.lift import declare_grip, grip_controller, lift
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
@@ -28,10 +26,6 @@ def _for(flow: Flow, seconds: int) -> Run:
 
 def _is_held(last: GraspState) -> bool:
     return not last.dropped and not last.on_table and last.hand - last.height < 0.02
-
-
-def test_the_ready_made_flow_is_valid() -> None:
-    assert problems(load("lift").flow()) == []
 
 
 def test_an_unknown_object_is_refused() -> None:

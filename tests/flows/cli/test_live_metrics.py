@@ -25,7 +25,7 @@ def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are
     assert [parent.gives for parent in node.inputs] == [Slips, Scores]
     add_metrics(flow, "9464")
     [problem] = problems(flow)
-    assert "metrics2: writes to http://127.0.0.1:9464, as does metrics" in str(problem)
+    assert "metrics2: writes to http://127.0.0.1:9464, as does Debounce -> metrics" in str(problem)
 
 
 def test_a_flow_of_touch_alone_has_metrics(capsys: pytest.CaptureFixture[str]) -> None:

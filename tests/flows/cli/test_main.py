@@ -55,12 +55,6 @@ def test_debug_shows_the_traceback() -> None:
     assert done.stderr.endswith("InputError: nowhere.py: there is no such file\n")
 
 
-def test_without_a_command_its_help_is_shown() -> None:
-    done = slipflow()
-    assert (done.returncode, done.stderr.splitlines()[0].split()[0]) == (2, "Usage:")
-    assert "error: " not in done.stderr
-
-
 def test_output_that_cannot_be_written_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run([*SLIPFLOW, "--version"], stdout=full, stderr=PIPE, text=True, check=False)

@@ -7,7 +7,6 @@ import subprocess
 from pathlib import Path
 from shutil import copytree
 from time import monotonic, sleep
-from typing import Any
 
 from storage.layout import session_names
 from tests.command import SLIPFLOW, slipflow
@@ -50,19 +49,6 @@ def test_what_a_flow_file_prints_is_printed_once(tiny: Path, tmp_path: Path) -> 
     assert done.stdout.splitlines()[-1].startswith("2 recordings, ")
 
 
-def test_json_has_the_same_form_for_one_recording_and_several(tiny: Path) -> None:
-    first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
-    found = list[dict[str, Any]]()
-    for paths in ([first], [first, second]):
-        done = slipflow("run", "live", "--set", "detector=psd", "--json", "--replay", *paths)
-        found.append(json.loads(done.stdout.splitlines()[-1]))
-        assert list(found[-1]) == ["sessions", "existing", "wall_seconds"]
-    assert {tuple(each) for one in found for each in one["sessions"]} == {tuple(found[0]["sessions"][0])}
-    one = found[0]["sessions"][0]
-    assert (one["recording"], one["error"]) == (str(first), None)
-    assert one["sources"]["touch"]["rows"] > 1000
-
-
 def test_output_is_printed_below_the_name_of_its_recording(tiny: Path) -> None:
     first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second)
@@ -83,13 +69,6 @@ def test_recording_into_the_replayed_dataset_is_an_error(tiny: Path, tmp_path: P
         assert done.returncode == 2
         assert "is in the dataset that the flow records into" in done.stderr
     assert session_names(dataset) == before
-
-
-def test_a_wrong_flow_is_reported_once(tiny: Path, tmp_path: Path) -> None:
-    (tmp_path / "wrong.py").write_text(WRONG)
-    done = slipflow("run", tmp_path / "wrong.py", "--replay", tiny)
-    assert done.returncode == 2
-    assert done.stderr.count("Debounce takes Scores") == 1
 
 
 def test_a_sink_of_one_process_refuses_jobs_and_clusters(tiny: Path, dask: str) -> None:

@@ -145,6 +145,9 @@ def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
         ("--replay . --cluster tcp://x:1 --jobs 2", "workers: jobs is 2, must be omitted with a cluster"),
         ("--set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
         ("--set =1", "--set : write it as NAME=VALUE"),
+        ("--listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
+        ("--metrics ::1:80", "--metrics ::1:80: write it as PORT or HOST:PORT"),
+        ("--listen 99999", "--listen 99999: write it as PORT or HOST:PORT"),
     ],
 )
 def test_incompatible_options_are_a_one_line_error(words: str, line: str) -> None:

@@ -13,10 +13,9 @@ from connectors.web.access import TOKEN
 from flows.cli.show import load, show
 from flows.demo import demo
 from flows.graph.testing import run_virtually
-from flows.record import record
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import InputError, ParameterError, s
+from operators import ParameterError, s
 from storage import Session
 from tests.command import SLIPFLOW, slipflow
 from tests.storage.made import write_pad
@@ -54,19 +53,6 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
     seen: dict[str, Any] = {**recorded.values_at(onset)}
     assert seen["rows"]["scores"]["0"]["v"][0] >= recorded.rule.threshold
-
-
-def test_a_session_without_recorded_slips_is_shown_with_detected_ones(tmp_path: Path) -> None:
-    async def main() -> None:
-        runner = LiveRunner(
-            record(out=str(tmp_path)), "test", clock=LoopClock(1_700_000_000 * s), duration=8 * s
-        )
-        await runner.execute()
-
-    run_virtually(main())
-    contents: dict[str, Any] = {**asyncio.run(load(Session.open(tmp_path), "psd")).curves.contents()}
-    assert "found by psd now" in contents["about"]
-    assert contents["events"]
 
 
 def test_the_command_serves_the_session_until_ctrl_c(session: Session) -> None:
@@ -127,13 +113,6 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_wit
     assert process.returncode == 0
 
 
-def test_without_a_detector_recorded_slips_are_shown(session: Session) -> None:
-    contents: dict[str, Any] = {**asyncio.run(load(session, "none")).curves.contents()}
-    assert not contents["scored"]
-    assert len(contents["events"]) == len(session.frame("slips")) > 0
-    assert contents["about"] == "Slip probability: none, as there is no detector. Slip events: recorded."
-
-
 def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:
     done = slipflow("show", tmp_path)
     assert done.returncode == 2
@@ -150,8 +129,3 @@ def test_an_invalid_token_is_an_error_before_anything_is_read(
         monkeypatch.setenv(TOKEN, token)
     with pytest.raises(ParameterError, match="Page: token"):
         show(tmp_path / "none", listen="0.0.0.0:0")  # not read: that would be another error
-
-
-def test_an_unknown_detector_is_an_error(session: Session) -> None:
-    with pytest.raises(InputError, match="oracle: is not a detector"):
-        asyncio.run(load(session, "oracle"))

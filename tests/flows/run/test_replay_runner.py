@@ -21,8 +21,6 @@ from operators import (
     Label,
     Labelled,
     Motion,
-    Run,
-    Scores,
     Touch,
     Zero,
     ms,
@@ -91,19 +89,6 @@ def test_a_paced_replay_equals_a_full_speed_replay() -> None:
     ]
     assert len(full.rows(Labelled, 0)) == 500
     assert identical(full.rows(Labelled, 0), live.rows(Labelled, 0))
-
-
-def test_a_recording_of_derived_streams_alone_is_replayed_at_its_pace() -> None:
-    start = 1_700_000_000 * s
-    held, flow, sink = Memory(Scores(start + np.array([0, 5]) * s, np.zeros(2))), Flow("f"), TestSink()
-    flow.source(TestSource(Scores)).to(sink)
-
-    async def paced() -> Run:
-        return await LiveRunner(replayed(flow, held), "paced", clock=LoopClock(first_time(held))).execute()
-
-    run = run_virtually(paced())
-    assert sink.rows(Scores).time.tolist() == [start, start + 5 * s]
-    assert run.clock.now() >= start + 5 * s
 
 
 @pytest.mark.parametrize("rows", [1, 7, 1000])
