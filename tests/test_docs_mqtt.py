@@ -239,7 +239,7 @@ class Node:
 
     def create_publisher(self, kind: type, topic: str, qos: object) -> SimpleNamespace:
         assert re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", topic, re.ASCII), "no name of a ROS topic"
-        assert kind
+        assert kind is SimpleNamespace
         assert qos
         assert topic not in self.made
         self.made[topic] = published = list[Any]()
