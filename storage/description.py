@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, cast
 
 from operators.batch import Batch, s
@@ -19,6 +20,10 @@ from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, Table
 from storage.lock import lock
 
 VERSION: Final = 2  # of the dataset format
+
+UNKNOWN: Final[Description] = MappingProxyType({})  # instead of a session.json that cannot be read
+
+_IDENTITY: Final = ("session", "start_ns")
 
 
 class VersionError(InputError):
@@ -168,6 +173,28 @@ def read_session(folder: Path) -> Description:
     if not _can_be_recovered(about):
         raise InputError(str(path), 'has an invalid entry "tables" or "recovered": restore a copy')
     return about
+
+
+def identity(about: Description) -> dict[str, object]:
+    """Return the entries by which other documents of a session name it; empty if session.json is unknown."""
+    return {key: about[key] for key in _IDENTITY if key in about}
+
+
+def check_identity(path: Path, content: Mapping[str, Any], about: Description) -> None:
+    """Check that a document belongs to the session; one of an older version does not name it.
+
+    Args:
+        path: The document, in messages.
+        content: Its content.
+        about: Content of session.json; empty: unknown.
+
+    Raises:
+        InputError: if it names another session.
+    """
+    named, own = identity(content), identity(about)
+    if named and own and named != own:
+        one, other = (f"{each.get('session')!r} of {each.get('start_ns')} ns" for each in (named, own))
+        raise InputError(str(path), f"belongs to session {one}, but {SESSION} to {other}: restore its own")
 
 
 def recorders(about: Description) -> tuple[str, ...]:

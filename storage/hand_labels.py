@@ -8,22 +8,26 @@ import os
 import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
-from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
+from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Flags, Times
 from operators.checks import check_between, check_choice
 from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
+from operators.ports import Description
 from storage import files
+from storage.description import check_identity, identity
 from storage.layout import FINGER_MAX, LABELS, files_of
 from storage.lock import lock
 
 FORMAT: Final = 1
 VALUES: Final = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
+
+SPANS_MAX: Final = 100_000  # of a session
 
 _FILE: Final = re.compile(r"[0-9]{6,12}\.json")
 _TIME_LIMIT: Final = 2**63  # ns
@@ -50,7 +54,8 @@ class LabelSpan:
             object.__setattr__(self, name, int(getattr(self, name)))  # of numpy, which is not JSON
         if not -_TIME_LIMIT <= self.begin < self.end < _TIME_LIMIT:
             raise ParameterError("hand labels", "end", self.end, f"after begin, {self.begin} ns")
-        check_between("hand labels", "finger", self.finger, EVERY, FINGER_MAX)
+        check_between("hand labels", "finger", self.finger, 0, FINGER_MAX)
+        check_between("hand labels", "created", self.created, 0, _TIME_LIMIT - 1)
         check_choice("hand labels", "value", self.value, VALUES)
 
 
@@ -86,11 +91,16 @@ def label_versions(folder: Path) -> dict[int, Path]:
     return dict(sorted((int(path.stem), path) for path in found))
 
 
-def read_hand_labels(folder: Path, version: int | None = None) -> HandLabels:
+def read_hand_labels(folder: Path, about: Description, version: int | None = None) -> HandLabels:
     """Return the newest hand labels of a session, or those of a version; version 0: none.
 
+    Args:
+        folder: Folder of the session.
+        about: Content of session.json; empty: unknown.
+        version: The version; None: the newest.
+
     Raises:
-        InputError: if there is no such version, or its file is damaged.
+        InputError: if there is no such version, or its file is damaged or belongs to another session.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     versions = label_versions(folder)
@@ -104,22 +114,26 @@ def read_hand_labels(folder: Path, version: int | None = None) -> HandLabels:
     content = files.read_checked(path, files.LIST_LIMIT)
     if content.get("format") != FORMAT or content.get("version") != number:
         raise InputError(str(path), f'must have "format": {FORMAT} and "version": {number}; restore a copy')
+    check_identity(path, content, about)
     try:
         return HandLabels(number, _ordered(_span(**each) for each in content["spans"]))
     except (KeyError, TypeError, ValueError, ParameterError) as error:
         raise InputError(str(path), f"has an invalid span: {error}; restore a copy") from error
 
 
-def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
+def write_hand_labels(
+    folder: Path, about: Description, spans: Iterable[LabelSpan], *, based_on: int
+) -> HandLabels:
     """Write all spans as the next version of the hand labels of a session; all other files stay.
 
     Args:
         folder: Folder of the session.
+        about: Content of session.json.
         spans: All spans of the new version.
         based_on: Version that they were derived from, 0 for none; it must be the newest.
 
     Raises:
-        ParameterError: if spans of a fingertip overlap.
+        ParameterError: if spans of a fingertip overlap, or there are more than 100,000.
         InputError: if another version was written since `based_on`.
         EndpointError: if the file cannot be written; nothing is changed then.
     """
@@ -133,7 +147,8 @@ def write_hand_labels(folder: Path, spans: Iterable[LabelSpan], *, based_on: int
             if newest != based_on:
                 reason = f"has version {newest} of hand labels, not {based_on}: load it and mark again"
                 raise InputError(str(folder), reason)
-            content = {"format": FORMAT, "version": newest + 1, "spans": [asdict(each) for each in ordered]}
+            content = {"format": FORMAT, "version": newest + 1, **identity(about)}
+            content["spans"] = [asdict(each) for each in ordered]
             files.put_checked(folder / label_file(newest + 1), content)
         finally:
             os.close(held)
@@ -150,9 +165,8 @@ def _span(**values: Any) -> LabelSpan:  # noqa: ANN401 - any JSON
         ParameterError: if a value is invalid.
     """
     span = LabelSpan(**values)
-    for name, value in asdict(span).items():
-        if type(values[name]) is not type(value):
-            raise TypeError(f"{name} must be {type(value).__name__}")
+    if wrong := [name for name, value in asdict(span).items() if type(values[name]) is not type(value)]:
+        raise TypeError(f"{wrong[0]} has the wrong type")
     return span
 
 
@@ -160,9 +174,11 @@ def _ordered(spans: Iterable[LabelSpan]) -> tuple[LabelSpan, ...]:
     """Return spans in order of fingertip and time.
 
     Raises:
-        ParameterError: if they overlap.
+        ParameterError: if they overlap, or are more than 100,000.
     """
-    ordered = tuple(sorted(spans, key=lambda span: (span.finger, span.begin)))
+    ordered = tuple(sorted(islice(spans, SPANS_MAX + 1), key=lambda span: (span.finger, span.begin)))
+    if len(ordered) > SPANS_MAX:
+        raise ParameterError("hand labels", "number of spans", len(ordered), f"at most {SPANS_MAX:,}")
     for one, other in pairwise(ordered):
         if one.finger == other.finger and other.begin < one.end:
             must_be = f"at least {one.end} ns, the end of the span before"

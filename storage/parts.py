@@ -13,8 +13,10 @@ from typing import Any, Final, cast
 
 from operators.batch import s
 from operators.errors import EndpointError, InputError
+from operators.ports import Description
 from storage import files
 from storage.arrow import pa, pq
+from storage.description import UNKNOWN, check_identity, identity
 from storage.layout import MANIFEST, TABLES, Table, is_table_file, may_exist, table_files
 from storage.schema import fields_of, fitted, flat
 
@@ -60,24 +62,31 @@ class Part:
         return f"{self.rows:,} rows, {(self.last - self.first) / s:.1f} s"
 
 
-def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.put) -> None:
-    """Replace the manifest of a session: its parts, and a sha256 of the list.
+def write_manifest(
+    folder: Path, parts: Iterable[Part], put: files.Put = files.put, about: Description = UNKNOWN
+) -> None:
+    """Replace the manifest of a session: its parts, a sha256 of the list, and the session in session.json.
 
     Raises:
         OSError: if it cannot be written; the old or the new manifest remains.
     """
     lines = ",\n".join(part.line for part in parts)
-    text = f'{{"version": {MANIFEST_VERSION}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
+    head = json.dumps({"version": MANIFEST_VERSION, **identity(about)}).removesuffix("}")
+    text = f'{head}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
     put(folder / MANIFEST, text.encode())
 
 
-def read_manifest(folder: Path) -> dict[str, Part]:
+def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]:
     """Return the parts in the manifest of a session by path.
 
     A recorder that was killed before it wrote the manifest has left no parts; then there are none.
 
+    Args:
+        folder: Folder of the session.
+        about: Content of session.json; empty: unknown.
+
     Raises:
-        InputError: if the manifest is missing or damaged.
+        InputError: if the manifest is missing or damaged, or belongs to another session.
     """
     path = folder / MANIFEST
     if not may_exist(path) and not any(table_files(folder, table) for table in TABLES):
@@ -85,6 +94,7 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     content = files.read_json(path, files.LIST_LIMIT)
     if content.get("version") != MANIFEST_VERSION or not isinstance(content.get("parts"), list):
         raise InputError(str(path), f'must have "version": {MANIFEST_VERSION} and a list "parts"; {_FIX}')
+    check_identity(path, content, about)
     parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
     listed = {part.path: part for part in parts}
     if len(listed) < len(parts):
@@ -92,6 +102,16 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     if content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
         raise InputError(str(path), f"is damaged: its sha256 differs from that of its parts; {_FIX}")
     return listed
+
+
+def names_session(folder: Path) -> bool:
+    """Return true if the manifest of a session names it; older versions wrote none that does.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    path = folder / MANIFEST
+    return may_exist(path) and bool(identity(files.read_json(path, files.LIST_LIMIT)))
 
 
 def write_part(folder: Path, path: str, rows: pa.Table, put: files.Put = files.put) -> Part:

@@ -122,7 +122,7 @@ class Repair:
         self._folder, self._about, self._session = folder, about, str(about["session"])
         self.lost, self.cut, self.done = list[str](), list[str](), list[str]()  # as in `Recovery`
         self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
-        self._listed = listed = read_manifest(folder)
+        self._listed = listed = read_manifest(folder, about)
         self._parts = {table.name: [listed[path] for path in _sorted(table, listed)] for table in TABLES}
         self._strays = [path for table in TABLES for path in table_files(folder, table) if path not in listed]
         self._logs, single = segments(folder), single_log(folder)
@@ -158,7 +158,7 @@ class Repair:
         self._describe(result)
         parts = self._all_parts()
         if set(parts) != set(self._listed.values()) or not may_exist(self._folder / MANIFEST):
-            write_manifest(self._folder, parts)
+            write_manifest(self._folder, parts, about=self._about)
         return replace(result, done=(*result.done, *self._clean_up()))
 
     def _all_parts(self) -> list[Part]:

@@ -103,7 +103,8 @@ class Session:
         check_links(folder)
         if may_exist(folder / JOURNAL):
             _recover(folder)
-        return cls(folder, read_session(folder), read_manifest(folder))
+        about = read_session(folder)
+        return cls(folder, about, read_manifest(folder, about))
 
     @property
     def name(self) -> str:
@@ -193,7 +194,7 @@ class Session:
         Raises:
             SlipflowError: as `read_hand_labels`.
         """
-        return read_hand_labels(self.folder, version)
+        return read_hand_labels(self.folder, self.about, version)
 
     def write_hand_labels(self, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
         """Write all spans as the next version of the hand labels, as `write_hand_labels`.
@@ -201,7 +202,7 @@ class Session:
         Raises:
             SlipflowError: as `write_hand_labels`.
         """
-        return write_hand_labels(self.folder, spans, based_on=based_on)
+        return write_hand_labels(self.folder, self.about, spans, based_on=based_on)
 
     def describe(self) -> Description:
         """Return the content of session.json."""

@@ -1,15 +1,18 @@
 """Verification of a dataset: every file against the manifests, every page against its checksum."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
+from operators.batch import Touch
 from operators.errors import InputError
 from operators.ports import Description
 from storage import files, schema
 from storage.description import VersionError, read_dataset, read_session, recorders
-from storage.hand_labels import label_file, label_versions, read_hand_labels
+from storage.hand_labels import HandLabels, label_file, label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
     JOURNAL,
@@ -24,7 +27,7 @@ from storage.layout import (
     session_folders,
 )
 from storage.lock import locked
-from storage.parts import Part, read_manifest, read_part
+from storage.parts import Part, names_session, read_manifest, read_part
 from storage.recovery import Repair, scratch_files
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
@@ -94,8 +97,8 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         except InputError as error:
             findings.append(SessionFinding("", "lost", str(error)))
         if not folders:
-            text = "has no session: none was recorded, or they are missing"
-            findings.append(SessionFinding("", "lossy", text))
+            text = "has no session: none was recorded, or all were deleted"
+            findings.append(SessionFinding("", "note", text))
     checks = [_SessionCheck(root, folder) for folder in folders]
     done, total = 0, sum(len(check.listed) for check in checks)
     for check in checks:
@@ -111,28 +114,28 @@ class _SessionCheck:
 
     Attributes:
         folder: Folder of the session.
-        name: Name of the session.
+        name: Name of the folder.
         findings: Findings so far.
         read: Rows of each file that could be read so far.
         listed: Parts in the manifest, by path.
+        about: Content of session.json; empty if it cannot be read.
     """
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.folder, self.name = folder, (folder.resolve() if folder == root else folder).name
-        self.findings: list[SessionFinding] = []
-        self.read: list[int] = []
-        self.recording = False
-        self.listed: dict[str, Part] = {}
-        self.about: Description = {}  # session.json, if it can be read
+        self.findings, self.read = list[SessionFinding](), list[int]()
+        self.about: Description = {}
+        self.listed: Mapping[str, Part] = {}
+        self._spans = dict[int, tuple[int, int]]()  # first and last time (ns) of the rows of a fingertip
         self._has_links = self._has_manifest = True
-        try:
+        with self._losing():
             check_links(folder)
             self._has_links, self._has_manifest = False, False
-            self.recording = locked(folder)
-            self.listed = read_manifest(folder)
+            self._recording = locked(folder)
+            with self._losing():
+                self.about = read_session(folder) if may_exist(folder / SESSION) else {}
+            self.listed = read_manifest(folder, self.about)
             self._has_manifest = True
-        except InputError as error:
-            self._add("lost", str(error))
 
     def run(self) -> Iterator[None]:
         """Check the session; yield after each file."""
@@ -154,30 +157,43 @@ class _SessionCheck:
             except InputError as error:
                 self._add("lost", f"{error}; it had {part.extent}")
             yield
-        self._check_hand_labels()
+        with self._losing():
+            self._check_hand_labels()
         self._check_rest()
 
     def _add(self, weight: Weight, text: str) -> None:
         self.findings.append(SessionFinding(self.name, weight, text))
 
-    def _check_description(self) -> None:
-        if self.recording:
-            self._add("note", "is being recorded: checked up to its last commit")
-            return
-        if not may_exist(self.folder / SESSION):
-            self._add("lost", f"its {SESSION} is missing; its readable rows are counted")
-            return
+    @contextmanager
+    def _losing(self) -> Generator[None]:
+        """Add an InputError as a loss; data of another version is not lost and ends the check."""
         try:
-            about = self.about = read_session(self.folder)
-            self._check_ending(about)
-            self._check_streams(about)
-        except VersionError:  # nothing is lost
+            yield
+        except VersionError:
             raise
         except InputError as error:
             self._add("lost", str(error))
-        except (AttributeError, LookupError, TypeError) as error:
-            self.about = {}
-            self._add("lost", f"{self.folder / SESSION}: has invalid content: {error!r}")
+
+    def _check_description(self) -> None:
+        if self._recording:
+            self._add("note", "is being recorded: checked up to its last commit")
+        elif not may_exist(self.folder / SESSION):
+            self._add("lost", f"its {SESSION} is missing; its readable rows are counted")
+        elif self.about:
+            try:
+                self._check_name(str(self.about["session"]))
+                self._check_ending(self.about)
+                self._check_streams(self.about)
+            except (AttributeError, LookupError, TypeError) as error:
+                self.about = {}
+                self._add("lost", f"{self.folder / SESSION}: has invalid content: {error!r}")
+
+    def _check_name(self, session: str) -> None:
+        if session != self.name and self._has_manifest and names_session(self.folder):
+            self._add("note", f"the recording is named {session!r}: its folder was renamed or copied")
+        elif session != self.name:
+            fix = "restore its own, unless the folder was renamed"
+            self._add("lossy", f"its {SESSION} is that of session {session!r}: {fix}")
 
     def _check_ending(self, about: Description) -> None:
         recovered = cast("dict[str, Any] | None", about.get("recovered"))
@@ -222,32 +238,38 @@ class _SessionCheck:
         rows = read_part(self.folder / path, schema.schema(table), part.sha256)
         if Part.of(path, rows, part.sha256) != part:
             raise InputError(str(self.folder / path), "has other rows or times than in the manifest")
-        if table is SAMPLES:
+        if issubclass(table.kind, Touch):
             for finger, batch in schema.from_arrow(table, table.kind, rows).items():
-                if (batch.time[1:] < batch.time[:-1]).any():
+                first, last = int(batch.time.min()), int(batch.time.max())
+                known = self._spans.get(finger, (first, last))
+                self._spans[finger] = min(known[0], first), max(known[1], last)
+                if table is SAMPLES and (batch.time[1:] < batch.time[:-1]).any():
                     self._add("lossy", f"{path}: rows of finger {finger} are not in order of time")
         return len(rows)
 
     def _check_hand_labels(self) -> None:
-        """Read every version of the hand labels; versions are numbered from 1 without a gap."""
-        try:
-            versions = label_versions(self.folder)
-        except InputError as error:
-            self._add("lost", str(error))
-            return
-        for number in set(range(1, len(versions) + 1)) - versions.keys():
-            self._add("lost", f"{label_file(number)}: is missing, with its labels")
+        """Read all versions of the hand labels, numbered from 1, and compare the newest with the rows."""
+        versions = label_versions(self.folder)
+        missing = max(versions, default=0) - len(versions)
+        if missing:
+            number = next(each for each in count(1) if each not in versions)
+            more = f", and {missing - 1} others" if missing > 1 else ""
+            self._add("lost", f"{label_file(number)}: is missing, with its labels{more}")
+        labels = HandLabels()
         for number in versions:
-            try:
-                read_hand_labels(self.folder, number)
-            except InputError as error:
-                self._add("lost", str(error))
+            with self._losing():
+                labels = read_hand_labels(self.folder, self.about, number)
+        for span in labels.spans if self.read and not self._recording else ():
+            first, last = self._spans.get(span.finger, (0, -1))
+            if span.end <= first or span.begin > last:
+                where = f"finger {span.finger}, {span.begin} to {span.end} ns"
+                self._add("lossy", f"{label_file(labels.version)}: labels no row of the session: {where}")
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""
         if may_exist(self.folder / DAMAGED):
             self._add("repaired", f"has a folder {DAMAGED!r}, with files that a recovery moved there")
-        if self.recording:
+        if self._recording:
             return
         if may_exist(self.folder / JOURNAL):
             self._add("repairable", "has a journal: slipflow verify --repair turns it into parts")
@@ -255,15 +277,12 @@ class _SessionCheck:
             self._add("repairable", f"has no {MANIFEST} and no part: slipflow verify --repair writes it")
         if not self._has_manifest:  # reported already
             return
-        try:
+        with self._losing():
             repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
-        except InputError as error:
-            self._add("lost", str(error))
-            return
-        for text in repair.lost:
-            self._add("lossy" if text in repair.cut else "lost", text)
-        for text in repair.done:
-            self._add("repairable", f"{text}: slipflow verify --repair repairs this")
+            for text in repair.lost:
+                self._add("lossy" if text in repair.cut else "lost", text)
+            for text in repair.done:
+                self._add("repairable", f"{text}: slipflow verify --repair repairs this")
         self._check_names()
 
     def _check_names(self) -> None:

@@ -11,7 +11,7 @@ from shutil import rmtree
 
 from operators.batch import EVERY, Batch
 from operators.errors import EndpointError, ParameterError, os_error_reason
-from operators.ports import Run
+from operators.ports import Description, Run
 from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
@@ -77,7 +77,7 @@ class SessionWriter:
             try:
                 held = lock(self.folder)
                 self._describe()
-                write_manifest(self.folder, self._parts, self._put)
+                self._write_manifest()
                 if run.live:
                     self._journal = Journal(self.folder, run.session)
             except BaseException:
@@ -248,6 +248,10 @@ class SessionWriter:
             put=files.put if ended else self._put,
         )
 
+    def _write_manifest(self) -> None:
+        about: Description = {"session": self._run.session, "start_ns": self._run.start}
+        write_manifest(self.folder, self._parts, self._put, about)
+
     def _sync_replay(self) -> None:
         """Make the files of a replay durable.
 
@@ -279,7 +283,7 @@ class SessionWriter:
             if buffer := self._committing.get(table.name):
                 self._commit_rows(table, buffer)
                 del self._committing[table.name]
-        write_manifest(self.folder, self._parts, self._put)
+        self._write_manifest()
         if self._journal and self._restart:
             single = [each for each in self._buffers.values() if not TABLE_OF[each.kind].parted]
             self._journal.restart(rows for buffer in single for rows in buffer.numbered())

@@ -1,11 +1,23 @@
 """Entry point of `slipflow`, also as `python -m flows.cli`."""
 
 import os
+import resource
 import signal
+import sys
+from typing import Final
+
+_ADDRESS_SPACE_MIN: Final = 300_000_000  # bytes; with less, libraries abort instead of raising errors
 
 
 def main() -> None:
     """Import the command line and run it; Ctrl-C during the import ends the process with exit code 130."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit != resource.RLIM_INFINITY:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # each thread of numpy's library reserves memory
+        if limit < _ADDRESS_SPACE_MIN:
+            size = f"its address space is limited to {limit // 10**6} MB: raise the limit (ulimit -v)"
+            sys.stderr.write(f"error: there is not enough memory: {size}\n")
+            sys.exit(2)
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as a script's `slipflow ... &` inherits it
     if not ignored:
         signal.signal(signal.SIGINT, _end)

@@ -5,6 +5,7 @@ import os
 import sys
 import traceback
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Final, NoReturn
 
 import typer
@@ -46,6 +47,7 @@ app = command_group(
     "Detect slip from barometric fingertips: run flows, record datasets, train detectors.", TABLE
 )
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
+_NO_MEMORY: Final = ("failed to map segment", "cannot allocate memory", "can't start new thread")
 _debug = False
 
 
@@ -67,6 +69,12 @@ def _options(
 ) -> None:
     global _debug  # noqa: PLW0603 - main() reports errors after the command has returned
     _debug = debug
+    try:
+        Path.cwd()
+    except OSError:
+        from operators.errors import InputError
+
+        raise InputError("the current folder", "was deleted or may not be read: change to another") from None
 
 
 def main() -> NoReturn:
@@ -92,6 +100,8 @@ def main() -> NoReturn:
 
 def explanation(error: Exception) -> tuple[int, str]:
     """Return the exit code and the line that explain an error to the user; 0 for an error in slipflow."""
+    if _lacks_memory(error):  # before any import
+        return 2, "error: there is not enough memory"
     from operators.errors import OutputClosedError, SlipflowError, os_error_reason
 
     if isinstance(error, typer.Abort) or _interrupted(error):
@@ -101,11 +111,18 @@ def explanation(error: Exception) -> tuple[int, str]:
     if isinstance(error, BrokenPipeError | OutputClosedError):  # `slipflow ... | head`
         return 1, ""
     if isinstance(error, SlipflowError) or (type(error) is RuntimeError and "Symlink loop" in str(error)):
-        return 2, f"error: {error}"
-    if isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
-        return 2, f"error: {error.filename or 'standard output'}: {os_error_reason(error)}"
-    text = "there is not enough memory" if isinstance(error, MemoryError) else _missing_package(error)
+        text = str(error)
+    elif isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
+        text = f"{error.filename or 'standard output'}: {os_error_reason(error)}"
+    else:
+        text = _missing_package(error)
     return (2, f"error: {text}") if text else (0, "")
+
+
+def _lacks_memory(error: Exception) -> bool:
+    """Return true for an error that a lack of memory has caused, also in an import or by a new thread."""
+    text = f"{error} {error.__cause__}".lower()
+    return isinstance(error, MemoryError) or any(each in text for each in _NO_MEMORY)
 
 
 def _missing_package(error: Exception) -> str:

@@ -1,6 +1,8 @@
 """Labels by hand: numbered versions that are never changed."""
 
+from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ SPANS = (
 
 @pytest.fixture
 def session(tmp_path: Path) -> Session:
-    return record(tmp_path, [new_samples(range(0, 100, 10))])
+    return record(tmp_path, [new_samples(range(0, 100, 10), finger) for finger in (0, 1)])
 
 
 def streams(session: Session) -> dict[str, bytes]:
@@ -63,11 +65,12 @@ def test_a_span_replaces_the_labels_of_its_samples_only() -> None:
     [
         ((20, 20, 0, "slip"), "end is 20, must be after begin"),
         ((0, 2**63, 0, "slip"), "end is"),
-        ((0, 1, -2, "slip"), "finger is -2"),
+        ((0, 1, -1, "slip"), "finger is -1"),
+        ((0, 1, 0, "slip", "", "", -1), "created is -1"),
         ((0, 1, 0, "sliding"), "value is 'sliding', must be one of slip, static, unknown"),
     ],
 )
-def test_an_invalid_span_is_an_error(values: tuple[int, int, int, str], message: str) -> None:
+def test_an_invalid_span_is_an_error(values: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         LabelSpan(*values)
 
@@ -75,6 +78,9 @@ def test_an_invalid_span_is_an_error(values: tuple[int, int, int, str], message:
 def test_overlapping_spans_are_an_error_and_write_nothing(session: Session) -> None:
     with pytest.raises(ParameterError, match="begin is 20, must be at least 30 ns"):
         session.write_hand_labels([LabelSpan(0, 30, 0, "slip"), LabelSpan(20, 40, 0, "static")], based_on=0)
+    many = (LabelSpan(number, number + 1, 0, "slip") for number in count())
+    with pytest.raises(ParameterError, match="number of spans is 100001, must be at most 100,000"):
+        session.write_hand_labels(many, based_on=0)
     assert not (session.folder / "labels").exists()
 
 
@@ -99,7 +105,7 @@ def test_a_file_edited_by_hand_is_checked(session: Session) -> None:
     damage(session, f',\n  "check": "{check}"'.encode(), b"")
     assert session.hand_labels().version == 1
     damage(session, b'"begin": 30', b'"begin": 3.5')
-    with pytest.raises(InputError, match="has an invalid span: begin must be int"):
+    with pytest.raises(InputError, match="has an invalid span: begin has the wrong type"):
         session.hand_labels()
 
 

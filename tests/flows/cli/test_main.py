@@ -2,9 +2,11 @@
 
 import ast
 import os
+import resource
 import signal
 import subprocess
 import sys
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from subprocess import PIPE
@@ -14,6 +16,7 @@ from typer.testing import CliRunner
 
 from flows.cli import __main__, main
 from tests.command import SLIPFLOW, slipflow
+from tests.storage.made import new_run, side_by_side, write
 
 SUMMARIES = main.TABLE.summaries
 
@@ -114,6 +117,39 @@ main()
     assert (done.returncode, done.stdout, done.stderr) == (code, output, "")
 
 
+@pytest.mark.parametrize("limit", [100, 250, 310, 420])  # MB
+def test_a_lack_of_memory_is_one_line_whatever_library_meets_it(tmp_path: Path, limit: int) -> None:
+    write(tmp_path, new_run(), side_by_side(5)).close()
+    done = subprocess.run(
+        [*SLIPFLOW, "verify", str(tmp_path)],
+        preexec_fn=partial(resource.setrlimit, resource.RLIMIT_AS, (limit * 10**6, limit * 10**6)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode in ({2} if limit < 300 else {0, 2}), done.stderr
+    if done.returncode:
+        [line] = done.stderr.splitlines()
+        assert line.startswith("error: ")
+        assert "there is not enough memory" in line
+
+
+@pytest.mark.parametrize("command", [("verify", "recordings"), ("check", "record"), ("run", "demo")])
+def test_a_command_in_a_deleted_folder_is_one_line(tmp_path: Path, command: tuple[str, ...]) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    done = subprocess.run(
+        ["sh", "-c", 'rmdir "$PWD" && exec "$@"', "sh", *SLIPFLOW, *command],
+        cwd=gone,
+        env=os.environ | {"PYTHONPATH": str(Path(main.__file__).parents[2])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    expected = "error: the current folder: was deleted or may not be read: change to another\n"
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", expected)
+
+
 def hiding(cause: BaseException) -> Exception:
     """Return an ImportError that hides another error, as extension modules raise it."""
     error = ImportError("initialization failed")
@@ -125,7 +161,9 @@ def test_an_error_is_explained_unless_it_is_one_of_slipflow(tmp_path: Path) -> N
     assert main.explanation(hiding(KeyboardInterrupt())) == (130, "")
     assert main.explanation(hiding(ValueError())) == (0, "")
     assert main.explanation(RuntimeError("broken")) == (0, "")
-    assert main.explanation(MemoryError()) == (2, "error: there is not enough memory")
+    lacking = [MemoryError(), OSError(12, "Cannot allocate memory"), RuntimeError("can't start new thread")]
+    for error in (*lacking, ImportError("libarrow.so.2600: failed to map segment from shared object")):
+        assert main.explanation(error) == (2, "error: there is not enough memory")
     code, text = main.explanation(ModuleNotFoundError("No module named 'numba'", name="numba.core"))
     assert (code, text) == (2, f"error: numba is not installed: {sys.executable} -m pip install numba")
     assert main.explanation(ModuleNotFoundError("No module named 'mine'", name="mine")) == (0, "")
