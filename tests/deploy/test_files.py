@@ -134,6 +134,14 @@ def test_containers_are_locked_down_and_mount_only_shipped_files_and_secrets() -
     }
 
 
+def test_images_of_others_are_pinned_by_digest() -> None:
+    shipped = (DEPLOY / "Dockerfile").read_text() + (DEPLOY / "compose.yaml").read_text()
+    images = re.findall(r"^(?:FROM| +image:) (\S+)", shipped, re.MULTILINE)
+    assert [each for each in images if not re.search(r":\d[\w.-]+@sha256:[0-9a-f]{64}$", each)] == [
+        "slipflow:0.1.0"
+    ]
+
+
 def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
     assert run(Path(sys.executable).with_name("hadolint"), "-t", "style", DEPLOY / "Dockerfile") == (0, "")
 

@@ -24,6 +24,7 @@ from operators.ports import ClockStep, Run, SinkStatus, SourceStatus
 from tests.deploy.shipped import DEPLOY
 
 RULES = DEPLOY / "prometheus" / "alerts.yml"
+SCRAPES = DEPLOY / "prometheus" / "prometheus.yml"
 DASHBOARD = (DEPLOY / "grafana" / "slipflow.json").read_text()
 
 
@@ -81,9 +82,18 @@ def promtool(*words: str | Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_promtool_accepts_the_rules_and_the_scrape_configuration() -> None:
-    promtool("check", "rules", RULES)
-    promtool("check", "config", "--syntax-only", RULES.with_name("prometheus.yml"))
+def test_promtool_loads_the_configuration_as_shipped() -> None:
+    promtool("check", "config", SCRAPES)  # with the rules and the file of the token
+
+
+def test_prometheus_scrapes_the_port_that_compose_publishes_and_systemd_serves() -> None:
+    parser: Any = YAML(typ="safe")
+    [job] = parser.load(SCRAPES)["scrape_configs"]
+    [target] = [target for each in job["static_configs"] for target in each["targets"]]
+    ports = parser.load(DEPLOY / "compose.yaml")["services"]["recorder"]["ports"]
+    assert [each.rpartition(":")[0] for each in ports] == [target]
+    assert f"--metrics {target.rpartition(':')[2]}" in (DEPLOY / "systemd" / "slipflow.service").read_text()
+    assert (SCRAPES.parent / job["authorization"]["credentials_file"]).read_text() == ""
 
 
 def test_events_that_wait_and_late_rows_of_frequent_sources_raise_alerts(tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ async def test_metrics_are_served_to_this_machine_only_and_only_during_the_run(r
     assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
     assert heard == [metrics.url]
     assert read(text)[key("source_rows_total", source="touch")] == 5
+    assert (await asked(metrics.url, Authorization="Bearer"))[0] == 200  # of Prometheus with an empty token
     assert (await asked(metrics.url, Host="evil.example"))[0] == 421
     assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
     await metrics.close()
