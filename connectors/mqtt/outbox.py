@@ -30,13 +30,13 @@ class Outbox:
 
     Two independent states of an event::
 
-        append --> unwritten --write--> unsynced --fsync--> stored
+        append --> unwritten --write--> written --fsync--> durable
                        ^                   |
                        +--- fsync fails ---+
 
         append --> held --written, or no write within 1 s--> unsent --broker acknowledges--> sent
 
-    Unwritten and unsynced events are in memory. Events are sent after they are written, so that they survive
+    Events are in memory until they are durable. They are sent after they are written, so that they survive
     a crash of the process; fsync follows in another thread. Waiting for it would not protect them from a
     power cut. While the disk fails, events are sent from memory and written later; if the process is killed
     before, those not yet sent are lost.
@@ -56,8 +56,8 @@ class Outbox:
         self.path, self.epoch, self.error = path, token_hex(6), ""
         self.on_pending: Callable[[], object] = lambda: None
         self._log = OutboxLog(path, self.epoch)
-        self._unwritten: dict[int, Entry] = {}  # events of this run, by number
-        self._unsynced: dict[int, Entry] = {}
+        self._undurable: dict[int, Entry] = {}  # events of this run, by number
+        self._written = 0  # newest number that is written; a failed fsync reduces it
         self._unsent: dict[Key, str] = {}  # fingertips of events that may be sent, in order
         self._heads: dict[str, int] = {}  # newest number that was sent, by epoch
         self._acknowledged: list[Key] = []  # acknowledgements that are not written yet
@@ -74,7 +74,7 @@ class Outbox:
     @property
     def unstored(self) -> int:
         """Number of events that are neither written nor acknowledged by the broker."""
-        return sum(not self._is_sent(entry) for entry in self._unwritten.values())
+        return sum(not self._is_sent(entry) for entry in self._unwritten())
 
     def heads(self) -> list[tuple[str, int]]:
         """Return the newest epochs, that of this run last, each with the newest number that was sent."""
@@ -122,7 +122,7 @@ class Outbox:
         for draft in drafts:
             self._newest += 1
             payload = replace(draft, epoch=self.epoch, seq=self._newest).encode()
-            self._unwritten[self._newest] = Entry(self.epoch, self._newest, draft.finger, payload)
+            self._undurable[self._newest] = Entry(self.epoch, self._newest, draft.finger, payload)
         newest = self._newest
         self._write_due.set()
         try:
@@ -144,7 +144,7 @@ class Outbox:
                 found = await self._load(keys)
             except OSError as error:
                 log.warning("%s: cannot be read, retrying: %s", self.path, os_error_reason(error))
-                in_memory = (*self._unsynced.values(), *self._unwritten.values())
+                in_memory = self._undurable.values()
                 ready = (each for each in in_memory if each.key in self._unsent and allowed(each.finger))
                 return list(islice(ready, limit))
             for epoch, seq in set(keys) - {entry.key for entry in found}:
@@ -192,7 +192,7 @@ class Outbox:
         deadline = loop.time() + LAST_ATTEMPTS
         self._write_due.set()
         try:
-            while self._storing or self._unwritten or self._acknowledged:
+            while self._storing or self._unwritten() or self._acknowledged:
                 if self._failing and (loop.time() > deadline or self._tasks[0].done):
                     break
                 await self._progress.wait()
@@ -222,12 +222,17 @@ class Outbox:
         Raises:
             OSError: if the disk cannot be read.
         """
-        in_memory = {**self._unsynced, **self._unwritten}
-        found = {key: in_memory[key[1]] for key in keys if key[0] == self.epoch and key[1] in in_memory}
+        found = {key: self._undurable[key[1]] for key in keys if self._in_memory(key)}
         if len(found) < len(keys):
             stored = await asyncio.to_thread(self._log.read, [key for key in keys if key not in found])
             found |= {entry.key: entry for entry in stored}
         return [found[key] for key in keys if key in found]
+
+    def _in_memory(self, key: Key) -> bool:
+        return key[0] == self.epoch and key[1] in self._undurable
+
+    def _unwritten(self) -> list[Entry]:
+        return [entry for entry in self._undurable.values() if entry.seq > self._written]
 
     def _is_sent(self, entry: Entry) -> bool:
         return entry.seq <= self._released and entry.key not in self._unsent
@@ -237,21 +242,18 @@ class Outbox:
         if number <= self._released:
             return
         for seq in range(self._released + 1, number + 1):
-            self._unsent[self.epoch, seq] = self._unwritten[seq].finger
+            self._unsent[self.epoch, seq] = self._undurable[seq].finger
         self._released = number
         self.on_pending()
 
     def _make_room(self, count: int) -> None:
         """Forget the oldest events that need no memory: written, or acknowledged by the broker."""
-        while len(self._unsynced) + len(self._unwritten) + count > MEMORY_MAX:
-            if self._unsynced:
-                del self._unsynced[next(iter(self._unsynced))]
-                continue
-            oldest = next(iter(self._unwritten), 0)
-            if not (oldest and self._is_sent(self._unwritten[oldest])):
+        while len(self._undurable) + count > MEMORY_MAX:
+            oldest = next(iter(self._undurable.values()), None)
+            if oldest is None or not (oldest.seq <= self._written or self._is_sent(oldest)):
                 reason = f"{self.error}, and memory is full with {self.waiting} unsent events"
                 raise EndpointError(str(self.path), reason)
-            del self._unwritten[oldest]
+            del self._undurable[oldest.seq]
 
     def _fail(self, reason: str) -> None:
         """Send from memory until the disk can be written again."""
@@ -272,8 +274,8 @@ class Outbox:
         self._progress.clear()
 
     def _write_again(self) -> None:
-        """Treat the unsynced events as unwritten."""
-        self._unwritten, self._unsynced = {**self._unsynced, **self._unwritten}, {}
+        """Treat the events that are not durable as unwritten, so that the next write has all of them."""
+        self._written = min(self._undurable, default=self._newest + 1) - 1
 
     async def _keep_writing(self) -> None:
         retry = BackOff()
@@ -282,7 +284,8 @@ class Outbox:
             self._write_due.clear()
             if self._log.suspect:
                 self._write_again()
-            entries, acknowledged, self._storing = list(self._unwritten.values()), [*self._acknowledged], True
+            entries, acknowledged, self._storing = self._unwritten(), [*self._acknowledged], True
+            before = self._written
             try:
                 await asyncio.to_thread(self._store, entries, acknowledged, next(iter(self._unsent), None))
                 if self._log.suspect:
@@ -301,8 +304,8 @@ class Outbox:
             del self._acknowledged[: len(acknowledged)]
             if entries:
                 self._release(entries[-1].seq)
-                written = [entry for entry in entries if self._unwritten.pop(entry.seq, None)]
-                self._unsynced |= {entry.seq: entry for entry in written}
+                if self._written == before:  # else an fsync has failed meanwhile: they are written again
+                    self._written = entries[-1].seq
                 self._sync_due.set()
             self._announce_progress()
 
@@ -315,18 +318,16 @@ class Outbox:
         while True:
             await self._sync_due.wait()
             self._sync_due.clear()
-            unsynced, written = self._unsynced, [*self._unsynced]
+            written = self._written
             try:
                 await asyncio.to_thread(self._log.sync)
             except Exception as error:  # noqa: BLE001 - retried after any error, and reported
-                if unsynced is self._unsynced:  # else they are being written again
-                    self._write_again()
+                self._write_again()
                 self._fail(_reason(error))
                 self._write_due.set()
                 continue
-            if unsynced is self._unsynced:
-                for number in written:
-                    unsynced.pop(number, None)
+            for number in [number for number in self._undurable if number <= written]:
+                del self._undurable[number]
 
 
 def _reason(error: Exception) -> str:

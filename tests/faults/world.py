@@ -95,6 +95,7 @@ class World:
         self.healed = self.finished = False
         self.slow = 0.0  # s, largest latency of the slow disk
         self._step = 0  # ns, of the host's clock
+        self._ends = list[tuple[float, Callable[[World], None]]]()  # loop time (s) and end of the effects
 
     def host_time(self) -> int:
         """Return the simulated host's time, ns."""
@@ -243,9 +244,19 @@ class World:
     def _apply(self, fault: Fault) -> None:
         if not self.healed:
             start, end = _EFFECTS[fault.kind]
+            if end and fault.start + fault.duration <= self.loop.time():
+                return  # the host slept through it
             start(self, fault)
             if end:
-                self.loop.call_later(fault.duration, end, self)
+                self._ends.append((fault.start + fault.duration, end))
+                self.loop.call_at(fault.start + fault.duration, self._end_effects)
+
+    def _end_effects(self) -> None:
+        """End the effects whose time is over."""
+        over = [end for time, end in self._ends if time <= self.loop.time()]
+        self._ends = [(time, end) for time, end in self._ends if time > self.loop.time()]
+        for end in over:
+            end(self)
 
     def _heal(self) -> None:
         self.healed = True
@@ -287,6 +298,7 @@ class World:
     def stall(self, fault: Fault) -> None:
         """Stop everything on the rig's host for up to 0.3 s."""
         self.loop.stall(STALL_MAX * fault.size)
+        self._end_effects()  # the host slept through the end of a fault, too
 
     def step_clock(self, fault: Fault) -> None:
         """Set the host's clock by up to an hour."""

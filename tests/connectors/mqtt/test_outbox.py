@@ -103,7 +103,7 @@ def names(epoch: str, numbers: Iterable[int]) -> list[str]:
 
 def stored(box: Outbox) -> bool:
     """Return True if all events of this run are durable."""
-    return not (inside(box, "_unwritten") or inside(box, "_unsynced"))
+    return not inside(box, "_undurable")
 
 
 def segments(path: Path) -> list[Path]:
@@ -235,7 +235,7 @@ async def test_events_do_not_wait_for_fsync(tmp_path: Path, disk: Disk) -> None:
         for _ in range(9):
             await box.append([DRAFT])
         assert len(await send(box)) == 9
-        assert len(inside(box, "_unsynced")) == 9
+        assert len(inside(box, "_undurable")) == 9
         disk.syncs.set()
         await until(lambda: stored(box))
         assert not box.error
