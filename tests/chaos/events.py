@@ -1,4 +1,4 @@
-"""Kills of rig, broker and consumer, and an outage of the broker: no event is lost."""
+"""Kills of rig, broker and consumer: no event is lost."""
 
 import random
 import time
@@ -13,8 +13,6 @@ from tests.chaos.follow import Delivery, read
 from tests.chaos.processes import Child, scratch, until
 from tests.chaos.run import Promise, Scale
 from tests.connectors.mqtt.broker_process import TestBroker
-
-GROWTH = 20.0  # MB that the rig may grow by in an outage
 
 
 @dataclass(frozen=True)
@@ -77,29 +75,6 @@ def kills(scale: Scale) -> Sequence[Promise]:
             f"{lost} of {made} events lost, {reused} numbers used twice",
             "0 lost, 0 used twice",
             passed=not lost and not reused and made >= most,
-        )
-    ]
-
-
-def outage(scale: Scale) -> Sequence[Promise]:
-    """Stop the broker for a minute."""
-    length = 1.5 if scale.short else 60.0
-    with _system() as system:
-        time.sleep(1)
-        before = system.rig.memory()
-        system.broker.stop()
-        time.sleep(length)
-        waiting, grown = len(system.missing()), system.rig.memory() - before
-        system.broker.start()
-        made, lost, reused = system.finish()
-        order = [each.time for each in system.delivered()]
-    return [
-        Promise(
-            f"events: broker stopped for {length:g} s",
-            f"{lost} of {made} events lost, {waiting} queued, memory {grown:+.1f} MB,"
-            f" {'in order' if order == sorted(order) else 'NOT in order'}",
-            f"0 lost, in order, at most +{GROWTH:.0f} MB",
-            passed=not lost and not reused and grown < GROWTH and order == sorted(order),
         )
     ]
 

@@ -3,8 +3,7 @@
     python -m tests.chaos.fill FOLDER HOW FULL ROOM
 
 FOLDER is on a small file system (HOW is ``tmpfs``), or files may not grow while the disk is "full" (HOW is
-``limit``). The disk is full for FULL seconds, then free for ROOM seconds; if ROOM is 0, it is still full when
-the run ends. Prints a JSON object.
+``limit``). The disk is full for FULL seconds, then free for ROOM seconds. Prints a JSON object.
 """
 
 import asyncio
@@ -84,14 +83,11 @@ async def main(folder: Path, how: str, full: float, room: float) -> object:
     before = len(alerts.written)
     await asyncio.sleep(full)
     during, health = len(alerts.written) - before, reports.next()
-    if room:
-        free(folder, how)
-        await asyncio.sleep(room)
+    free(folder, how)
+    await asyncio.sleep(room)
     after = reports.next()
     runner.stop()
     run = await running
-    if not room:
-        free(folder, how)
     return {
         "produced": produced,
         "alerts": len(alerts.rows(Slips, 0)),

@@ -39,54 +39,21 @@ def full_for_a_while(scale: Scale) -> Sequence[Promise]:
         report = _run(folder, how, full, room)
         found = _read(folder)
     during, after = (report[each][fill.NAME]["error"] for each in ("health", "after"))
-    recovery = (
-        "then recovery"
-        if after is None and found.newest + 1 == report["produced"]["touch"]
-        else "NO recovery"
-    )
-    return _promise(
-        f"disk full for {full:g} s ({DISKS[how]}), then free again",
-        report,
-        found,
-        f"health reports {(during or 'nothing').rpartition(': ')[2]!r}, {recovery}",
-        also=during is not None and recovery == "then recovery",
-    )
-
-
-def full_until_the_end(scale: Scale) -> Sequence[Promise]:
-    """Fill the disk until the run has ended, then free it and recover the session."""
-    full = 1.0 if scale.short else 5.0
-    with _small_disk() as (folder, how):
-        report = _run(folder, how, full, 0)
-        found = _read(folder)
-    error = report["sink"][fill.NAME]["error"]
-    return _promise(
-        f"disk full until the end ({DISKS[how]}), then recovery",
-        report,
-        found,
-        f"the run ends with {error.rpartition(': ')[2]!r}",
-        also=bool(error),
-    )
-
-
-def _promise(claim: str, report: Any, found: Kept, observed: str, *, also: bool) -> Sequence[Promise]:  # noqa: ANN401 - JSON
-    touch_rows, alerts, dropped = (
-        report["produced"]["touch"],
-        report["alerts"],
-        report["sink"][fill.NAME]["dropped"],
-    )
-    lost = (
-        touch_rows + report["produced"]["motion"] + touch_rows - found.rows - dropped
-    )  # one sample for each row of touch
-    passed = also and alerts == touch_rows and report["during"] > 0 and dropped > 0
+    touch_rows, alerts = report["produced"]["touch"], report["alerts"]
+    dropped = report["sink"][fill.NAME]["dropped"]
+    produced = 2 * touch_rows + report["produced"]["motion"]  # one sample for each row of touch
+    lost = produced - found.rows - dropped
+    recovered = after is None and found.newest + 1 == touch_rows
+    passed = during is not None and alerts == touch_rows and report["during"] > 0 and dropped > 0
     return [
         Promise(
-            claim,
-            f"{observed}; {alerts} of {touch_rows} alerts, {report['during']} while the disk was full;"
+            f"disk full for {full:g} s ({DISKS[how]}), then free again",
+            f"health reports {(during or 'nothing').rpartition(': ')[2]!r}, then {'' if recovered else 'NO '}"
+            f"recovery; {alerts} of {touch_rows} alerts, {report['during']} while the disk was full;"
             f" {found.rows} rows readable, {found.wrong} wrong, {dropped} counted as dropped,"
             f" {lost} unaccounted for; `verify` exits with {found.code}",
             f"reported in health; all alerts; 0 wrong, 0 unaccounted for; `verify` exits with {LOSSY}",
-            passed=passed and not lost and not found.wrong and found.code == LOSSY,
+            passed=passed and recovered and not lost and not found.wrong and found.code == LOSSY,
         )
     ]
 

@@ -1,7 +1,6 @@
 """Processes that tests start, kill and read, and temporary folders."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -15,7 +14,6 @@ from typing import Final
 
 PATIENCE: Final = 120.0  # s, for anything that a process is expected to do
 ROOT: Final = Path(__file__).parents[2]
-MEMORY: Final = Path("/dev/shm")  # noqa: S108 - only the parent of temporary folders
 
 
 def start(name: str, *arguments: str | Path) -> subprocess.Popen[str]:
@@ -97,13 +95,6 @@ class Child:
         """Return the rest of each line that begins with a keyword."""
         return [line.partition(" ")[2] for line in self.lines.copy() if line.startswith(f"{keyword} ")]
 
-    def memory(self) -> float:
-        """Return the resident memory of the process, MB."""
-        assert self._process
-        status = Path(f"/proc/{self._process.pid}/status").read_text()
-        [size] = re.findall(r"VmRSS:\s+(\d+) kB", status)
-        return int(size) / 1000
-
     def _read(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout
         with process.stdout as lines:
@@ -125,8 +116,7 @@ def until(condition: Callable[[], bool], *, pause: float = 0.02) -> bool:
 
 
 @contextmanager
-def scratch(*, memory: bool = False) -> Generator[Path]:
-    """Yield a temporary folder; with `memory` in a file system in memory, if there is one."""
-    parent = MEMORY if memory and MEMORY.is_dir() else None
-    with TemporaryDirectory(dir=parent, prefix="chaos-") as folder:
+def scratch() -> Generator[Path]:
+    """Yield a temporary folder."""
+    with TemporaryDirectory(prefix="chaos-") as folder:
         yield Path(folder)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.chaos import events, full_disk, power_cut, recorder
+from tests.chaos import events, full_disk, recorder
 from tests.chaos.run import Promise, Scale, Test, run_test
 
 SHORT = Scale(short=True)
@@ -12,11 +12,8 @@ SHORT = Scale(short=True)
     "test",
     [
         recorder.kills,
-        power_cut.lives,
-        power_cut.replays,
         full_disk.full_for_a_while,
         pytest.param(events.kills, marks=pytest.mark.broker),
-        pytest.param(events.outage, marks=pytest.mark.broker),
     ],
 )
 def test_a_promise_is_kept(test: Test) -> None:

@@ -29,6 +29,10 @@ class SimulatedProcess:
         """Start the main task; tasks that it creates inherit the process."""
         return asyncio.get_running_loop().create_task(main, context=self._context)
 
+    def run(self, call: Callable[[], object]) -> None:
+        """Call a function as this process."""
+        self._context.run(call)
+
     def kill(self) -> None:
         """End the process as SIGKILL does."""
         if not self.alive:

@@ -1,0 +1,77 @@
+"""A power cut at any operation on the disk leaves the durable rows, and never a wrong one."""
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from operators import EVERY, Batch, Episodes, Motion, SlipflowError, Slips, Touch, concat
+from storage import Session
+from tests.faults.simulated_disk import SimulatedDisk
+from tests.faults.simulated_process import Killed, SimulatedProcess
+from tests.faults.world import MEMORY
+from tests.storage.disk_steps import ROWS, record, row
+from tests.storage.made import new_run
+
+STREAMS: tuple[tuple[type[Batch], int], ...] = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
+EVERY_NTH = 11  # operation at which the power is cut
+
+
+@pytest.fixture
+def root() -> Iterator[Path]:
+    """A folder in memory, where inode numbers are not used again, as the simulated disk requires."""
+    with TemporaryDirectory(prefix="faults-", dir=MEMORY if MEMORY.is_dir() else None) as folder:
+        yield Path(folder)
+
+
+def cut(folder: Path, number: int, work: Callable[[], object]) -> int:
+    """Do a piece of work up to an operation, cut the power, and return the number of operations."""
+    folder.mkdir()
+    disk, process = SimulatedDisk(folder, Random(number)), SimulatedProcess("rig")
+    disk.kill_in = number
+    with disk.attached(), suppress(Killed):
+        process.run(work)
+    if number:
+        disk.lose_power()
+    return disk.operations
+
+
+def counted(session: Session) -> list[int]:
+    """The number of rows of each stream, after each was compared with the row that was recorded."""
+    counts = list[int]()
+    for kind, finger in STREAMS:
+        found = concat(kind, list(session.read(kind, finger)))
+        expected = concat(kind, [row(kind, number) for number in range(len(found))])
+        for name in vars(found):
+            values, right = getattr(found, name), getattr(expected, name)
+            assert name == "finger" or values.tobytes() == right.tobytes(), name
+        counts.append(len(found))
+    return counts
+
+
+def test_a_power_cut_of_a_recording_loses_no_durable_row(root: Path) -> None:
+    operations = cut(root / "whole", 0, partial(record, root / "whole/data", new_run(), []))
+    assert operations > 200
+    for number in range(1, operations, EVERY_NTH):
+        folder, durable = root / str(number), [0]
+        cut(folder, number, partial(record, folder / "data", new_run(), [], durable))
+        if durable[-1] or (folder / "data/sessions/one/session.json").exists():
+            assert min(counted(Session.open(folder / "data"))) >= durable[-1], number
+
+
+def test_a_power_cut_of_a_replay_leaves_it_complete_or_marked_or_refused(root: Path) -> None:
+    replay, complete = new_run(live=False), 0
+    operations = cut(root / "whole", 0, partial(record, root / "whole/data", replay, []))
+    for number in [*range(1, operations, EVERY_NTH), operations]:
+        folder = root / str(number)
+        cut(folder, number, partial(record, folder / "data", replay, []))
+        with suppress(SlipflowError):
+            session = Session.open(folder / "data")
+            counts = counted(session)
+            assert session.about["complete"] is not True or counts == [ROWS] * len(STREAMS), number
+            complete += session.about["complete"] is True
+    assert complete
