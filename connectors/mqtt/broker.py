@@ -1,18 +1,24 @@
-"""Address, credentials and messages of an MQTT broker."""
+"""Address, credentials and messages of an MQTT broker, and the pauses between connections."""
 
+import asyncio
 import os
 import re
 import ssl
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
+from random import uniform
 
 from operators.errors import InputError, ParameterError, os_error_reason
+from operators.ports import BackOff
 
 USER = "SLIPFLOW_MQTT_USER"
 PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
 PASSWORD_FILE = "SLIPFLOW_MQTT_PASSWORD_FILE"  # noqa: S105 - the variable's name
 CA = "SLIPFLOW_MQTT_CA"
 CERTIFICATE = "SLIPFLOW_MQTT_CERTIFICATE"
+LASTING = 10.0  # s; a connection that ends sooner is brief
+BRIEF_PAUSE = 1.0  # s, at least, after a brief connection
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _URL = re.compile(r"(mqtts?)://(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+))(?::([0-9]{1,5}))?")
 
@@ -107,3 +113,31 @@ class Broker:
             reason = f"cannot use the client certificate and its key ({CERTIFICATE}): {error}"
             raise InputError(str(own), reason) from None
         return context
+
+
+@dataclass
+class Pauses:
+    """Pauses before connecting again: short after a connection that lasted, else twice the last, up to 5 s.
+
+    So clients that take over each other's connection do so at most once a second.
+    """
+
+    retry: BackOff = field(default_factory=BackOff)
+    brief: int = field(default=0, init=False)  # connections in a row that lasted less than 10 s
+    _connected: float = field(default=inf, init=False)  # loop time, s; inf: not since the last pause
+
+    def connected(self) -> None:
+        """Note that a connection begins."""
+        self._connected = asyncio.get_running_loop().time()
+
+    async def wait(self) -> None:
+        """Wait until the next attempt."""
+        lasted, least = asyncio.get_running_loop().time() - self._connected, 0.0
+        if lasted > LASTING:
+            self.retry.reset()
+            self.brief = 0
+        elif lasted >= 0:
+            self.brief, least = self.brief + 1, BRIEF_PAUSE
+        self._connected = inf
+        spread = uniform(0.5, 1)  # noqa: S311 - clients that lost their broker do not return all at once
+        await asyncio.sleep(max(least, self.retry.delay() * spread))

@@ -5,20 +5,18 @@ import logging
 import os
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
-from random import uniform
 from secrets import token_hex
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
 from connectors.events import Event
 from connectors.fields import Fields
-from connectors.mqtt.broker import Broker, Message
+from connectors.mqtt.broker import Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
 from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_topic
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
-from operators.ports import BackOff
 from storage.background_task import BackgroundTask
 from storage.files import put
 
@@ -27,7 +25,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("slipflow")
 
-REQUEST_EVERY = 3.0  # s; a request without an answer is repeated
+CHECK_EVERY = 3.0  # s, between checks of all rigs for missed events
+BEHIND = 200  # messages that wait; then the consumer is behind
+MALFORMED_MAX = 20  # malformed messages that are reported per connection
 
 
 class Consumer(AsyncIterator[Event]):
@@ -73,9 +73,9 @@ class Consumer(AsyncIterator[Event]):
         self._lock: int | None = None  # descriptor
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
-        self._dropped = 0
-        # requests without an answer, by rig: epoch, first number, and loop time (s) at which it is repeated
-        self._requests: dict[RigId, tuple[str, int, float]] = {}
+        self._pauses = Pauses()
+        self._dropped = self._malformed = 0  # messages of this connection
+        self._behind = False
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
@@ -108,6 +108,7 @@ class Consumer(AsyncIterator[Event]):
             EndpointError: if the saving of the position has failed, other than by a failure of the disk.
         """
         try:
+            self._save_position()
             if self._saving:
                 await self._saving.end(None)
         finally:
@@ -125,8 +126,9 @@ class Consumer(AsyncIterator[Event]):
         while True:
             link = self._link or await self._reconnect()
             if asyncio.get_running_loop().time() >= self._check_due:
-                self._check_due = asyncio.get_running_loop().time() + REQUEST_EVERY
-                for rig in self._position.rigs():
+                self._check_due = asyncio.get_running_loop().time() + CHECK_EVERY
+                self._save_position()
+                for rig in self._position.rigs:
                     self._request_missed(link, rig)
             try:
                 async with asyncio.timeout_at(self._check_due):
@@ -137,18 +139,27 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
                 continue
-            if link.dropped > self._dropped:
-                dropped, self._dropped = link.dropped - self._dropped, link.dropped
-                self._report(f"{self._broker}: {dropped} messages dropped: the consumer is too slow")
+            self._report_delay(link)
             try:
                 rig, self._event = self._process(topic, payload)
             except InputError as error:
-                self._report(f"ignoring malformed message: {error}")
+                self._malformed += 1
+                rest = " (further ones are not reported)" if self._malformed == MALFORMED_MAX else ""
+                if self._malformed <= MALFORMED_MAX:
+                    self._report(f"ignoring malformed message: {error}{rest}")
                 continue
             if self._event:
                 return self._event
-            self._save_position()
             self._request_missed(link, rig)
+
+    def _report_delay(self, link: "Link") -> None:
+        """Report messages that were dropped, and the first of many that wait."""
+        if link.dropped > self._dropped:
+            dropped, self._dropped = link.dropped - self._dropped, link.dropped
+            self._report(f"{self._broker}: {dropped} messages dropped: the consumer is too slow")
+        if link.waiting > BEHIND and not self._behind:
+            self._report(f"{self._broker}: {link.waiting} messages wait: the consumer is behind")
+        self._behind = link.waiting > (0 if self._behind else BEHIND)
 
     def _process(self, topic: str, payload: bytes) -> tuple[RigId, Event | None]:
         """Process a message; return its rig, and its event if the event is new."""
@@ -163,10 +174,8 @@ class Consumer(AsyncIterator[Event]):
         if rest == ["head"]:
             self._change(self._position.announce(rig, read_heads(fields)))
         elif rest == reply and "specversion" not in fields.values:
-            answer = GapAnswer.read(fields)
-            if self._requests.get(rig, ())[:2] == (answer.epoch, answer.first):  # else of an earlier request
-                del self._requests[rig]
-                self._change(self._position.settle(rig, answer))
+            now = asyncio.get_running_loop().time()
+            self._change(self._position.settle(rig, GapAnswer.read(fields), now))
         else:
             event = Event.read(fields)
             if (event.site, event.rig) != rig or rest not in ([event.finger, "event"], reply):
@@ -192,20 +201,18 @@ class Consumer(AsyncIterator[Event]):
             self._report(text)
 
     def _request_missed(self, link: "Link", rig: RigId) -> None:
-        """Request the first missed events of a rig, unless it may still answer a request of the last 3 s."""
-        now = asyncio.get_running_loop().time()
-        *_, due = self._requests.get(rig, (0.0,))
-        if now < due or not (gap := self._position.gap(rig)):
+        """Request missed events of a rig, unless it may still answer the latest request."""
+        gap = self._position.request(rig, asyncio.get_running_loop().time())
+        if gap is None:
             return
-        self._requests[rig] = *gap[:2], now + REQUEST_EVERY
         topic = rig_topic("Consumer", *rig)
         payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
         link.post(Message(f"{topic}/replay/request", payload, retain=False))
 
     async def _reconnect(self) -> "Link":
-        retry, failures = BackOff(), 0
+        failures = 0
         while self._link is None:
-            await asyncio.sleep(retry.delay() * uniform(0.5, 1))  # noqa: S311 - spreads clients that reconnect
+            await self._pauses.wait()
             try:
                 self._link = await self._connect()
             except SlipflowError as error:
@@ -226,8 +233,9 @@ class Consumer(AsyncIterator[Event]):
         except BaseException:
             await link.disconnect()
             raise
-        self._dropped, self._check_due = 0, 0.0
-        self._requests.clear()
+        self._pauses.connected()
+        self._dropped, self._malformed, self._check_due = 0, 0, 0.0
+        self._position.reconnected()
         return link
 
     async def _disconnect(self) -> None:

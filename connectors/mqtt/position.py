@@ -1,11 +1,12 @@
 """Position of a consumer: received and missed slip events, in memory or in a file.
 
-Only `lock_position` and `load` do I/O.
+Only `lock_position` and `load` do I/O. Times are in s, of any clock that never goes back.
 """
 
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import TypeAlias
 
@@ -13,7 +14,6 @@ from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
 from operators.errors import EndpointError, InputError, os_error_reason
-from operators.ports import Json
 from storage.files import read
 from storage.lock import lock_file
 
@@ -21,11 +21,15 @@ RigId: TypeAlias = tuple[str, str]  # site and rig
 Range: TypeAlias = tuple[int, int]  # first and last number
 
 FORMAT = 2
-FILE_MAX = 32 * 2**20  # bytes
-SIZE_MAX = 1_000_000  # numbers; beyond it, the rig without an event for the longest time is forgotten
-EPOCH_SIZE = 20  # numbers that an epoch counts as, besides one per character of its name
-EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
+FILE_MAX = 8 * 2**20  # bytes
+SIZE_MAX = 200_000  # numbers of all rigs; an epoch counts as `EPOCH_SIZE`
+EPOCH_SIZE = 20
+EPOCH_NAME_MAX = 64  # characters
+EPOCHS_MAX = 128  # per rig
 AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
+REQUEST_EVERY = 3.0  # s, before a request is repeated; doubles with each that is not answered
+REQUEST_LAST = 60.0  # s, longest time before a request is repeated
+RETURN_WITHIN = 30.0  # s, for an epoch that the rig no longer announces; then its missed events are lost
 
 
 @dataclass
@@ -35,15 +39,13 @@ class _Epoch:
     done: int = 0
     ahead: list[int] = field(default_factory=list[int])  # sorted
     head: int = -1  # newest number announced by the rig; -1: the rig has not announced the epoch yet
-
-    @property
-    def newest(self) -> int:
-        return max(self.done, self.head, *self.ahead[-1:])
+    delivered: bool = False  # an event of it was received
+    denied: float = inf  # time of the first answer that it is no longer kept, since it was announced
 
     @property
     def gap(self) -> Range | None:
         """The first range of missed numbers."""
-        last = self.ahead[0] - 1 if self.ahead else self.newest
+        last = self.ahead[0] - 1 if self.ahead else self.head
         return (self.done + 1, last) if last > self.done else None
 
     def has(self, number: int) -> bool:
@@ -58,10 +60,9 @@ class _Epoch:
     def give_up(self, last: int) -> list[Range]:
         """Count the missed numbers up to `last` as lost, and return them."""
         lost = list[Range]()
-        while self.done < last:
-            end = min([last, *(number - 1 for number in self.ahead[:1])])
-            lost.append((self.done + 1, end))
-            self.done = end
+        while (gap := self.gap) and gap[0] <= last:
+            lost.append((gap[0], min(last, gap[1])))
+            self.done = lost[-1][1]
             self._advance()
         return lost
 
@@ -72,112 +73,132 @@ class _Epoch:
         del self.ahead[:count]
 
 
+@dataclass
+class _Rig:
+    """Epochs of one rig, and the request that it may answer."""
+
+    epochs: dict[str, _Epoch] = field(default_factory=dict[str, _Epoch])
+    announced: frozenset[str] = frozenset()  # epochs of the newest head
+    request: tuple[str, int, int] = ("", 0, 0)  # epoch, first and last number
+    asked: float = -inf  # time of the request
+    wait: float = 0.0  # s after it until the next one
+    encoded: bytes = b""  # the epochs as JSON; empty: they have changed
+
+    @property
+    def delivered(self) -> bool:
+        return any(epoch.delivered for epoch in self.epochs.values())
+
+    @property
+    def size(self) -> int:
+        return sum(EPOCH_SIZE + len(epoch.ahead) for epoch in self.epochs.values())
+
+
 class Position:
-    """Numbers of the received events, by rig and epoch.
+    """Numbers of the received events, by rig and epoch, and requests for the missed ones.
 
     A new rig starts with its next event; with `everything`, with its first. Methods that return a list of
-    texts report lost events.
+    texts report lost events. An event is lost if its rig answers that it no longer keeps it. If the rig does
+    not announce its epoch either, it counts as lost only after 30 s: another rig of the same name, which
+    uses the broker in turn with the right one, answers the same.
+
+    Memory is bounded: what never delivered an event is forgotten first, then the rig silent for longest.
 
     >>> position = Position()
     >>> position.announce(("lab", "ur10"), {"ab": 4})
     []
-    >>> position.announce(("lab", "ur10"), {"ab": 6}), position.gap(("lab", "ur10"))
+    >>> position.announce(("lab", "ur10"), {"ab": 6}), position.request(("lab", "ur10"), 0.0)
     ([], ('ab', 5, 6))
-    >>> position.settle(("lab", "ur10"), GapAnswer("ab", 5, 6, ((5, 5),)))
+    >>> position.settle(("lab", "ur10"), GapAnswer("ab", 5, 6, ((5, 5),)), 0.1)
     ['lab/ur10: event 5 of epoch ab is lost: no longer kept']
     """
 
     def __init__(self, *, everything: bool = False) -> None:
         """Start empty; with `everything`, events before the first contact with a rig count as missed."""
         self._everything = everything
-        self._rigs: dict[RigId, dict[str, _Epoch]] = {}
+        self._rigs: dict[RigId, _Rig] = {}  # the one silent for longest first
+        self._size = 0
+
+    @property
+    def rigs(self) -> list[RigId]:
+        """Known rigs."""
+        return list(self._rigs)
 
     def has(self, event: Event) -> bool:
         """Return True if an event was received or counts as lost."""
-        epoch = self._rigs.get((event.site, event.rig), {}).get(event.epoch)
-        return epoch is not None and epoch.has(event.seq)
+        rig = self._rigs.get((event.site, event.rig))
+        return rig is not None and event.epoch in rig.epochs and rig.epochs[event.epoch].has(event.seq)
 
     def take(self, event: Event) -> list[str]:
         """Mark an event as received; give up the oldest gap if too many events have come since."""
-        rig = event.site, event.rig
-        epochs = self._rigs.pop(rig, None)
-        if epochs is None:
-            epochs = {event.epoch: _Epoch(0 if self._everything else event.seq - 1)}
-        self._rigs[rig] = epochs  # the last to be forgotten
-        epoch = epochs.setdefault(event.epoch, _Epoch())
+        name = event.site, event.rig
+        known = self._rigs.pop(name, None)
+        rig = self._rigs[name] = known or _Rig()
+        before = rig.size
+        epoch = rig.epochs.setdefault(event.epoch, _Epoch(0 if known or self._everything else event.seq - 1))
         epoch.add(event.seq)
-        excess = epoch.ahead[0] - 1 if len(epoch.ahead) > AHEAD_MAX else 0
-        lost = _lost(
-            rig, event.epoch, epoch.give_up(excess), "given up after too many gaps without an answer"
-        )
-        return [*lost, *(self._limit(epochs) if epoch.ahead or epoch.head < 0 else ())]
+        epoch.delivered, epoch.denied = True, inf
+        rig.wait = min(rig.wait, REQUEST_EVERY)
+        lost = epoch.give_up(epoch.ahead[0] - 1) if len(epoch.ahead) > AHEAD_MAX else []
+        why = "given up after too many gaps without an answer"
+        return [*_lost(name, event.epoch, lost, why), *self._changed(rig, before)]
 
-    def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
-        """Set the newest number of each epoch that a rig keeps, the current epoch last.
+    def announce(self, name: RigId, heads: dict[str, int]) -> list[str]:
+        """Raise the newest number of each epoch that a rig keeps."""
+        rig = self._rigs.setdefault(name, _Rig())
+        before, first = rig.size, all(each.head < 0 for each in rig.epochs.values())
+        rig.announced = frozenset(heads)
+        for each, head in heads.items():
+            epoch = rig.epochs.setdefault(each, _Epoch(head if first and not self._everything else 0))
+            epoch.head, epoch.denied = max(epoch.head, head), inf
+        if rig.delivered:
+            rig.wait = min(rig.wait, REQUEST_EVERY)
+        return self._changed(rig, before)
 
-        A head whose current epoch is known, but not the newest, is older than the one before, and is ignored
-        unless its number is new. The gaps of epochs that are no longer kept are closed and reported as lost;
-        the epochs stay known, so that an older head does not bring them back.
+    def request(self, name: RigId, now: float) -> tuple[str, int, int] | None:
+        """Return the events to request from a rig now: epoch, first and last number; None if there are none.
+
+        A rig may answer for 3 s, and twice as long after each request that it has not answered.
         """
-        epochs = self._rigs.setdefault(rig, {})
-        newest = next((name for name in reversed(epochs) if epochs[name].head >= 0), None)
-        current, last = list(heads.items())[-1]
-        if current != newest and current in epochs and last <= epochs[current].head:
-            return []
-        count = len(epochs)
-        for name, head in heads.items():
-            epoch = epochs.pop(name, None)  # the order of the epochs becomes that of the head
-            if epoch is None:
-                epoch = _Epoch(head if newest is None and not self._everything else 0)
-            epoch.head = max(epoch.head, head)
-            epochs[name] = epoch
-        lost = list[str]()
-        for name, epoch in epochs.items():
-            if name in heads or epoch.head < 0:
-                continue
-            end = epoch.newest
-            lost += _lost(rig, name, epoch.give_up(end), "no longer kept")
-            if name == newest and end:  # its last number was never announced
-                lost.append(
-                    f"{'/'.join(rig)}: epoch {name} is no longer kept; events after {end} may be lost"
-                )
-        return lost + (self._limit(epochs) if len(epochs) > count else [])
-
-    def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
-        """Close the gaps that an answer lists as missing, and report their events as lost."""
-        epoch = self._rigs.get(rig, {}).get(answer.epoch)
-        lost = list[Range]()
-        for first, last in answer.missing if epoch else ():
-            if epoch and first <= epoch.done + 1:  # else an event of the answer did not arrive: request again
-                lost += epoch.give_up(min(last, epoch.newest))
-        return [*_lost(rig, answer.epoch, lost, "no longer kept")]
-
-    def gap(self, rig: RigId) -> tuple[str, int, int] | None:
-        """Return the first missed range of a rig: epoch, first and last number."""
-        for name, epoch in self._rigs.get(rig, {}).items():
-            if gap := epoch.gap:
-                return name, *gap
+        rig = self._rigs.get(name)
+        if rig is None or now < rig.asked + rig.wait:
+            return None
+        for each, epoch in rig.epochs.items():
+            if (gap := epoch.gap) and not epoch.denied <= now < epoch.denied + RETURN_WITHIN:
+                rig.request, rig.asked = (each, *gap), now
+                rig.wait = min(max(2 * rig.wait, REQUEST_EVERY), REQUEST_LAST)
+                return rig.request
         return None
 
-    def rigs(self) -> list[RigId]:
-        """Return the known rigs."""
-        return list(self._rigs)
+    def reconnected(self) -> None:
+        """Allow each rig one request at once; answers to earlier ones will not come."""
+        for rig in self._rigs.values():
+            rig.request, rig.asked = ("", 0, 0), -inf
+
+    def settle(self, name: RigId, answer: GapAnswer, now: float) -> list[str]:
+        """Close the gaps that an answer to the latest request lists as missing, and report their events."""
+        rig = self._rigs.get(name)
+        if rig is None or rig.request[:2] != (answer.epoch, answer.first) or answer.epoch not in rig.epochs:
+            return []
+        before, epoch = rig.size, rig.epochs[answer.epoch]
+        requested, rig.request = rig.request[1:], ("", 0, 0)
+        if answer.missing and answer.epoch not in rig.announced:
+            epoch.denied = min(epoch.denied, now)
+            if now < epoch.denied + RETURN_WITHIN:
+                return []
+        lost = list[Range]()
+        for first, last in answer.missing:
+            if first <= epoch.done + 1:  # else an event of the answer did not arrive: request again
+                lost += epoch.give_up(last)
+        if epoch.gap != requested:  # else the answer was of no use
+            rig.wait = 0.0
+        return [*_lost(name, answer.epoch, lost, "no longer kept"), *self._changed(rig, before)]
 
     def encode(self) -> bytes:
         """Return the position as JSON."""
-        rigs: list[Json] = [
-            {
-                "site": site,
-                "rig": rig,
-                "epoch": name,
-                "done": each.done,
-                "head": each.head,
-                "ahead": each.ahead,
-            }
-            for (site, rig), epochs in self._rigs.items()
-            for name, each in epochs.items()
-        ]
-        return encode({"format": FORMAT, "rigs": rigs})
+        for name, rig in self._rigs.items():
+            rig.encoded = rig.encoded or b",".join(_encode(name, *each) for each in rig.epochs.items())
+        parts = b",".join(rig.encoded for rig in self._rigs.values() if rig.encoded)
+        return b'{"format":%d,"rigs":[%s]}' % (FORMAT, parts)
 
     @classmethod
     def decode(cls, payload: bytes, where: str, *, everything: bool = False) -> "Position":
@@ -188,28 +209,48 @@ class Position:
         """
         position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
         fields.integer("format", FORMAT, FORMAT)
-        for rig in fields.objects("rigs"):
-            name = rig.text("site"), rig.text("rig")
-            epoch = _Epoch(rig.integer("done", 0), head=rig.integer("head", -1))
-            for number in rig.integers("ahead"):
+        for each in fields.objects("rigs"):
+            rig = position._rigs.setdefault((each.text("site"), each.text("rig")), _Rig())
+            delivered = each.values.get("delivered") is not False
+            epoch = _Epoch(each.integer("done", 0), head=each.integer("head", -1), delivered=delivered)
+            for number in each.integers("ahead"):
                 epoch.add(number)
-            position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
+            rig.epochs[each.text("epoch")] = epoch
+        for rig in list(position._rigs.values()):
+            rig.announced = frozenset(name for name, epoch in rig.epochs.items() if epoch.head >= 0)
+            position._changed(rig, 0)
         return position
 
-    def _limit(self, epochs: dict[str, _Epoch]) -> list[str]:
-        """Drop the first epochs of a rig, and forget the first rigs, if there are too many numbers."""
-        while len(epochs) > EPOCHS_MAX:
-            del epochs[next(iter(epochs))]
-        forgotten, size = list[str](), sum(map(_size, self._rigs.values()))
-        while size > SIZE_MAX:
-            site, rig = next(iter(self._rigs))
-            size -= _size(self._rigs.pop((site, rig)))
-            forgotten.append(f"{site}/{rig}: position forgotten, because there are too many rigs and epochs")
+    def _changed(self, rig: _Rig, before: int) -> list[str]:
+        """Forget epochs and rigs if there are too many numbers; report the rigs that have delivered."""
+        rig.encoded = b""
+        while len(rig.epochs) > EPOCHS_MAX:
+            silent = (name for name, epoch in rig.epochs.items() if not epoch.delivered)
+            del rig.epochs[next(silent, next(iter(rig.epochs)))]
+        self._size += rig.size - before
+        forgotten = list[str]()
+        while self._size > SIZE_MAX:
+            unheard = (each for each, known in self._rigs.items() if not known.delivered)
+            name = next(unheard, next(iter(self._rigs)))
+            gone = self._rigs.pop(name)
+            self._size -= gone.size
+            if gone.delivered:
+                forgotten.append(f"{'/'.join(name)}: position forgotten: too many rigs and epochs")
         return forgotten
 
 
-def _size(epochs: dict[str, _Epoch]) -> int:
-    return sum(EPOCH_SIZE + len(name) + len(epoch.ahead) for name, epoch in epochs.items())
+def _encode(rig: RigId, epoch: str, each: _Epoch) -> bytes:
+    return encode(
+        {
+            "site": rig[0],
+            "rig": rig[1],
+            "epoch": epoch,
+            "done": each.done,
+            "head": each.head,
+            "ahead": each.ahead,
+            "delivered": each.delivered,
+        }
+    )
 
 
 def read_heads(fields: Fields) -> dict[str, int]:
@@ -224,7 +265,10 @@ def read_heads(fields: Fields) -> dict[str, int]:
     before = fields.objects("before") if "before" in fields.values else []
     if len(before) >= EPOCHS_MAX:
         fields.fail("before", f"a list of fewer than {EPOCHS_MAX}")
-    return {each.text("epoch"): each.integer("last_seq", 0) for each in (*before, fields)}
+    heads = {each.text("epoch"): each.integer("last_seq", 0) for each in (*before, fields)}
+    if max(map(len, heads)) > EPOCH_NAME_MAX:
+        fields.fail("epoch", f"a name of at most {EPOCH_NAME_MAX} characters")
+    return heads
 
 
 def lock_position(path: Path) -> int:

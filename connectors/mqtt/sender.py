@@ -4,16 +4,14 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from random import uniform
 from typing import TYPE_CHECKING, TypeAlias
 
 from connectors.events import CONTENT_TYPE
-from connectors.mqtt.broker import Broker, Message
+from connectors.mqtt.broker import Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapReplies
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from operators.errors import EndpointError
-from operators.ports import BackOff
 from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:
@@ -25,6 +23,9 @@ WINDOW = 16  # events, and as many documents, in flight
 CLOSE_TIMEOUT = 3.0  # s, to send what is pending on close
 HEALTH_EVERY = 5.0  # s, between health reports, and between attempts on refused topics
 
+_SHARED_NAME = (
+    "%s: connections of %s end after moments; probably another run has this name, too: give each rig its own"
+)
 Outgoing: TypeAlias = tuple[Message, Entry | None]  # a message, and its event if it is one of the outbox
 
 
@@ -112,24 +113,26 @@ class Sender:
             self._sending.check()
 
     async def _keep_sending(self) -> None:
-        failed, retry = False, BackOff()
+        failed, pauses = False, Pauses()
         while True:
             try:
                 link = self._link or await self._connect()
-                if failed:
+                pauses.connected()
+                if pauses.brief > 1:
+                    log.error(_SHARED_NAME, self._broker, self._topic)
+                elif failed:
                     log.warning("%s: connected again, %d events pending", self._broker, self._outbox.waiting)
                 failed = False
-                retry.reset()
                 while await self._send_pending(link) or not self._closing:
                     pass
             except Exception as error:  # noqa: BLE001 - sending continues after any error
                 await self._disconnect()
-                if not failed:
+                if not failed and pauses.brief <= 1:
                     log.warning("%s, reconnecting; events are kept in %s", error, self._outbox.path)
                 failed = True
             if self._closing:
                 return
-            await asyncio.sleep(retry.delay() * uniform(0.5, 1))  # noqa: S311 - spreads clients that reconnect
+            await pauses.wait()
 
     async def _connect(self) -> "Link":
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import

@@ -20,7 +20,7 @@ from typing import Any, Final
 from unittest.mock import patch
 
 from connectors import Consumer
-from connectors.mqtt import broker_link, consumer, outbox, outbox_log, sender
+from connectors.mqtt import broker, broker_link, consumer, outbox, outbox_log
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
@@ -412,8 +412,7 @@ def _simulated(world: World) -> Generator[ExitStack]:
         enter(patch.object(time, "monotonic", world.loop.time))
         for module in (outbox, consumer):
             enter(patch.object(module, "token_hex", token))
-        for module in (sender, consumer):
-            enter(patch.object(module, "uniform", random.uniform))
+        enter(patch.object(broker, "uniform", random.uniform))
         enter(patch.object(os, "urandom", random.randbytes))
         enter(patch.object(lock, "_flock", world.disk.noting_locks(vars(lock)["_flock"])))
         enter(patch.object(broker_link, "connect", world.broker.connect))

@@ -1,5 +1,6 @@
 import os
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,8 @@ from connectors import Event
 from connectors.fields import Fields
 from connectors.mqtt import position
 from connectors.mqtt.gap_replay import GapAnswer
-from connectors.mqtt.position import Position, load, lock_position, read_heads
+from connectors.mqtt.position import FILE_MAX, Position, RigId, load, lock_position, read_heads
 from operators.errors import EndpointError, InputError, SlipflowError
-from storage.files import put
 
 UR10 = ("lab", "ur10")
 EVENT = Event("lab", "ur10", "0", "ab", 1, onset=True, time=1, probability=0.9, latency=1.0)
@@ -22,8 +22,15 @@ def event(seq: int, epoch: str = "ab") -> Event:
     return replace(EVENT, seq=seq, epoch=epoch)
 
 
-def content(position: Position) -> bytes:
-    return position.encode()
+def missed(position: Position, rig: RigId = UR10) -> tuple[str, int, int] | None:
+    """The first missed events of a rig, requested when nothing is awaited any more."""
+    return position.request(rig, inf)
+
+
+def settle(position: Position, answer: GapAnswer, now: float = inf) -> list[str]:
+    """Request events, and get an answer."""
+    assert position.request(UR10, now)
+    return position.settle(UR10, answer, now)
 
 
 @given(st.lists(st.tuples(st.sampled_from(["event", "head", "missing"]), st.integers(1, 20))))
@@ -36,58 +43,47 @@ def test_an_event_is_received_missed_or_lost_as_in_a_set_of_numbers(steps: list[
             settled.add(number)
         elif what == "head":
             assert not position.announce(UR10, {"ab": number})
-        else:
-            first = next((n for n in range(1, newest + 1) if n not in settled), 0)
-            lost += position.settle(UR10, GapAnswer("ab", first, number, ((first, number),)))
-            settled |= {*range(first, min(number, newest) + 1)} if first else set()
+        elif gap := missed(position):
+            last = max(gap[1], number)
+            lost += position.settle(UR10, GapAnswer("ab", gap[1], last, ((gap[1], last),)), inf)
+            settled |= {*range(gap[1], min(last, newest) + 1)}
         newest = max(newest, number if what != "missing" else 0)
-        missed = [n for n in range(1, newest + 1) if n not in settled]
-        gap = position.gap(UR10)
-        assert (gap is None) == (not missed)
-        if gap:
-            end = next((n for n in range(missed[0], newest + 1) if n in settled), newest + 1) - 1
-            assert gap == ("ab", missed[0], end)
-    again = Position.decode(content(position), "here", everything=True)
-    assert content(again) == content(position)
+        absent = [n for n in range(1, newest + 1) if n not in settled]
+        end = next((n for n in range(absent[0], newest + 1) if n in settled), newest + 1) if absent else 0
+        assert missed(position) == (("ab", absent[0], end - 1) if absent else None)
+    again = Position.decode(position.encode(), "here", everything=True)
+    assert again.encode() == position.encode()
+
+
+EPOCHS = st.sampled_from(["ab", "cd", "ef", "gh"])
+
+
+@given(st.lists(st.tuples(st.dictionaries(EPOCHS, st.integers(0, 9), min_size=1), st.integers(1, 9))))
+def test_no_head_brings_back_an_event_or_reports_a_loss(steps: list[tuple[dict[str, int], int]]) -> None:
+    position, received = Position(), list[Event]()
+    position.announce(UR10, {"ab": 0})
+    for heads, number in steps:
+        assert not position.announce(UR10, heads)
+        received.append(event(number, next(iter(heads))))
+        assert not position.take(received[-1])
+        assert all(position.has(each) for each in received)
 
 
 def test_a_new_rig_starts_with_its_next_or_its_first_event() -> None:
-    for everything, missed in (False, None), (True, ("ab", 1, 6)):
+    for everything, expected in (False, None), (True, ("ab", 1, 6)):
         by_event, by_head = Position(everything=everything), Position(everything=everything)
         by_event.take(event(7))
         by_head.announce(UR10, {"ab": 6})
-        assert by_event.gap(UR10) == by_head.gap(UR10) == missed
-    by_event.announce(UR10, {"old": 9, "ab": 7})
-    assert by_event.gap(UR10) == ("old", 1, 9)
+        assert missed(by_event) == missed(by_head) == expected
+        by_event.announce(UR10, {"old": 9, "ab": 8})
+        assert missed(by_event) == (("ab", 1, 6) if everything else ("ab", 8, 8))
 
 
 def test_a_new_epoch_of_a_known_rig_is_missed_from_its_first_event() -> None:
     position = Position()
     position.announce(UR10, {"ab": 5})
     assert not position.announce(UR10, {"ab": 5, "cd": 2})
-    assert position.gap(UR10) == ("cd", 1, 2)
-
-
-@pytest.mark.parametrize("older", [{"ab": 5}, {"old": 4, "ab": 6}, {"old": 4}, {"ab": 6, "cd": 2}], ids=str)
-def test_an_older_head_after_a_newer_one_changes_nothing(older: dict[str, int]) -> None:
-    position = Position()
-    position.announce(UR10, {"old": 4, "ab": 5})
-    position.announce(UR10, {"ab": 6, "cd": 2})
-    for number in range(1, 5):
-        position.take(event(number, "cd"))
-    position.announce(UR10, {"ab": 6, "cd": 4})
-    before = content(position)
-    assert position.announce(UR10, older) == []
-    assert content(position) == before
-
-
-def test_a_head_of_an_unknown_epoch_does_not_hide_later_heads_of_the_rig() -> None:
-    position = Position()
-    position.announce(UR10, {"ab": 5})
-    position.announce(UR10, {"forged": 3})
-    assert position.announce(UR10, {"ab": 5}) == []
-    position.announce(UR10, {"ab": 7})
-    assert position.gap(UR10) == ("ab", 6, 7)
+    assert missed(position) == ("cd", 1, 2)
 
 
 def test_missing_events_of_an_answer_are_reported_lost_once_and_only_if_they_were_missed() -> None:
@@ -95,35 +91,71 @@ def test_missing_events_of_an_answer_are_reported_lost_once_and_only_if_they_wer
     position.announce(UR10, {"ab": 9})
     position.take(event(3))
     answer = GapAnswer("ab", 1, 5, ((1, 4),))
-    assert position.settle(UR10, answer) == [
+    assert not position.settle(UR10, answer, 0.0)  # nothing was requested
+    assert settle(position, answer) == [
         "lab/ur10: events 1 to 2 of epoch ab are lost: no longer kept",
         "lab/ur10: event 4 of epoch ab is lost: no longer kept",
     ]
-    assert position.settle(UR10, answer) == []
-    assert position.settle(UR10, GapAnswer("ab", 7, 9, ((7, 9),))) == []  # events 5 and 6 are still missed
-    assert position.gap(UR10) == ("ab", 5, 9)
-    assert position.settle(("lab", "other"), answer) == []
+    assert not position.settle(UR10, answer, 0.0)
+    assert not settle(position, GapAnswer("ab", 5, 9, ((7, 9),)))  # events 5 and 6 did not arrive
+    assert missed(position) == ("ab", 5, 9)
 
 
-def test_an_epoch_no_longer_kept_is_reported_only_if_events_may_be_lost() -> None:
+@pytest.mark.parametrize("returns", ["never", "head", "event"])
+def test_an_epoch_that_is_not_announced_is_lost_unless_it_returns_within_30_s(returns: str) -> None:
     position = Position()
-    position.announce(UR10, {"ab": 5, "empty": 0})
-    position.take(event(8))
-    assert position.announce(UR10, {"ab": 8, "cd": 0}) == []
-    position.announce(UR10, {"ab": 10, "cd": 3})
-    for number in range(1, 4):
-        position.take(event(number, "cd"))
-    assert position.announce(UR10, {"ef": 0}) == [
-        "lab/ur10: events 6 to 7 of epoch ab are lost: no longer kept",
-        "lab/ur10: events 9 to 10 of epoch ab are lost: no longer kept",
-        "lab/ur10: epoch cd is no longer kept; events after 3 may be lost",
-    ]
-    assert position.announce(UR10, {"ef": 0}) == []
+    position.announce(UR10, {"ab": 5})
+    position.announce(UR10, {"ab": 7})
+    position.announce(UR10, {"cd": 0})  # of an empty outbox, or of another rig of this name
+    answer = GapAnswer("ab", 6, 7, ((6, 7),))
+    assert not settle(position, answer, 100.0)
+    assert position.request(UR10, 129.0) is None
+    if returns == "head":
+        position.announce(UR10, {"ab": 7})
+        position.announce(UR10, {"cd": 0})
+    elif returns == "event":
+        position.take(event(9))
+    lost = settle(position, answer, 131.0)
+    assert lost == (["lab/ur10: events 6 to 7 of epoch ab are lost: no longer kept"] * (returns == "never"))
 
 
-def test_memory_is_bounded_and_what_is_given_up_for_it_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_requests_become_rarer_until_they_are_answered() -> None:
+    position, asked, now = Position(everything=True), list[float](), 0.0
+    position.announce(UR10, {"ab": 9})
+    while now < 200:
+        asked += [now] if position.request(UR10, now) else []
+        now += 1.0
+    assert asked == [0, 3, 9, 21, 45, 93, 153]
+    assert not position.settle(UR10, GapAnswer("ab", 1, 9, ()), now)  # without its events: of no use
+    assert position.request(UR10, now) is None
+    position.take(event(1))  # it is there
+    assert position.request(UR10, now)
+    position.take(event(2))
+    position.settle(UR10, GapAnswer("ab", 2, 2, ()), now)
+    assert position.request(UR10, now)
+
+
+def test_forged_rigs_and_epochs_do_not_displace_a_rig_that_delivers() -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    position.take(event(6))
+    position.announce(UR10, {"ab": 9})
+    for number in range(300):
+        forged = {f"{number}-{each}": 9 for each in range(100)}
+        assert not position.announce(("lab", f"rig{number}"), forged)
+        assert not position.announce(UR10, forged)
+    assert len(position.encode()) < FILE_MAX / 4
+    assert len(position.rigs) < 101
+    again = Position.decode(position.encode(), "here")
+    assert again.encode() == position.encode()
+    for each in position, again:
+        assert each.has(event(6))
+        assert not each.has(event(7))
+        assert not each.announce(UR10, {"ab": 9})
+        assert missed(each) == ("ab", 7, 9)
+
+
+def test_what_is_given_up_to_bound_the_memory_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(position, "AHEAD_MAX", 3)
     monkeypatch.setattr(position, "SIZE_MAX", 49)
     here, lost = Position(everything=True), list[str]()
@@ -131,14 +163,8 @@ def test_memory_is_bounded_and_what_is_given_up_for_it_is_reported(
         lost += here.take(event(2 * number))
     assert len(lost) == 7
     assert lost[0] == "lab/ur10: event 1 of epoch ab is lost: given up after too many gaps without an answer"
-    assert here.announce(("lab", "a"), {"ab": 5}) == []
-    here.take(event(15))
-    assert here.announce(("lab", "b"), {"ab": 5}) == [
-        "lab/a: position forgotten, because there are too many rigs and epochs"
-    ]
-    assert here.rigs() == [UR10, ("lab", "b")]
-    put(tmp_path / "position", content(here))
-    assert content(load(tmp_path / "position")) == content(here)
+    assert not here.take(replace(EVENT, rig="b"))
+    assert here.take(replace(EVENT, rig="c")) == ["lab/ur10: position forgotten: too many rigs and epochs"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from connectors.events import Event
 from connectors.mqtt import broker_link as module
 from connectors.mqtt import sender
-from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message
+from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
@@ -132,10 +132,7 @@ async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    def back_off(last: float = 0.0) -> BackOff:  # noqa: ARG001
-        return BackOff(0.01, 0.02)
-
-    monkeypatch.setattr(sender, "BackOff", back_off)
+    monkeypatch.setattr(sender, "Pauses", lambda: Pauses(BackOff(0.01, 0.02)))
     monkeypatch.setattr(sender, "CLOSE_TIMEOUT", 0.2)
 
 
