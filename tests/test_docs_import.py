@@ -1,12 +1,14 @@
 """The scripts of docs/how-to/import.md read the formats that they name."""
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import chdir
 from functools import partial
 from pathlib import Path
+from runpy import run_path
 from typing import Any
+from warnings import catch_warnings
 
 import h5py
 import numpy as np
@@ -110,13 +112,15 @@ FILES: dict[str, tuple[str, Callable[[Path], None]]] = {
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_the_script_of_a_format_imports_it(file: str, tmp_path: Path) -> None:
+def test_the_script_of_a_format_imports_it(
+    file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     name, write = FILES[file]
     write(tmp_path / file)
     (tmp_path / name).write_text(block(ROOT / "docs/how-to/import.md", name))
-    command = [sys.executable, "-W", "error", name, file, "pads"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    monkeypatch.setattr(sys, "argv", [name, file, "pads"])
+    with chdir(tmp_path), catch_warnings(action="error"):
+        run_path(name, run_name="__main__")
     session = Session.open(tmp_path / "pads")
     fingertip, touch = session.fingertip(Touch), concat(Touch, list(session.read(Touch, 0)))
     assert fingertip is not None
@@ -126,7 +130,10 @@ def test_the_script_of_a_format_imports_it(file: str, tmp_path: Path) -> None:
     else:
         assert fingertip.unit == "kPa"
         assert touch.counts * fingertip.resolution == pytest.approx(CELLS.round(2), abs=1e-6)
-        assert f"labels of the file: {MOVING.sum()} slip, {ROWS - MOVING.sum()} static" in done.stdout
+        assert (
+            f"labels of the file: {MOVING.sum()} slip, {ROWS - MOVING.sum()} static"
+            in capsys.readouterr().out
+        )
     if name == "bag.py":
         motion = concat(Motion, list(session.read(Motion, EVERY)))
         assert len(motion) == ROWS

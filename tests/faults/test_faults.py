@@ -47,7 +47,7 @@ def test_events_written_again_after_two_failed_fsyncs_are_found_by_the_next_run(
 
 
 def test_a_seed_gives_the_same_history_in_another_process() -> None:
-    seeds = [seed for seed in range(30) if seed % 3 == 0]
+    seeds = [0, 9, 18, 27]
     text = (
         "from tests.faults.schedule import draw; from tests.faults.world import simulate\n"
         f"print(*[simulate(draw(seed)).digest for seed in {seeds}])"

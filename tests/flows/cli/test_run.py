@@ -94,9 +94,9 @@ def test_a_run_logs_what_its_model_is_meant_for(model: str, task: str) -> None:
 
 
 def test_a_closed_stdout_ends_the_run_quietly(tmp_path: Path) -> None:
-    cells = ([-100] * 6 if k // 100 % 2 else [-400 * (k % 3)] * 6 for k in range(60_000))
+    cells = ([-100] * 6 if k // 100 % 2 else [-400 * (k % 3)] * 6 for k in range(6_000))
     path = trace(tmp_path, *(f"{k / 100},{','.join(map(str, each))}" for k, each in enumerate(cells)))
-    command = [*SLIPFLOW, "run", "live", "--set", "detector=psd", "--pace", "20", "--replay", path]
+    command = [*SLIPFLOW, "run", "live", "--set", "detector=psd", "--pace", "2", "--replay", path]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout
         assert process.stderr

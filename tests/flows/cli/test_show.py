@@ -1,10 +1,16 @@
 import asyncio
 import json
+import os
 import re
 import signal
 import subprocess
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from http.client import HTTPConnection
 from pathlib import Path
+from socket import socket
+from time import sleep
 from typing import Any
 
 import pytest
@@ -17,7 +23,7 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import ParameterError, s
 from storage import Session
-from tests.command import SLIPFLOW, slipflow
+from tests.command import slipflow
 from tests.storage.made import write_pad
 from tests.waiting import PATIENCE
 
@@ -55,62 +61,75 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert seen["rows"]["scores"]["0"]["v"][0] >= recorded.rule.threshold
 
 
-def test_the_command_serves_the_session_until_ctrl_c(session: Session) -> None:
-    command = [*SLIPFLOW, "show", str(session.folder), "--listen", "127.0.0.1:0", "--no-browser"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr
-    address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
-    connection = HTTPConnection(address[1], int(address[2]), timeout=PATIENCE)
-    connection.request("GET", "/about.json")
-    about = json.loads(connection.getresponse().read())
-    assert (about["mode"], about["session"]) == ("recorded", "test")
-    connection.close()
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0
+Ask = Callable[..., Any]
+
+
+def is_open(port: int) -> bool:
+    with socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def serve(folder: Path, visit: Callable[[Ask], None]) -> subprocess.CompletedProcess[str]:
+    """Serve a session, visit its page in a thread, and press Ctrl-C."""
+    with socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+
+    def ask(path: str, body: object = None) -> Any:  # noqa: ANN401 - of JSON
+        headers = {"Origin": f"http://127.0.0.1:{port}", "Content-Type": "application/json"}
+        method, sent = ("GET", None) if body is None else ("POST", json.dumps(body))
+        with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE)) as connection:
+            connection.request(method, path, sent, headers)
+            return json.loads(connection.getresponse().read())
+
+    def visit_and_end() -> None:
+        try:
+            while not is_open(port):
+                sleep(0.05)
+            visit(ask)
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with ThreadPoolExecutor(1) as pool:
+        visited = pool.submit(visit_and_end)
+        done = slipflow("show", folder, "--listen", f"127.0.0.1:{port}", "--no-browser")
+        visited.result()
+    return done
+
+
+def test_a_session_is_served_until_ctrl_c(session: Session) -> None:
+    def visit(ask: Ask) -> None:
+        about = ask("/about.json")
+        assert (about["mode"], about["session"], about["scored"]) == ("recorded", "test", True)
+
+    done = serve(session.folder, visit)
+    assert done.returncode == 0
+    assert "http://127.0.0.1:" in done.stderr
 
 
 def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_without_scores(
     tmp_path: Path,
 ) -> None:
     session = write_pad(tmp_path)
-    command = [*SLIPFLOW, "show", str(tmp_path), "--listen", "127.0.0.1:0", "--no-browser"]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    assert process.stderr
-    line = process.stderr.readline()
+
+    def visit(ask: Ask) -> None:
+        about = ask("/about.json")
+        assert (about["scored"], about["events"]) == (False, [])
+        assert about["about"].startswith("Slip probability: none, as there is no detector.")
+        window = ask("/window?begin=0&end=4000&at=3900&columns=1000")
+        assert [*window["rows"]] == ["touch"]
+        newest = window["rows"]["touch"]["0"]["v"][-1]
+        assert newest == window["at"]["rows"]["touch"]["0"]["v"][0] == [747] * 9
+        span = {"begin": 2400, "end": 3000, "finger": "0", "value": "slip"}
+        span |= dict.fromkeys(("author", "note", "created"), "")
+        assert ask("/labels", {"based_on": 0, "spans": [span]})["version"] == 1
+
+    done = serve(tmp_path, visit)
+    assert done.returncode == 0
+    line = done.stderr.splitlines()[0]
     assert re.match(r"one: shown without scores: tcn needs 6 cells, .*; the data has 9 cells, .*kPa", line)
     assert "train a detector with `slipflow train`, or give one with --detector FILE" in line
-    address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
-    connection = HTTPConnection(address[1], int(address[2]), timeout=PATIENCE)
-
-    def answer(path: str, body: object = None) -> Any:  # noqa: ANN401 - of JSON
-        headers = {"Origin": f"http://{address[1]}:{address[2]}", "Content-Type": "application/json"}
-        connection.request(
-            "GET" if body is None else "POST", path, None if body is None else json.dumps(body), headers
-        )
-        return json.loads(connection.getresponse().read())
-
-    about = answer("/about.json")
-    assert (about["scored"], about["events"]) == (False, [])
-    assert about["about"].startswith("Slip probability: none, as there is no detector.")
-    window = answer("/window?begin=0&end=4000&at=3900&columns=1000")
-    assert [*window["rows"]] == ["touch"]
-    assert window["rows"]["touch"]["0"]["v"][-1] == window["at"]["rows"]["touch"]["0"]["v"][0] == [747] * 9
-    span = {
-        "begin": 2400,
-        "end": 3000,
-        "finger": "0",
-        "value": "slip",
-        "author": "",
-        "note": "",
-        "created": "",
-    }
-    assert answer("/labels", {"based_on": 0, "spans": [span]})["version"] == 1
     assert [each.value for each in session.hand_labels().spans] == ["slip"]
-    connection.close()
-    process.send_signal(signal.SIGINT)
-    process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0
 
 
 def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:

@@ -52,21 +52,28 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> SimulatedDataset:
     return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0)
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulate only the first three recordings of a plan."""
+    monkeypatch.setattr(simulation, "planned_recordings", lambda *plan: planned_recordings(*plan)[:3])
+
+
+@pytest.mark.usefixtures("few")
 def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(
     tmp_path: Path, tiny: SimulatedDataset
 ) -> None:
     (tmp_path / "empty").mkdir()
     with workers(2) as executor:
-        again = simulate(tmp_path / "empty", "tiny", 0, executor=executor)
-    assert hashes(again.out) == hashes(tiny.out)
-    assert again.splits == tiny.splits
+        again = hashes(simulate(tmp_path / "empty", "tiny", 0, executor=executor).out)
+    assert again.items() <= hashes(tiny.out).items()
+    assert len(again) > 15
 
 
+@pytest.mark.usefixtures("few")
 def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: SimulatedDataset) -> None:
-    other = hashes(simulate(tmp_path / "other", "tiny", 1).out)
-    same = {path for path, sha256 in hashes(tiny.out).items() if other[path] == sha256}
-    assert same == {"dataset.json"}
-    assert len(other) > 50
+    before, other = hashes(tiny.out), hashes(simulate(tmp_path / "other", "tiny", 1).out)
+    assert {path for path, sha256 in other.items() if before[path] == sha256} == {"dataset.json"}
+    assert len(other) > 15
 
 
 def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
@@ -142,9 +149,11 @@ def test_a_session_is_the_same_as_a_live_recording_of_the_scene(
     assert recorded.about["sources"] == sources
 
 
+@pytest.mark.usefixtures("few")
 def test_a_delay_moves_the_labels_and_nothing_else(tmp_path: Path, tiny: SimulatedDataset) -> None:
     delayed = simulate(tmp_path / "delayed", "tiny", 0, delay=70 * ms)
-    for one, other in zip(sessions(tiny.out), sessions(delayed.out), strict=True):
+    for other in sessions(delayed.out):
+        one = Session.open(tiny.out / "sessions" / other.name)
         before, after = one.frame("samples"), other.frame("samples")
         assert before.drop("speed", "label").equals(after.drop("speed", "label"))
         assert before["label"][7:].to_list() == after["label"][:-7].to_list()

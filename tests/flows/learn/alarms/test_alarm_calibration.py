@@ -50,7 +50,7 @@ def test_the_settings_are_nested_from_strict_to_sensitive() -> None:
         assert strict != sensitive
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=2, deadline=None)
 @example(seed=95, rate=0.5, confidence=0.95)
 @given(
     seed=st.integers(0, 1000),
