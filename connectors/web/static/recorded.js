@@ -8,6 +8,7 @@ import { Streams } from "./rows.js";
 
 const STEP = 100; // ms, of the arrow keys; ten times that with Shift, a tenth with Alt
 const STRIDES = { PageUp: 10000, PageDown: -10000, ArrowLeft: -STEP, ArrowDown: -STEP, ArrowRight: STEP, ArrowUp: STEP }; // ms
+const DATED = 1e11; // ms since 1970 UTC; earlier times count from the start of an imported file
 const CLICK = 4; // px, a shorter drag is a click
 const LEAST = 50; // ms, shortest zoom
 const MANY = 16; // cells; of more the readout has minimum and maximum
@@ -17,7 +18,8 @@ export function recorded(view, about) {
   const slider = $("instant"), whole = [0, Math.max(about.length, LEAST)], begun = new Date(about.start);
   let span = whole, events = about.events, remark = about.about, dragged = null;
   let figures = new Streams(); // rows at the selected time; the curves are reduced to pixel columns
-  const clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
+  const dated = about.start >= DATED, clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
+  const when = (t) => `${elapsed(t)}${dated ? ` · ${clock(t)} UTC` : ""}`;
   const instant = () => Number(slider.value);
   const bands = new Bands($("bands"));
   const labels = new Labels(about.labels, { get finger() { return view.finger; }, instant, elapsed, changed: redraw });
@@ -46,7 +48,7 @@ export function recorded(view, about) {
 
   async function load() {
     const t = instant();
-    write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
+    write($("instant-text"), when(t));
     view.slipping = slipping(events, t);
     redraw();
     try {
@@ -59,7 +61,7 @@ export function recorded(view, about) {
       slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);
       notice(remark);
       redraw();
-      write($("readout"), [`${elapsed(t)} · ${clock(t)} UTC`, ...values(t)].join(" · "));
+      write($("readout"), [when(t), ...values(t)].join(" · "));
     } catch {
       notice("The server does not respond. Restart it: slipflow show SESSION");
     }

@@ -262,6 +262,7 @@ def test_thinned_curves_keep_the_figures_of_the_recording(
         expect(tab.locator("#some-events")).to_have_text("The first 1,000 of 3,000 events are listed.")
         count, shown = tab.locator(".count").first, tab.locator("#probability")
         expect(count).to_have_text("10")  # the page has loaded
+        expect(tab.locator("#readout")).not_to_contain_text("UTC")  # it begins in 1970
         for row, figures in ((odd, ("333", "0.75")), (odd - 1, ("10", "0.25")), (odd + 1, ("10", "0.25"))):
             tab.locator("#instant").evaluate(MOVE, 10 * row)  # all within the same pixel
             expect(count).to_have_text(figures[0])
