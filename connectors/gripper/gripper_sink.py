@@ -1,17 +1,19 @@
-"""Sink that sends force commands to a Robotiq 3-finger gripper."""
+"""Sink that sends force commands to a Robotiq 3-finger gripper over Modbus TCP."""
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from connectors.gripper.drive import GripperDrive
 from connectors.gripper.robotiq import (
     FULL,
+    PACE,
     PORT,
+    SETTLE,
+    STATUS,
     STRONGEST,
     UNIT,
     WEAKEST,
@@ -23,12 +25,29 @@ from connectors.gripper.robotiq import (
 from operators.batch import Commands
 from operators.checks import check_above, check_between
 from operators.errors import EndpointError, FlowError, ParameterError
+from operators.extras import require_extra
 from operators.ports import BackOff, Clock, Description, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
-log = logging.getLogger("slipflow")
+if TYPE_CHECKING:
+    from pymodbus.pdu import ModbusPDU
 
+log = logging.getLogger("slipflow")
+logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)  # it duplicates the errors raised here
+
+ACTIVATION: Final = 30.0  # s, longest time until the gripper is ready
+POLL: Final = 0.1  # s between two status requests
 RETRY: Final = 2.0  # s, longest time between attempts to reconnect
+_DEVICE_FAILURE: Final = 0x04
+_REFUSALS: Final = {
+    0x01: "unknown function",
+    0x02: "unknown registers: is it a 3-finger gripper?",
+    0x03: "invalid value",
+    _DEVICE_FAILURE: "device failure",
+    0x06: "device busy",
+    0x0A: "the gateway has no route to the device",
+    0x0B: "no device answers: is this its unit?",
+}
 
 
 @dataclass(eq=False)
@@ -39,7 +58,7 @@ class Gripper(Sink[Commands]):
     the first commanded force, or at once if `force` is given, and stop at an object. Closing the sink leaves
     them as they are. The sink refuses to start in a replay, paced or not.
 
-    A command is executed on arrival, whatever its timestamp. A force of NaN and velocities have no effect. A
+    A command is executed on arrival, whatever its timestamp. A force of NaN has no effect. A
     force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
     fingers move again only for a higher force or another position.
 
@@ -53,6 +72,9 @@ class Gripper(Sink[Commands]):
         limits: Minimum and maximum force, N.
         force: Initial force, N; None: the first command sets the force.
         timeout: Longest wait for the connection, for each answer, and for the echo of a request, s.
+
+    Attributes:
+        status: Newest status after the newest request was echoed; None while the gripper cannot be reached.
 
     Raises:
         ParameterError: on an invalid value.
@@ -84,45 +106,46 @@ class Gripper(Sink[Commands]):
             raise ParameterError("Gripper", "limits", self.limits, must_be)
         if self.force is not None:
             check_between("Gripper", "force", self.force, low, high, unit="N")
-        self._counted = dict.fromkeys(["taken", "limited", "sent", "restarts", "failures"], 0)
+        self._serving: BackgroundTask | None = None  # None: not open
         self._reset()
 
     def _reset(self) -> None:
-        """Set the state before a run."""
-        target = Request(active=True, position=FULL, speed=FULL)
-        if self.force is not None:
-            target = replace(target, go=True, force=force_register(self.force))
-        self._drive = self._new_drive(target)
-        self._batch: Commands | None = None  # newest batch
+        """Set the state before a run; times are those of the event loop, s."""
+        force = None if self.force is None else force_register(self.force)
+        self._target = Request(active=True, force=force)
+        self._client: Any = None  # AsyncModbusTcpClient
+        self._changed = asyncio.Event()  # set with a new target
+        self._was_ready = False  # the gripper was ready when it last answered
         self._failure = ""
-        self._serving: BackgroundTask | None = None  # None: not open
+        self._next = 0.0  # earliest next request
+        self._settled = 0.0  # from then on the status shows the newest request
+        self._lose(0.0)
+
+    def _lose(self, now: float) -> None:
+        """Forget what is known of a gripper that failed, and begin to wait for its readiness."""
+        self.status: Status | None = None
+        self._ready = False  # the gripper accepts requests
+        self._sent: Request | None = None  # newest request
+        self._due = 0.0  # next status request
+        self._requested = 0.0  # newest request whose echo is checked
+        self._waiting = now
 
     @property
     def destination(self) -> str:
         """Address and unit of the gripper."""
         return f"modbus://{self.host}:{self.port}/{self.unit}"
 
-    @property
-    def status(self) -> Status | None:
-        """Newest status after the newest request was echoed; None while the gripper cannot be reached."""
-        return self._drive.status
-
     def describe(self) -> Description:
-        """Return gripper, address, limits, target, newest status and counts.
-
-        ``taken`` counts batches with a force; of these, ``limited`` were clipped. ``sent`` counts requests,
-        including activations; ``restarts`` and ``failures`` count those of the gripper.
-        """
-        status, request = self.status, self._drive.target
+        """Return gripper, address, limits, target and newest status."""
+        status, force = self.status, self._target.force
         return {
             "gripper": "Robotiq 3-finger",
             "address": self.destination,
             "limits_n": list(self.limits),
-            "force_n": register_force(request.force) if request.go else None,
+            "force_n": None if force is None else register_force(force),
             "object_detected": status.object_detected if status else None,
             "fault": self._failure or (status.reason if status else ""),
             "positions": list(status.positions) if status else None,
-            "counted": {**self._counted},
         }
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
@@ -132,12 +155,11 @@ class Gripper(Sink[Commands]):
             EndpointError: if the gripper cannot be reached.
             InputError: if pymodbus is not installed.
         """
-        drive = self._new_drive(Request())
         try:
-            await drive.connect()
-            status = await drive.read_status()
+            self._create_client()
+            status = await self._read_status()
         finally:
-            drive.drop()
+            self._disconnect()
         if status.fault:
             text = f"{status.reason}: remove what obstructs it; the start of a run resets the fault"
             yield Finding(self.destination, text, "bad")
@@ -159,10 +181,15 @@ class Gripper(Sink[Commands]):
             reason = "a replay must not move a gripper: remove this sink, or run the flow live"
             raise FlowError(run.flow, self.destination, reason)
         self._reset()
+        self._waiting = asyncio.get_running_loop().time()
         try:
-            await self._drive.start()
+            self._create_client()
+            if (await self._read_status()).needs_reset:
+                await self._write(Request())
+            while not self._ready or self._pending:
+                await self._step()
         except BaseException:
-            self._drive.drop()
+            self._disconnect()
             raise
         self._serving = BackgroundTask(self.destination, "the control of the gripper", self._serve())
 
@@ -174,9 +201,12 @@ class Gripper(Sink[Commands]):
         """
         if self._serving:
             self._serving.check()
-        if batch is not self._batch:  # the runner retries a failed batch
-            self._batch = batch
-            self._take(batch)
+        forces = batch.force[~np.isnan(batch.force)]
+        if len(forces):
+            low, high = self.limits
+            force = min(max(float(forces[-1]), low), high)
+            self._target = Request(active=True, force=force_register(force))
+            self._changed.set()
         if self._failure:
             raise EndpointError(self.destination, self._failure)
 
@@ -192,47 +222,152 @@ class Gripper(Sink[Commands]):
         await serving.end()
         try:
             async with asyncio.timeout(self.timeout):
-                while self._drive.connected and self._drive.pending:
-                    await self._drive.step()
-            unsent = self._failure if self._drive.pending else ""
+                while self._pending and not self._failure:
+                    await self._step()
+            unsent = self._failure if self._pending else ""
         except TimeoutError:
             unsent = "is not ready for the newest command"
         finally:
-            self._drive.drop()
+            self._disconnect()
         serving.check()
         if unsent:
             raise EndpointError(self.destination, unsent)
 
-    def _take(self, batch: Commands) -> None:
-        forces = batch.force[~np.isnan(batch.force)]
-        if not len(forces):
-            return
-        low, high = self.limits
-        newest = float(forces[-1])
-        self._counted["taken"] += 1
-        self._counted["limited"] += not low <= newest <= high
-        self._drive.grip(force_register(min(max(newest, low), high)))
+    @property
+    def _pending(self) -> bool:
+        """True if a force is commanded that has not been sent."""
+        return self._target.force is not None and self._target != self._sent
 
     async def _serve(self) -> None:
         """Keep the gripper on target until cancelled."""
-        back_off, drive = BackOff(last=RETRY), self._drive
+        back_off = BackOff(last=RETRY)
         while True:
             try:
-                await drive.step()
+                await self._step()
             except EndpointError as error:
-                drive.drop()
+                self._lose(asyncio.get_running_loop().time())
                 if not self._failure:
                     log.warning("%s, retrying", error)
                 self._failure = error.reason
-                self._counted["failures"] += 1
                 await asyncio.sleep(back_off.delay())
             else:
-                if drive.ready and self._failure:
+                if self._ready and self._failure:
                     log.warning("%s works again", self.destination)
                     self._failure = ""
                     back_off.reset()
 
-    def _new_drive(self, target: Request) -> GripperDrive:
-        address = self.host, self.port
-        counted, timeout = self._counted, self.timeout
-        return GripperDrive(self.destination, address, self.unit, target, counted=counted, timeout=timeout)
+    async def _step(self) -> None:
+        """Read the status or send the target if due, else wait until one of them is due.
+
+        Raises:
+            EndpointError: if the gripper fails.
+        """
+        loop = asyncio.get_running_loop()
+        now = loop.time()
+        if now >= self._due:
+            wait = await self._check_status()
+            self._due = loop.time() + wait
+        elif self._ready and self._pending:
+            await asyncio.sleep(self._next - now)
+            await self._send(self._target)  # read after the wait, so it is the newest
+        else:
+            self._changed.clear()
+            try:
+                async with asyncio.timeout(self._due - now):
+                    await self._changed.wait()
+            except TimeoutError:
+                pass
+
+    async def _check_status(self) -> float:
+        """Read the status, activate the gripper if needed, and return the time until the next check, s."""
+        status, now = await self._read_status(), asyncio.get_running_loop().time()
+        if status.needs_reset:
+            raise EndpointError(self.destination, status.reason)
+        if status.active and self._sent and status.echo != self._sent.position:
+            if now - self._requested > self.timeout:
+                reason = f"does not accept a request within {self.timeout} s"
+                raise EndpointError(self.destination, f"{reason}: does another program command it?")
+            return 0.0
+        if self._was_ready and not status.ready:
+            log.warning("%s has restarted: activating it again", self.destination)
+            self._lose(now)
+        self.status, self._ready = status, status.ready
+        self._was_ready = status.ready
+        if not status.ready and now - self._waiting > ACTIVATION:
+            reason = f"is not ready within {ACTIVATION} s: does something obstruct its fingers?"
+            raise EndpointError(self.destination, reason)
+        if not status.active:
+            await self._send(Request(active=True))
+        return POLL
+
+    async def _read_status(self) -> Status:
+        """Read the status.
+
+        Raises:
+            EndpointError: if the gripper cannot be reached, refuses, does not answer or sends an invalid
+                status.
+        """
+        await asyncio.sleep(self._settled - asyncio.get_running_loop().time())
+        answer = await self._exchange(
+            lambda: self._client.read_input_registers(0, count=STATUS, device_id=self.unit)
+        )
+        try:
+            return Status.decode(answer.registers)
+        except ValueError as error:
+            raise EndpointError(self.destination, f"sends {error}: is it a 3-finger gripper?") from None
+
+    async def _send(self, request: Request) -> None:
+        await self._write(request)
+        if self._sent is None or self._sent.position != request.position:  # a force alone has no echo
+            self._requested = self._due = asyncio.get_running_loop().time()
+        self._sent = request
+
+    async def _write(self, request: Request) -> None:
+        """Write a request, and delay the next reading of the status until it shows the request."""
+        values = request.encode()
+        await self._exchange(lambda: self._client.write_registers(0, values, device_id=self.unit))
+        self._settled = asyncio.get_running_loop().time() + SETTLE
+
+    async def _exchange(self, request: "Callable[[], Awaitable[ModbusPDU]]") -> "ModbusPDU":
+        """Wait for the turn, connect if needed, send a request and return the answer."""
+        from pymodbus import ModbusException  # noqa: PLC0415 - an extra
+
+        loop = asyncio.get_running_loop()
+        await asyncio.sleep(self._next - loop.time())
+        if not self._client.connected and not await self._client.connect():
+            reason = "cannot be reached: is it on, is this its address and port?"
+            raise EndpointError(self.destination, reason)
+        answering = asyncio.ensure_future(request())  # a task, because its `wait_for` may lose a cancellation
+        try:
+            await asyncio.wait([answering])
+            answer = answering.result()
+        except ModbusException:
+            reason = f"does not answer within {self.timeout} s: is {self.unit} its unit?"
+            raise EndpointError(self.destination, reason) from None
+        finally:
+            answering.cancel()
+            self._next = loop.time() + PACE
+        if answer.isError():
+            code = getattr(answer, "exception_code", _DEVICE_FAILURE)
+            reason = _REFUSALS.get(code, f"Modbus exception {code}")
+            raise EndpointError(self.destination, f"refuses: {reason}")
+        return answer
+
+    def _create_client(self) -> None:
+        """Create the client, which connects with the first request.
+
+        Raises:
+            InputError: if pymodbus is not installed.
+        """
+        require_extra("gripper", self.destination)
+        from pymodbus.client import AsyncModbusTcpClient  # noqa: PLC0415 - an extra
+
+        self._client = AsyncModbusTcpClient(
+            self.host, port=self.port, name="gripper", reconnect_delay=0, timeout=self.timeout, retries=0
+        )
+
+    def _disconnect(self) -> None:
+        """Close the connection, if there is one."""
+        if self._client:
+            self._client.close()
+        self._client, self.status = None, None

@@ -11,11 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 PORT: Final = 502
 UNIT: Final = 2  # unit in the manual's examples
-REQUEST: Final = 3  # registers
 STATUS: Final = 8  # registers
 FULL: Final = 255  # maximum position, speed and force
 WEAKEST: Final = 15.0  # N, minimum grip force
@@ -58,30 +57,30 @@ class Fingers(IntEnum):
     ARRIVED = 3  # at the requested position
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """Request to the gripper in its basic mode [rMOD 0]; the default resets it.
+class Request(NamedTuple):
+    """Request to the gripper in its basic mode [rMOD 0]; the default resets it and its fault.
 
     Attributes:
-        active: Activate it, or keep it active; False resets it and its fault [rACT].
-        go: Move to the position; False: stay [rGTO].
-        position: 0 open to 255 closed [rPRA].
-        speed: 0 slowest to 255 fastest [rSPA].
-        force: 0 weakest to 255 strongest, see `force_register` [rFRA].
+        active: Activate it, or keep it active [rACT].
+        force: Close at full speed with this force, 0 weakest to 255 strongest; None: stay [rGTO, rPRA, rFRA].
 
-    >>> [hex(each) for each in Request(active=True, go=True, position=255, speed=255, force=255).encode()]
+    >>> [hex(each) for each in Request(active=True, force=255).encode()]
     ['0x900', '0xff', '0xffff']
     """
 
     active: bool = False
-    go: bool = False
-    position: int = 0
-    speed: int = 0
-    force: int = 0
+    force: int | None = None
+
+    @property
+    def position(self) -> int:
+        """Requested position, 0 open to 255 closed."""
+        return 0 if self.force is None else FULL
 
     def encode(self) -> list[int]:
         """Return its registers."""
-        return [(self.active | self.go << 3) << 8, self.position, self.speed << 8 | self.force]
+        if self.force is None:
+            return [self.active << 8, 0, 0]
+        return [(self.active | 1 << 3) << 8, FULL, FULL << 8 | self.force]
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-from collections import deque
 from collections.abc import AsyncGenerator, Callable
 from errno import ENODEV, EREMOTEIO
 from os import strerror
@@ -32,17 +31,10 @@ class ScanThread:
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
         self._schedule, self._now, self._path = schedule, now, schedule.path
         self._loop = asyncio.get_running_loop()
-        self._scans = deque[Scan]()
-        self._error: BaseException | None = None
-        self._changed, self._ended = asyncio.Event(), asyncio.Event()
-        self._ending, self._blocked = Event(), False
+        self._results = asyncio.Queue[Scan | BaseException]()  # scans, and the error after them
+        self._ending = Event()
         self._thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
         self._thread.start()
-
-    @property
-    def alive(self) -> bool:
-        """True until the thread has ended."""
-        return self._thread.is_alive()
 
     async def scans(self) -> AsyncGenerator[Scan]:
         """Yield the scans.
@@ -52,47 +44,37 @@ class ScanThread:
         """
         timeout = TIMEOUT + self._schedule.period / s
         while True:
-            error = self._error  # read first: scans before the error are still yielded
-            while self._scans:
-                yield self._scans.popleft()
-            if error is not None:
-                raise error
-            self._changed.clear()
             try:
                 async with asyncio.timeout(timeout):
-                    await self._changed.wait()
+                    result = await self._results.get()
             except TimeoutError:
-                if not self._scans:
-                    self._blocked = True
-                    reason = f"is blocked for {timeout:.0f} s: reset its adapter"
+                if self._results.empty():  # else the event loop was late, not the bus
+                    reason = f"is blocked for {timeout:.0f} s: reset its adapter, or restart the machine"
                     raise EndpointError(self._path, reason) from None
+                continue
+            if isinstance(result, BaseException):
+                raise result
+            yield result
 
     async def end(self) -> None:
         """Disconnect all cells, close the bus and end the thread; abandon the thread if it is blocked."""
         self._ending.set()
-        try:
-            async with asyncio.timeout(0 if self._blocked else TIMEOUT):
-                await self._ended.wait()
-            self._thread.join()  # the thread ends right after it sets the event
-        except TimeoutError:
+        await asyncio.to_thread(self._thread.join, TIMEOUT)
+        if self._thread.is_alive():
             log.warning("%s: abandoned a blocked thread", self._path)
 
     def _run(self) -> None:
-        schedule, scanner = self._schedule, None
+        scanner: Scanner | None = None
         try:
-            scanner = Scanner(schedule, self._now)
+            scanner = Scanner(self._schedule, self._now)
             self._scan(scanner)
         except OSError as error:
-            self._error = EndpointError(self._path, i2c_reason(error))
+            self._pass_on(EndpointError(self._path, i2c_reason(error)))
         except BaseException as error:  # noqa: BLE001 - no failure of the device: raised to the runner as it is
-            self._error = error
+            self._pass_on(error)
         finally:
-            self._set(self._changed)
-            try:
-                if scanner is not None:
-                    scanner.close()
-            finally:
-                self._set(self._ended)
+            if scanner is not None:
+                scanner.close()
 
     def _scan(self, scanner: Scanner) -> None:
         """Scan on schedule.
@@ -104,7 +86,7 @@ class ScanThread:
         sampled, answered = self._now(), False
         due = sampled
         while self._wait_until(due):
-            if len(self._scans) < BACKLOG:
+            if self._results.qsize() < BACKLOG:
                 counted["late"] += self._now() - due > period // 10
                 scan = scanner.scan()
                 counted["made"] += 1
@@ -116,8 +98,7 @@ class ScanThread:
                     if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
                         raise scan.error or OSError(EREMOTEIO, strerror(EREMOTEIO))
                 if answered:  # a sensor without any sample so far is still lost
-                    self._scans.append(scan)
-                    self._set(self._changed)
+                    self._pass_on(scan)
             else:
                 counted["missed"] += 1
             due, missed = next_scan(due, self._now(), period)
@@ -129,9 +110,9 @@ class ScanThread:
             self._ending.wait(max(wait, SHORTEST_WAIT) / s)
         return not self._ending.is_set()
 
-    def _set(self, event: asyncio.Event) -> None:
+    def _pass_on(self, result: Scan | BaseException) -> None:
         try:
-            self._loop.call_soon_threadsafe(event.set)
+            self._loop.call_soon_threadsafe(self._results.put_nowait, result)
         except RuntimeError:  # the loop is closed, so `end` will not be called
             self._ending.set()
 

@@ -22,14 +22,16 @@ from connectors.takktile.takktile_protocol import (
     Reading,
     cell_address,
 )
-from operators.batch import BAROMETERS, Counts, Flags, s
+from operators.batch import BAROMETERS, Counts, Flags, ms, s
 
+CONVERSION: Final = 3 * ms  # ns, longest duration of a conversion; datasheet
+REREAD: Final = 1 * s  # ns, between attempts to read missing coefficients
 _NOT_ACKNOWLEDGED: Final = (errno.EREMOTEIO, errno.ENXIO)  # adapters differ
 _NO_ANSWER: Final = "no fingertip answers: check the power and the rows"
 _REASONS: Final = {
     errno.ENOENT: "the bus does not exist: is I2C enabled?",
     errno.EACCES: "permission denied: is the user in the group i2c?",
-    errno.EWOULDBLOCK: "is in use: end the other program",
+    errno.EWOULDBLOCK: "is in use: end the other program, or reset a blocked adapter",
     errno.EBUSY: "a kernel driver uses the address of the barometers: unload it",
     errno.EREMOTEIO: _NO_ANSWER,
     errno.ENXIO: _NO_ANSWER,
@@ -45,16 +47,15 @@ class Schedule:
     Attributes:
         path: Path of the bus, such as /dev/i2c-1.
         rows: Rows of the fingertips.
-        conversion: Waiting time for a conversion, ns.
         period: Time between two scans, ns.
         counted: Counters, incremented by the thread: scans made, of these silent (no cell answered) and late
             (by more than a tenth of the period), and missed.
-        coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not read yet.
+        coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not
+            read yet, or not plausible.
     """
 
     path: str
     rows: Sequence[int]
-    conversion: int
     period: int
     counted: dict[str, int]
     coefficients: Sequence[list[Coefficients | None]]
@@ -106,7 +107,7 @@ class Scanner:
     time, and the result looks like data. After every error all cells are disconnected.
 
     Args:
-        schedule: Bus, rows, conversion time and coefficients.
+        schedule: Bus, rows and coefficients.
         now: Clock of the samples, ns.
 
     Raises:
@@ -114,8 +115,8 @@ class Scanner:
     """
 
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        rows, self._conversion, self._coefficients = schedule.rows, schedule.conversion, schedule.coefficients
-        self._rows, self._now = rows, now
+        rows, self._coefficients = schedule.rows, schedule.coefficients
+        self._rows, self._now, self._reread = rows, now, 0
         self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in rows]
         self._bus = open_bus(schedule.path)
         try:
@@ -165,23 +166,29 @@ class Scanner:
         before = self._now()
         self._bus.write_i2c_block_data(BAROMETER, CONVERT, [1])
         after = self._now()
-        end = after + self._conversion
+        end = after + CONVERSION
         self._disconnect_all()
         while (wait := end - self._now()) > 0:
             sleep(wait / s)
         return (before + after) // 2
 
     def _read_missing_coefficients(self, valid: Flags) -> None:
-        """Read the coefficients of one cell that answers now and did not answer before."""
+        """Read the unknown coefficients of one cell that answers now, once per `REREAD` at most."""
+        if self._now() < self._reread:
+            return
         for fingertip, cells in enumerate(self._coefficients):
             for cell, known in enumerate(cells):
                 if known is None and valid[fingertip, cell]:
                     self._read_coefficients(fingertip, cell)
+                    self._reread = self._now() + REREAD
                     return
 
     def _read_coefficients(self, fingertip: int, cell: int) -> None:
-        data = self._read(cell_address(self._rows[fingertip], cell), COEFFICIENTS, 8)
-        self._coefficients[fingertip][cell] = None if data is None else Coefficients.decode(data)
+        """Read the coefficients of a cell twice; readings that differ are wrong."""
+        address = cell_address(self._rows[fingertip], cell)
+        data = self._read(address, COEFFICIENTS, 8)
+        if data is not None and data == self._read(address, COEFFICIENTS, 8):
+            self._coefficients[fingertip][cell] = Coefficients.decode(data)
 
     def _read(self, address: int, register: int, length: int) -> bytes | None:
         """Read from one cell, while all others are disconnected; return None if it does not answer.

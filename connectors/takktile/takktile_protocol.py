@@ -7,13 +7,12 @@ Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Lin
 """
 
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
-import numpy as np
+from operators.batch import Reals
 
-from operators.batch import Counts, Reals
+Value = TypeVar("Value", float, Reals)
 
 BAROMETER: Final = 0x60  # address of every barometer
 ALL: Final = 0x06  # address of all cells of all fingertips
@@ -27,6 +26,9 @@ RANGE: Final = 1024  # counts, of the 10-bit converter
 HIGHEST: Final = 850  # counts at 65 kPa, an altitude of 3,600 m, of a cell that reads 560 at sea level
 COLDEST: Final = 875  # counts, below -40 degC
 HOTTEST: Final = 40  # counts, above 105 degC
+LEAST: Final = 50.0  # kPa, of the barometer's range
+MOST: Final = 115.0  # kPa
+EXAMPLE: Final = (410, 507)  # counts of pressure and temperature in the datasheet: 96.6 kPa at 23 degC
 
 
 def cell_address(row: int, cell: int) -> int:
@@ -73,31 +75,25 @@ class Coefficients(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> "Coefficients | None":
-        """Return the coefficients in the 8 bytes of their register; None if no barometer answered.
+        """Return the coefficients in the 8 bytes of their register; None if no barometer can have them.
 
         >>> Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
         Coefficients(a0=2009.75, b1=-2.3758544921875, b2=-0.92047119140625, c12=0.0007901191711425781)
         """
-        if len(set(data)) == 1:  # all 0x00 or 0xFF
-            return None
         a0, b1, b2, c12 = struct.unpack(">4h", data)
-        return cls(a0 / 2**3, b1 / 2**13, b2 / 2**14, (c12 >> 2) / 2**22)
+        found = cls(a0 / 2**3, b1 / 2**13, b2 / 2**14, (c12 >> 2) / 2**22)
+        signs = found.a0 > 0 and found.b1 < 0 and found.b2 < 0 and found.c12 >= 0
+        return found if signs and LEAST <= found.pressure(*EXAMPLE) <= MOST else None
 
+    def pressure(self, counts: Value, temperature: Value) -> Value:
+        """Return the absolute pressure (kPa) of raw counts, as in the datasheet.
 
-def absolute_pressure(
-    counts: Counts, temperature: Counts, coefficients: Sequence[Coefficients | None]
-) -> Reals:
-    """Return the absolute pressure (kPa) of raw counts (n, cells), as in the datasheet; NaN where unknown.
-
-    >>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
-    >>> raw = np.array([[410, 410]], np.int16)
-    >>> absolute_pressure(raw, raw + np.int16(97), [datasheet, None]).round(3).tolist()
-    [[96.587, nan]]
-    """
-    a0, b1, b2, c12 = np.array([each or (np.nan,) * 4 for each in coefficients], np.float64).T  # (cells,)
-    p, t = counts.astype(np.float64), temperature.astype(np.float64)
-    pressure: Reals = (a0 + (b1 + c12 * t) * p + b2 * t) * 65 / 1023 + 50
-    return pressure
+        >>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
+        >>> round(datasheet.pressure(410, 507), 3)
+        96.587
+        """
+        compensated = self.a0 + (self.b1 + self.c12 * temperature) * counts + self.b2 * temperature
+        return compensated * 65 / 1023 + LEAST
 
 
 @dataclass

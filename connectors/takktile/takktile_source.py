@@ -10,16 +10,13 @@ from typing import Final, cast
 import numpy as np
 
 from connectors.takktile.scan_thread import ScanThread
-from connectors.takktile.scanner import Scan, Scanner, Schedule
-from connectors.takktile.takktile_protocol import ROWS, Coefficients, absolute_pressure
-from operators.batch import BAROMETERS, Reals, Touch, Zeroed, ms, s
-from operators.checks import check_above, check_choice
+from connectors.takktile.scanner import CONVERSION, Scan, Scanner, Schedule
+from connectors.takktile.takktile_protocol import LEAST, MOST, ROWS, Coefficients
+from operators.batch import BAROMETERS, Touch, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Finding, Json, Source
 
-RETRY: Final = 0.25  # s, between attempts to find a lost sensor
-SHORTEST: Final = ms // 10  # ns, least conversion time; a smaller number is not in ns
 DIAGNOSIS: Final = 1 * s  # ns, duration of the measurement of the rate
 RATE_LEAST: Final = 0.95  # smallest measured rate, of the nominal
 VALID_LEAST: Final = 0.5  # smallest share of valid samples of a cell
@@ -33,20 +30,18 @@ class TakkTile(Source[Touch]):
     if it answers with a plausible reading; invalid cells have the received counts, or 0. A late scan does not
     delay later scans, and a missed scan is not repeated.
 
-    If no cell answers for 0.25 s, the sensor is lost. The source then fails once, so that the runner records
-    the gap, and retries every 0.25 s. The bus is locked against other programs that scan it.
+    If no cell answers for 0.25 s, the sensor is lost and the source fails. The bus is locked against other
+    programs that scan it.
 
     Args:
         bus: Number of the I2C bus (1 for /dev/i2c-1), or its path.
         rows: Rows of the fingertips, as programmed into their ATtinys: 0 to 7.
         fingers: Numbers of the fingertips in the flow (default 0, 1 and so on).
-        rate: Scans per second, Hz.
-        conversion: Waiting time for a conversion, ns. The datasheet's maximum is 3 ms; TakkTile's own code
-            waits 1.6 ms.
+        rate: Scans per second, Hz; below 333, because a conversion takes 3 ms.
 
     Attributes:
         path: Path of the bus.
-        coefficients: Coefficients of the six cells, by finger; None if a cell has not answered yet.
+        coefficients: Coefficients of the six cells, by finger; None: not read yet, or not plausible.
 
     Raises:
         ParameterError: on an invalid value.
@@ -63,7 +58,6 @@ class TakkTile(Source[Touch]):
         *,
         fingers: tuple[int, ...] | None = None,
         rate: float = 100.0,
-        conversion: int = 3 * ms,
     ) -> None:
         if not isinstance(cast("object", rows), tuple):  # the caller may not be type-checked
             raise ParameterError("TakkTile", "rows", rows, "a tuple, such as (0,)")
@@ -74,19 +68,16 @@ class TakkTile(Source[Touch]):
             raise ParameterError("TakkTile", "rows", rows, f"different numbers from 0 to {ROWS - 1}")
         if not len(fingers) == len(set(fingers)) == len(rows) or min(fingers) < 0:
             raise ParameterError("TakkTile", "fingers", fingers, "different numbers, one for each row")
-        check_above("TakkTile", "rate", rate, 0, "Hz")
-        if not SHORTEST <= conversion < s / rate:
-            must_be = f"from {SHORTEST} ns to less than {s / rate:.0f} ns, such as 3 * ms"
-            raise ParameterError("TakkTile", "conversion", conversion, must_be)
+        if not 0 < rate < s / CONVERSION:
+            must_be = f"from 0 to {s / CONVERSION:.0f} Hz, because a conversion takes {CONVERSION / ms:g} ms"
+            raise ParameterError("TakkTile", "rate", rate, must_be)
         self.path = f"/dev/i2c-{bus}" if isinstance(bus, int) else bus
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}
         self._fingers = fingers
         counted = {"made": 0, "silent": 0, "late": 0, "missed": 0}
         cells = [self.coefficients[finger] for finger in fingers]
-        self._schedule = Schedule(self.path, rows, conversion, round(s / rate), counted, cells)
-        self._thread: ScanThread | None = None  # newest thread
-        self._reported: Clock | None = None  # clock of the run in which the loss of the sensor was reported
+        self._schedule = Schedule(self.path, rows, round(s / rate), counted, cells)
 
     @property
     def kind(self) -> type[Touch]:
@@ -102,33 +93,17 @@ class TakkTile(Source[Touch]):
         """Yield one sample of each fingertip per scan.
 
         Raises:
-            EndpointError: if the sensor is lost or missing; raised once until the sensor works again.
+            EndpointError: if the sensor is lost or missing.
         """
-        while True:
-            try:
-                async with aclosing(self._connection(clock)) as scans:
-                    async for scan in scans:
-                        self._reported = None
-                        for row, finger in enumerate(self._fingers):
-                            one = slice(row, row + 1)
-                            yield Touch(
-                                np.array([scan.time]),
-                                scan.counts[one],
-                                scan.temperature[one],
-                                scan.valid[one],
-                                finger=finger,
-                            )
-            except EndpointError:
-                if self._reported is not clock:
-                    self._reported = clock
-                    raise
-            await asyncio.sleep(RETRY)
+        async with aclosing(self._scans(clock)) as scans:
+            async for scan in scans:
+                for row, finger in enumerate(self._fingers):
+                    one, time = slice(row, row + 1), np.array([scan.time])
+                    yield Touch(time, scan.counts[one], scan.temperature[one], scan.valid[one], finger=finger)
 
-    async def _connection(self, clock: Clock) -> AsyncGenerator[Scan]:
+    async def _scans(self, clock: Clock) -> AsyncGenerator[Scan]:
         """Yield the scans until the sensor is lost."""
-        if self._thread is not None and self._thread.alive:
-            raise EndpointError(self.path, "is still blocked: reset its adapter, or restart the machine")
-        self._thread = thread = ScanThread(self._schedule, clock.now)
+        thread = ScanThread(self._schedule, clock.now)
         try:
             async with aclosing(thread.scans()) as scans:
                 async for scan in scans:
@@ -147,7 +122,7 @@ class TakkTile(Source[Touch]):
         scans, end = list[Scan](), clock.now() + DIAGNOSIS
         failure: EndpointError | None = None
         try:
-            async with aclosing(self._connection(clock)) as received:
+            async with aclosing(self._scans(clock)) as received:
                 async for scan in received:
                     scans.append(scan)
                     if scan.time > end:
@@ -165,20 +140,6 @@ class TakkTile(Source[Touch]):
             yield finding
         if scans:
             yield _rate_finding(self._schedule, scans)
-
-    def pressure(self, touch: Touch) -> Reals:
-        """Return the absolute pressure (kPa) at the cells, (n, 6), from a fingertip's raw counts.
-
-        It is NaN for invalid samples and for cells whose coefficients have not been read yet.
-
-        Raises:
-            ParameterError: if the counts are zeroed, or the finger is not one of this source.
-        """
-        if isinstance(touch, Zeroed):
-            raise ParameterError("TakkTile", "touch", type(touch).__name__, "raw counts, a Touch")
-        check_choice("TakkTile", "finger", touch.finger, self._fingers)
-        pressure = absolute_pressure(touch.counts, touch.temperature, self.coefficients[touch.finger])
-        return np.where(touch.valid, pressure, np.nan)
 
     @property
     def fingertip(self) -> Fingertip:
@@ -198,7 +159,6 @@ class TakkTile(Source[Touch]):
             **_adapter(self.path),
             "rows": list(schedule.rows),
             "fingers": list(self._fingers),
-            "conversion_ms": schedule.conversion / ms,
             "coefficients": cast("dict[str, Json]", {str(f): each for f, each in self.coefficients.items()}),
             "scans": cast("dict[str, Json]", schedule.counted),
         }
@@ -220,7 +180,7 @@ def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:
     """Return the rows of the bus at which a cell answers; none if the bus cannot be used."""
     cells = [list[Coefficients | None]([None] * BAROMETERS) for _ in range(ROWS)]
     try:
-        Scanner(Schedule(path, range(ROWS), 3 * ms, s, {}, cells), now).close()
+        Scanner(Schedule(path, range(ROWS), s, {}, cells), now).close()
     except OSError:
         return []
     return [row for row, known in enumerate(cells) if any(known)]
@@ -230,22 +190,51 @@ def _row_findings(
     schedule: Schedule, scans: Sequence[Scan], others: Sequence[int] | None
 ) -> Iterator[Finding]:
     """Yield a finding for each declared row; `others` are all rows that answer, None if not searched."""
-    shares = np.mean([scan.valid for scan in scans], axis=0) if scans else None  # (fingertips, 6)
     for index, row in enumerate(schedule.rows):
         subject, known = f"{schedule.path} row {row}", schedule.coefficients[index]
-        silent = [cell for cell, coefficients in enumerate(known) if coefficients is None]
-        weak = [] if shares is None else np.flatnonzero(shares[index] < VALID_LEAST).tolist()
+        unknown = [cell for cell, coefficients in enumerate(known) if coefficients is None]
+        shares = np.mean([scan.valid[index] for scan in scans] or np.zeros((1, BAROMETERS)), axis=0)  # (6,)
+        silent = [cell for cell in unknown if not shares[cell]]
+        wrong = [cell for cell in unknown if shares[cell]]
+        weak = np.flatnonzero(shares < VALID_LEAST).tolist() if scans else []
+        far = _implausible_pressures(known, scans, index)
         if len(silent) == BAROMETERS:
             found = f"rows {_join(others)} answer: declare them, or program the fingertip" if others else ""
             yield Finding(subject, f"does not answer; {found or 'check its power and its row'}", "bad")
         elif silent:
             text = f"cells {_join(silent)} do not answer: check their soldering and cable"
             yield Finding(subject, text, "bad")
+        elif wrong:
+            text = (
+                f"cells {_join(wrong)} have coefficients that no barometer has: check the cable and bus speed"
+            )
+            yield Finding(subject, f"{text}, or replace the fingertip", "bad")
         elif weak:
             text = f"cells {_join(weak)} give implausible values: unload the fingertip, or replace it"
             yield Finding(subject, text, "bad")
+        elif far:
+            cells = ", ".join(f"cell {cell} {kpa:.0f} kPa" for cell, kpa in far.items())
+            text = f"the pressure is outside {LEAST:g} to {MOST:g} kPa: {cells}; unload the fingertip"
+            yield Finding(subject, f"{text}, or replace it", "bad")
         else:
             yield Finding(subject, f"{BAROMETERS} cells answer")
+
+
+def _implausible_pressures(
+    known: Sequence[Coefficients | None], scans: Sequence[Scan], index: int
+) -> dict[int, float]:
+    """Return the median pressures (kPa) of a fingertip that are outside the barometers' range, by cell."""
+    found = dict[int, float]()
+    for cell, coefficients in enumerate(known):
+        raw = [
+            (one.counts[index, cell], one.temperature[index, cell]) for one in scans if one.valid[index, cell]
+        ]
+        if coefficients and raw:
+            counts, temperature = np.median(raw, axis=0)
+            pressure = coefficients.pressure(float(counts), float(temperature))
+            if not LEAST <= pressure <= MOST:
+                found[cell] = pressure
+    return found
 
 
 def _rate_finding(schedule: Schedule, scans: Sequence[Scan]) -> Finding:

@@ -3,8 +3,8 @@
 import asyncio
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,23 +14,10 @@ from flows.run.clocks import LoopClock
 from operators import s
 from operators.batch import Commands
 from operators.ports import Run
-from tests.emulators.gripper import GripperServer, decode_request
+from tests.emulators.gripper import Asked, GripperServer
 
 IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' transport without sockets, for virtual time
 PORT = 5020
-
-
-@dataclass
-class Scene:
-    """Record of commanded forces (N)."""
-
-    forces: list[float] = field(default_factory=list[float])
-    gripped: asyncio.Event = field(default_factory=asyncio.Event)
-
-    def command(self, commands: Commands) -> None:
-        """Record commands."""
-        self.forces += commands.force.tolist()
-        self.gripped.set()
 
 
 @dataclass
@@ -38,7 +25,6 @@ class Lab:
     """Emulated gripper on the event loop's time, and the requests that it received."""
 
     server: GripperServer
-    scene: Scene
     run: Run
     asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
 
@@ -59,17 +45,21 @@ class Lab:
     @property
     def writes(self) -> list[Request]:
         """Requests to the gripper."""
-        return [decode_request(data[-6:]) for _, data in self.asked if data[5] == 16]
+        asked = [Asked.decode(data[-6:]) for _, data in self.asked if data[5] == 16]
+        return [Request(each.active, each.force if each.go else None) for each in asked]
+
+    @property
+    def forces(self) -> list[float]:
+        """Grip forces on the object, N."""
+        return self.server.mechanism.forces
 
 
 @asynccontextmanager
 async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> AsyncGenerator[Lab]:
     """Serve a gripper for a block."""
-    loop, scene, asked = asyncio.get_running_loop(), Scene(), list[tuple[float, bytes]]()
+    loop, asked = asyncio.get_running_loop(), list[tuple[float, bytes]]()
     begun = loop.time()
-    server = GripperServer(
-        scene, host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters
-    )
+    server = GripperServer(host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters)
 
     def listen(sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
         if data and not sending:
@@ -78,14 +68,9 @@ async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> Asy
 
     server.trace = listen
     async with server:
-        yield Lab(server, scene, Run("run1", "live", LoopClock(), 0), asked)
+        yield Lab(server, Run("run1", "live", LoopClock(), 0), asked)
 
 
 def commands(*forces: float) -> Commands:
     """Return a row for each force (N), 1 ns apart."""
     return Commands(np.arange(len(forces)), np.array(forces, float)).check()
-
-
-def counted(gripper: Gripper) -> dict[str, int]:
-    """Return the counts of a sink."""
-    return cast("dict[str, int]", gripper.describe()["counted"])

@@ -18,7 +18,7 @@ def registers(data: str) -> list[int]:
     ("frame", "request_"),
     [
         ("01 00 00 00 00 00", Request(active=True)),
-        ("09 00 00 FF FF FF", Request(active=True, go=True, position=255, speed=255, force=255)),
+        ("09 00 00 FF FF FF", Request(active=True, force=255)),
     ],
 )
 def test_requests_have_the_bytes_in_the_manual(frame: str, request_: Request) -> None:

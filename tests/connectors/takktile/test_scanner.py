@@ -61,7 +61,7 @@ class Rig:
         self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
-        schedule = Schedule(PATH, self.rows, 100 * us, 0, {}, self.coefficients)
+        schedule = Schedule(PATH, self.rows, 0, {}, self.coefficients)
         return Scanner(schedule, time_ns)
 
     def right(self, scan: Scan) -> None:
@@ -81,7 +81,9 @@ class Rig:
 
 
 @pytest.fixture
-def rig() -> Iterator[Rig]:
+def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    monkeypatch.setattr("connectors.takktile.scanner.CONVERSION", 100 * us)
+    monkeypatch.setattr("connectors.takktile.scanner.REREAD", 0)
     rig = Rig()
     with served(rig.bus, PATH):
         yield rig
@@ -225,11 +227,31 @@ def test_coefficients_of_a_silent_cell_are_read_later(rig: Rig) -> None:
         assert None not in rig.coefficients[1]
 
 
+def test_one_wrong_bit_in_coefficients_is_noticed_and_they_are_read_again(rig: Rig) -> None:
+    cell, flips = rig.bus.fingertips[3].cells[2], [1 << 40, 1 << 24]
+    right, read = bytes(cell.registers[4:12]), Cell.read
+
+    def wrong(self: Cell, length: int, now: int) -> bytes:
+        data = read(self, length, now)
+        flip = flips.pop() if self is cell and length == 8 and flips else 0
+        return (int.from_bytes(data, "big") ^ flip).to_bytes(length, "big")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Cell, "read", wrong)
+        with closing(rig.open()) as scanner:
+            assert rig.coefficients[1][2] is None  # two readings that differ
+            rig.sound(scanner.scan())
+    assert rig.coefficients[1][2] == Coefficients.decode(right)
+
+
 def test_a_bus_is_locked(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
             rig.open()
-        assert i2c_reason(raised.value) == "is in use: end the other program (errno 11)"
+        assert (
+            i2c_reason(raised.value)
+            == "is in use: end the other program, or reset a blocked adapter (errno 11)"
+        )
     rig.open().close()
 
 

@@ -1,6 +1,7 @@
+import struct
+
 import numpy as np
-import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from connectors.takktile.takktile_protocol import (
@@ -9,29 +10,41 @@ from connectors.takktile.takktile_protocol import (
     Coefficients,
     OverloadDetector,
     Reading,
-    absolute_pressure,
     cell_address,
 )
 
+BYTES = "3ECE B3F9 C517 33C8"
 DATASHEET = Coefficients(2009.75, -2.3758544921875, -0.92047119140625, 0.0007901191711425781)
 
 
+def flipped(bit: int) -> bytes:
+    """Return the datasheet's coefficients with a wrong bit."""
+    return (int.from_bytes(bytes.fromhex(BYTES), "big") ^ 1 << bit).to_bytes(8, "big")
+
+
 def test_counts_become_pressure_as_in_the_datasheet() -> None:
-    assert Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8")) == DATASHEET
-    counts = np.array([[410, 372, 263, 781, 0, 410]], np.int16)
-    kpa = absolute_pressure(counts, np.full((1, 6), 507, np.int16), [DATASHEET] * 5 + [None])
-    expected = [96.587, 101.325, 115.0, 50.0, 148.0, np.nan]  # counts fall as pressure rises
-    np.testing.assert_allclose(kpa, [expected], atol=0.1)
+    assert Coefficients.decode(bytes.fromhex(BYTES)) == DATASHEET
+    counts, temperature = np.array([410.0, 372, 263, 781, 0]), np.full(5, 507.0)
+    expected = [96.587, 101.325, 115.0, 50.0, 148.0]  # counts fall as pressure rises
+    np.testing.assert_allclose(DATASHEET.pressure(counts, temperature), expected, atol=0.1)
 
 
 def test_coefficients_are_signed_and_c12_has_two_unused_bits() -> None:
-    assert Coefficients.decode(bytes.fromhex("0008 2000 4000 0007")) == (1.0, 1.0, 1.0, 2**-22)
-    assert Coefficients.decode(bytes.fromhex("FFF8 E000 C000 FFFC")) == (-1.0, -1.0, -1.0, -(2**-22))
+    found = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33CB"))
+    assert found == DATASHEET._replace(c12=0x33C8 / 2**24)
 
 
-@pytest.mark.parametrize("octet", [0x00, 0xFF])
-def test_the_bytes_of_an_idle_bus_are_no_coefficients(octet: int) -> None:
-    assert Coefficients.decode(bytes([octet] * 8)) is None
+@given(st.binary(min_size=8, max_size=8) | st.integers(0, 63).map(flipped))
+@example(bytes(8))  # an idle bus
+@example(bytes([0xFF] * 8))
+@example(bytes.fromhex("BECE B3F9 C517 33C8"))  # the sign of a0
+@example(bytes.fromhex("CEB3 F9C5 1733 C800"))  # one byte lost
+@example(bytes.fromhex("3ECE 0000 0000 0000"))
+def test_coefficients_that_no_barometer_has_are_none(data: bytes) -> None:
+    a0, b1, b2, c12 = struct.unpack(">4h", data)
+    at_example = (a0 / 8 + (b1 / 8192 + (c12 >> 2) / 2**22 * 507) * 410 + b2 / 16384 * 507) * 65 / 1023 + 50
+    possible = a0 > 0 and b1 < 0 and b2 < 0 and c12 >= 0 and 50 <= at_example <= 115
+    assert (Coefficients.decode(data) is not None) == possible
 
 
 @given(st.integers(0, 1023), st.integers(0, 1023), st.integers(0, 63))
