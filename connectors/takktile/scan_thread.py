@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from collections import deque
 from collections.abc import AsyncGenerator, Callable
 from errno import ENODEV, EREMOTEIO
 from os import strerror
@@ -31,8 +32,8 @@ class ScanThread:
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
         self._schedule, self._now, self._path = schedule, now, schedule.path
         self._loop = asyncio.get_running_loop()
-        self._results = asyncio.Queue[Scan | BaseException]()  # scans, and the error after them
-        self._ending = Event()
+        self._results = deque[Scan | BaseException]()  # scans, and the error after them
+        self._changed, self._ending = asyncio.Event(), Event()
         self._thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
         self._thread.start()
 
@@ -44,17 +45,19 @@ class ScanThread:
         """
         timeout = TIMEOUT + self._schedule.period / s
         while True:
+            while self._results:
+                result = self._results.popleft()
+                if isinstance(result, BaseException):
+                    raise result
+                yield result
+            self._changed.clear()
             try:
                 async with asyncio.timeout(timeout):
-                    result = await self._results.get()
+                    await self._changed.wait()
             except TimeoutError:
-                if self._results.empty():  # else the event loop was late, not the bus
+                if not self._results:  # else the event loop was late, not the bus
                     reason = f"is blocked for {timeout:.0f} s: reset its adapter, or restart the machine"
                     raise EndpointError(self._path, reason) from None
-                continue
-            if isinstance(result, BaseException):
-                raise result
-            yield result
 
     async def end(self) -> None:
         """Disconnect all cells, close the bus and end the thread; abandon the thread if it is blocked."""
@@ -86,7 +89,7 @@ class ScanThread:
         sampled, answered = self._now(), False
         due = sampled
         while self._wait_until(due):
-            if self._results.qsize() < BACKLOG:
+            if len(self._results) < BACKLOG:
                 counted["late"] += self._now() - due > period // 10
                 scan = scanner.scan()
                 counted["made"] += 1
@@ -111,8 +114,9 @@ class ScanThread:
         return not self._ending.is_set()
 
     def _pass_on(self, result: Scan | BaseException) -> None:
+        self._results.append(result)
         try:
-            self._loop.call_soon_threadsafe(self._results.put_nowait, result)
+            self._loop.call_soon_threadsafe(self._changed.set)
         except RuntimeError:  # the loop is closed, so `end` will not be called
             self._ending.set()
 

@@ -50,7 +50,6 @@ from operators import (
 from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import commit, machine
-from tests.emulators.free_arm import FreeArm
 from tests.emulators.i2c_bus import EmulatedI2cBus
 from tests.emulators.i2c_device import served
 from tests.emulators.ur_controller import E_SERIES, Ports, UrController
@@ -184,8 +183,8 @@ def serve(seed: int, port: Connection, over: Event) -> None:
     """Be the controller."""
 
     async def main() -> None:
-        arm = FreeArm(np.random.default_rng(seed).normal(size=6))
-        async with UrController(arm, host=HOST, ports=Ports(0, 0, 0), version=E_SERIES) as controller:
+        pose = np.random.default_rng(seed).normal(size=6)
+        async with UrController(pose, host=HOST, ports=Ports(0, 0, 0), version=E_SERIES) as controller:
             port.send(controller.ports.rtde)
             while not over.is_set():  # noqa: ASYNC110 - set by another process
                 await asyncio.sleep(0.1)

@@ -205,7 +205,7 @@ class GripperServer:
         if function == WRITE and written is not None:
             data = b"".join(int(value).to_bytes(2, "big") for value in written)
             self._written[2 * address : 2 * address + len(data)] = data
-            self.mechanism.request(Asked.decode(self._written), self._now())
+            self.mechanism.request(Asked.decode(bytes(self._written)), self._now())
         elif function == READ:
             current[:STATUS] = struct.unpack(f">{STATUS}H", self.mechanism.registers(self._now()))
         else:

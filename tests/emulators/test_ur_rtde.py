@@ -17,17 +17,17 @@ import pytest
 
 from connectors.ur.rtde import Version
 from flows.run.clocks import LoopClock
-from tests.emulators.free_arm import FreeArm
+from operators.batch import Reals
 from tests.emulators.ur_controller import CB3, E_SERIES, UrController
 from tests.loopback import own_host
 from tests.waiting import PATIENCE
 
 NEWEST = Version(5, 24, 0, 1)
+ORIGIN = np.zeros(6)
 real = pytest.mark.skipif(find_spec("rtde_control") is None, reason="needs ur-rtde: the extra ur")
 
 PRELUDE = """
 import json, sys, time
-from dashboard_client import DashboardClient
 from rtde_control import RTDEControlInterface
 from rtde_receive import RTDEReceiveInterface
 
@@ -56,7 +56,7 @@ def at(pose):  # what was received last may be a cycle old
 
 
 def with_ur_rtde(
-    script: str, version: Version, *faults: Callable[[UrController], None], arm: FreeArm | None = None
+    script: str, version: Version, *faults: Callable[[UrController], None], pose: Reals = ORIGIN
 ) -> list[Any]:
     """Run a script against a controller; return what it says.
 
@@ -64,11 +64,10 @@ def with_ur_rtde(
     and `fault`, which returns once the next of `faults` is done.
     """
     host = own_host(5)
-    arm = arm or FreeArm(np.zeros(6), acceleration=5.0)
 
     async def main() -> list[Any]:
         due, said = list(faults), list[Any]()
-        served = UrController(arm, host=host, version=version, now=LoopClock().now)
+        served = UrController(pose, host=host, version=version, now=LoopClock().now)
         async with asyncio.timeout(PATIENCE), served as controller:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-c", PRELUDE + dedent(script), host),
@@ -108,12 +107,12 @@ def test_the_real_receiver_reads_what_the_arm_does(version: Version) -> None:
         before = receive.getTimestamp()
         say(until(lambda: receive.getTimestamp() > before))
     """
-    arm = FreeArm(np.array([0.1, 0.2, 0.3, 0.0, 3.0, 0.0]))
+    pose = np.array([0.1, 0.2, 0.3, 0.0, 3.0, 0.0])
 
-    def push(_: UrController) -> None:
-        arm.command(0, np.array([0.1, 0, 0, 0, 0, 0.5]))
+    def push(controller: UrController) -> None:
+        controller.box.drive.velocity = np.array([0.1, 0, 0, 0, 0, 0.5])
 
-    assert with_ur_rtde(script, version, push, arm=arm) == [
+    assert with_ur_rtde(script, version, push, pose=pose) == [
         [[0.1, 0.2, 0.3, 0.0, 3.0, 0.0], 7, 1],
         [1, False, False],
         [True, [0.1, 0, 0, 0, 0, 0.5]],
@@ -136,7 +135,7 @@ def test_the_real_control_moves_and_stops_the_arm(version: Version) -> None:
         say("stopL", control.stopL(2.0), until(lambda: speed() < 1e-3))
         control.moveL([1, 0, 0, 0, 0, 0], 0.1, 1.2, True)
         say("asynchronous", until(lambda: control.getAsyncOperationProgress() >= 0 and speed() > 0.09))
-        say("stopJ", control.stopJ(2.0), control.getAsyncOperationProgress() < 0, control.isSteady())
+        say("stops", control.stopL(2.0), control.getAsyncOperationProgress() < 0)
         control.stopScript()
         say("ended", control.isProgramRunning(), control.moveL([0, 0, 0, 0, 0, 0], 0.1, 1.2))
     """
@@ -148,53 +147,6 @@ def test_the_real_control_moves_and_stops_the_arm(version: Version) -> None:
         "speedStop": [True, True],
         "stopL": [None, True],
         "asynchronous": [True],
-        "stopJ": [None, True, True],
+        "stops": [None, True],
         "ended": [False, False],
     }
-
-
-@real
-def test_the_real_control_sees_stops_and_comes_back_after_them() -> None:
-    script = """
-        control, dashboard = RTDEControlInterface(host), DashboardClient(host)
-        dashboard.connect()
-
-        say("triggered", control.triggerProtectiveStop(), until(receive.isProtectiveStopped))
-        say("refused", control.moveL([0.1, 0, 0, 0, 0, 0], 0.1, 1.2), dashboard.safetystatus())
-        until(lambda: unlocked())
-        say("unlocked", until(lambda: not receive.isProtectiveStopped()), dashboard.safetystatus())
-        say("again", control.reuploadScript(), until(control.isProgramRunning))
-
-        control.speedL([0.05, 0, 0, 0, 0, 0], 1.0)
-        until(lambda: speed() > 0.049)
-        fault()
-        say("emergency", until(receive.isEmergencyStopped), until(lambda: speed() < 1e-3))
-        say("powerless", control.moveL([0.1, 0, 0, 0, 0, 0], 0.1, 1.2), dashboard.robotmode())
-        fault()
-        say("back", dashboard.robotmode(), control.reuploadScript(), until(control.isProgramRunning))
-        say("moves", control.moveL([0.01, 0, 0, 0, 0, 0], 0.25, 1.2))
-    """
-    unlocked = """
-        def unlocked():
-            try:
-                dashboard.unlockProtectiveStop()
-            except RuntimeError:
-                return False
-            return True
-    """
-    said = with_ur_rtde(
-        dedent(unlocked) + dedent(script),
-        E_SERIES,
-        UrController.stop_in_emergency,
-        UrController.release_emergency,
-    )
-    assert said == [
-        ["triggered", True, True],
-        ["refused", False, "Safetystatus: PROTECTIVE_STOP"],
-        ["unlocked", True, "Safetystatus: NORMAL"],
-        ["again", True, True],
-        ["emergency", True, True],
-        ["powerless", False, "Robotmode: POWER_OFF"],
-        ["back", "Robotmode: RUNNING", True, True],
-        ["moves", True],
-    ]

@@ -6,13 +6,11 @@ ones that ur-rtde requests; "Dashboard Server e-Series, port 29999" and "..., CB
 
 import logging
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from math import inf, nan
+from math import nan
 from types import MappingProxyType
-from typing import Final, Protocol, cast
-
-import numpy as np
+from typing import Final, cast
 
 from connectors.ur.rtde import Version
 from operators.batch import Reals
@@ -22,7 +20,6 @@ from tests.emulators.ur_program import REGISTERS, Drive, Program, Registers
 log = logging.getLogger("slipflow")
 
 CB3: Final = 3  # major version of the controllers that run at 125 Hz; later ones run at 500 Hz
-VELOCITY_TOLERANCE: Final = 1e-5  # m/s, rad/s; smaller changes are not commanded
 
 
 class RobotMode(IntEnum):
@@ -46,12 +43,6 @@ class RuntimeState(IntEnum):
     STOPPED = 1
     PLAYING = 2
 
-
-SAFETY_BITS: Final = {  # RTDE guide, safety_status_bits
-    SafetyMode.NORMAL: 1 << 0,
-    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
-    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
-}
 
 _BY_TYPE: Final = {
     "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum"
@@ -77,34 +68,13 @@ INPUTS: Final[Mapping[str, str]] = MappingProxyType(
     | {f"input_double_register_{i}": "DOUBLE" for i in range(REGISTERS)}
     | {"external_force_torque": "VECTOR6D"}
 )
-_INTEGER: Final = {"INT32", "UINT32", "UINT64"}
-_WIDTH: Final = {"VECTOR3D": 3, "VECTOR6D": 6}
-
-
-def _placeholder(kind: str) -> Value:
-    """Return the value of a variable that is not simulated, such as a current: 0 for integers, else NaN."""
-    if kind == "VECTOR6INT32":
-        return (0,) * 6
-    if kind in _INTEGER:
-        return 0
-    return (nan,) * _WIDTH[kind] if kind in _WIDTH else nan
-
-
-class Arm(Protocol):
-    """An arm that follows velocity commands, such as a `FreeArm`."""
-
-    @property
-    def wrench(self) -> Reals:
-        """Force (N) and torque (N m) on the tool at the latest motion, (6,); NaN if it is not measured."""
-        ...
-
-    def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return pose (6,) m, rad and velocity (6,) m/s, rad/s of the TCP at a host time (ns)."""
-        ...
-
-    def command(self, time: int, velocity: Reals) -> None:
-        """Follow a velocity (6,) m/s, rad/s from a host time (ns) on."""
-        ...
+_USED: Final = [f"output_int_register_{i}" for i in range(3)]  # by the program
+_PLACEHOLDERS: Final[Mapping[str, Value]] = {  # of variables that are not simulated, such as a current
+    "DOUBLE": nan,
+    "VECTOR3D": (nan,) * 3,
+    "VECTOR6D": (nan,) * 6,
+    "VECTOR6INT32": (0,) * 6,
+}
 
 
 class ControlBox:
@@ -118,23 +88,20 @@ class ControlBox:
         cycles: Cycles since power-up; the clock of the controller is `cycles / rate`.
         robot_mode, safety_mode, runtime_state: State of the arm, the safety system and the program.
         registers: Registers that clients read and write.
-        program: Name of the latest program; empty before the first.
-        drive: Motion of the arm.
+        drive: The arm.
     """
 
-    def __init__(self, arm: Arm, version: Version) -> None:
+    def __init__(self, pose: Reals, version: Version) -> None:
         self.version, self.rate = version, 125.0 if version.major <= CB3 else 500.0
-        self._arm = arm
-        self._commanded: Reals = np.zeros(6)  # velocity
+        self.drive = Drive(pose, 1 / self.rate)
         self.power_up()
 
     def power_up(self) -> None:
-        """Reset the clock, the registers and the program, and bring the arm to rest."""
-        self.cycles, self.program, self.registers = 0, "", Registers()
+        """Reset the clock, the registers and the program; the arm stays as it is."""
+        self.cycles, self.registers = 0, Registers()
         self.robot_mode, self.safety_mode = RobotMode.RUNNING, SafetyMode.NORMAL
-        self.runtime_state = RuntimeState.STOPPED
-        self.drive, self._running = Drive(1 / self.rate), cast("Program | None", None)
-        self._values = {name: _placeholder(kind) for name, kind in OUTPUTS.items()}
+        self.runtime_state, self._program = RuntimeState.STOPPED, cast("Program | None", None)
+        self._values = {name: _PLACEHOLDERS.get(kind, 0) for name, kind in OUTPUTS.items()}
         self._values.update(speed_scaling=1.0, target_speed_fraction=1.0)
 
     @property
@@ -142,23 +109,31 @@ class ControlBox:
         """Clock of the controller (s since power-up)."""
         return self.cycles / self.rate
 
-    def cycle(self, time: int) -> None:
-        """Run one cycle that begins at a host time (ns)."""
+    def cycle(self) -> None:
+        """Run one cycle."""
         self.cycles += 1
-        pose, velocity = self._arm.motion(time)
-        if self.runtime_state == RuntimeState.PLAYING and self._running and not self._running.step():
+        self.drive.step()
+        if self._program and not self._program.step():
             self.stop_program()
-        self.drive.step(pose, velocity)
-        target = self.drive.velocity
-        change = np.abs(target - self._commanded).max()
-        if change > VELOCITY_TOLERANCE or target.any() != self._commanded.any():
-            self._commanded = target
-            self._arm.command(time, target)
-        self._update(pose, velocity)
+        powered, playing = self.robot_mode != RobotMode.POWER_OFF, self.runtime_state == RuntimeState.PLAYING
+        velocity = tuple(self.drive.velocity.tolist())
+        self._values.update(
+            timestamp=self.timestamp,
+            actual_TCP_pose=tuple(self.drive.pose.tolist()),
+            actual_TCP_speed=velocity,
+            target_TCP_speed=velocity,
+            actual_TCP_force=(0.0, 0.0, self.drive.push, 0.0, 0.0, 0.0),
+            robot_mode=self.robot_mode,
+            safety_mode=self.safety_mode,
+            runtime_state=self.runtime_state,
+            robot_status_bits=powered + 2 * playing,
+            safety_status_bits=int(self.safety_mode == SafetyMode.NORMAL),
+            **dict(zip(_USED, self.registers.output_int[: len(_USED)], strict=True)),
+        )
 
     def values(self, names: Iterable[str]) -> list[Value]:
         """Return the values of output variables at the latest cycle."""
-        return [self._value(name) for name in names]
+        return [self._values[name] for name in names]
 
     def write(self, inputs: Mapping[str, Value]) -> None:
         """Set input variables."""
@@ -172,102 +147,42 @@ class ControlBox:
 
     def run_script(self, script: str) -> None:
         """Replace the current program by an uploaded one and run it; ignore other scripts."""
-        found = re.match(r"\s*def\s+(\w+)\s*\(", script)
-        if found is None or "read_input_integer_reg" not in script:
+        if not re.match(r"\s*def\s+(\w+)\s*\(", script) or "read_input_integer_reg" not in script:
             log.warning("ignoring an unsupported script: %.60s", script)
-        elif self.safety_mode != SafetyMode.NORMAL:
-            log.warning("program %s cannot run in safety mode %s", found[1], self.safety_mode.name)
-        else:
+        elif self.safety_mode == SafetyMode.NORMAL:
             self.drive.halt()
-            self.program, self.runtime_state = found[1], RuntimeState.PLAYING
-            self._running = Program(self.registers, self.drive, 1 / self.rate, self.stop_protectively)
+            self._program = Program(self.registers, self.drive, 1 / self.rate)
+            self.runtime_state = RuntimeState.PLAYING
 
     def stop_program(self) -> None:
         """End the program and bring the arm to rest."""
-        self._running, self.runtime_state = None, RuntimeState.STOPPED
-        self.drive.stop(inf)
+        self._program, self.runtime_state = None, RuntimeState.STOPPED
+        self.drive.stop()
 
-    def stop_protectively(self, reason: str) -> None:
-        """Stop the arm and its program; no program runs until `unlock`."""
-        if self.safety_mode == SafetyMode.NORMAL:
-            log.warning("protective stop: %s", reason)
-            self.safety_mode = SafetyMode.PROTECTIVE_STOP
-            self.stop_program()
-            self.drive.halt()
-
-    def unlock(self) -> None:
-        """Release a protective stop; the emulator needs no waiting time before."""
-        if self.safety_mode == SafetyMode.PROTECTIVE_STOP:
-            self.safety_mode = SafetyMode.NORMAL
-
-    def _update(self, pose: Reals, velocity: Reals) -> None:
-        powered, playing = self.robot_mode != RobotMode.POWER_OFF, self.runtime_state == RuntimeState.PLAYING
-        self._values.update(
-            timestamp=self.timestamp,
-            actual_TCP_pose=tuple(pose.tolist()),
-            actual_TCP_speed=tuple(velocity.tolist()),
-            target_TCP_speed=tuple(self.drive.velocity.tolist()),
-            robot_mode=self.robot_mode,
-            safety_mode=self.safety_mode,
-            runtime_state=self.runtime_state,
-            robot_status_bits=powered + 2 * playing,
-            safety_status_bits=SAFETY_BITS[self.safety_mode],
-            actual_TCP_force=tuple(self._arm.wrench.tolist()),
-        )
-
-    def _value(self, name: str) -> Value:
-        kind, _, index = name.rpartition("_register_")
-        if kind == "output_int":
-            return self.registers.output_int[int(index)]
-        if kind == "output_double":
-            return self.registers.output_double[int(index)]
-        return self._values[name]
+    def stop_for(self, mode: SafetyMode) -> None:
+        """Stop the arm and its program for safety; in an emergency the arm loses its power."""
+        self.stop_program()
+        self.drive.halt()
+        self.safety_mode = mode
+        if mode == SafetyMode.ROBOT_EMERGENCY_STOP:
+            self.robot_mode = RobotMode.POWER_OFF
 
 
 # dashboard: one reply line per request line
 
 GREETING: Final = "Connected: Universal Robots Dashboard Server"
-FAREWELL: Final = "Disconnected"
-SERIAL_NUMBER: Final = "20195501234"  # ur-rtde requires one
 
 
 def answer(box: ControlBox, line: str) -> str:
-    """Execute a request line on a control box and return the reply.
-
-    Unknown requests are answered as a real server does: ``could not understand: REQUEST``.
-    """
-    request = line.strip()
-    execute = _COMMANDS.get(request.lower())
-    return execute(box) if execute else f"could not understand: {request}"
-
-
-def _stop(box: ControlBox) -> str:
-    if box.runtime_state == RuntimeState.STOPPED:
-        return "Failed to execute: stop"
-    box.stop_program()
-    return "Stopped"
-
-
-def _unlock(box: ControlBox) -> str:
-    box.unlock()
-    return "Protective stop releasing"
-
-
-def _state(box: ControlBox) -> str:
-    return f"{box.runtime_state.name} {box.program or '<unnamed>'}"
-
-
-_COMMANDS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
-    {
-        "polyscopeversion": lambda box: f"URSoftware {box.version} (Jan 01 2022)",
-        "get serial number": lambda _: SERIAL_NUMBER,
-        "is in remote control": lambda _: "true",
-        "running": lambda box: f"Program running: {str(box.runtime_state == RuntimeState.PLAYING).lower()}",
-        "programstate": _state,
-        "stop": _stop,
-        "robotmode": lambda box: f"Robotmode: {box.robot_mode.name}",
-        "safetystatus": lambda box: f"Safetystatus: {box.safety_mode.name}",
-        "unlock protective stop": _unlock,
-        "quit": lambda _: FAREWELL,
+    """Execute a request line on a control box and return the reply."""
+    request, playing = line.strip().lower(), box.runtime_state == RuntimeState.PLAYING
+    if request == "stop":
+        box.stop_program()
+        return "Stopped" if playing else "Failed to execute: stop"
+    replies = {
+        "polyscopeversion": f"URSoftware {box.version} (Jan 01 2022)",
+        "get serial number": "20195501234",  # ur-rtde requires one
+        "is in remote control": "true",
+        "running": f"Program running: {str(playing).lower()}",
     }
-)
+    return replies.get(request, f"could not understand: {request}")

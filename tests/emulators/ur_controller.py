@@ -5,16 +5,24 @@ Supported clients are `connectors.ur.ur_motion.UrMotion`, and ur-rtde's `RTDERec
 """
 
 import asyncio
-from collections.abc import Callable
-from functools import partial
+import logging
+import socket
+import struct
+from collections.abc import Callable, Mapping
 from time import time_ns
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self, cast
 
-from connectors.ur.rtde import Version
-from operators.batch import s
+from connectors.ur.rtde import PROTOCOL, Kind, Package, Packages, RtdeError, Version, names, pack
+from operators.batch import Reals, s
 from storage.background_task import BackgroundTask
-from tests.emulators.ur_control_box import Arm, ControlBox, RobotMode, SafetyMode
-from tests.emulators.ur_ports import Connection, DashboardConnection, RtdeConnection, ScriptConnection
+from tests.emulators.rtde_recipe import Recipe, Request, outputs_asked, version_payload
+from tests.emulators.ur_control_box import GREETING, INPUTS, OUTPUTS, ControlBox, answer
+
+log = logging.getLogger("slipflow")
+
+E_SERIES: Final = Version(5, 11, 0, 1)
+CB3: Final = Version(3, 15, 8, 1)
+SCRIPT_LIMIT: Final = 1 << 20  # bytes of an uploaded script
 
 
 class Ports(NamedTuple):
@@ -27,18 +35,15 @@ class Ports(NamedTuple):
 
 PORTS: Final = Ports()
 ANYWHERE: Final = Ports(0, 0, 0)
-E_SERIES: Final = Version(5, 11, 0, 1)
-CB3: Final = Version(3, 15, 8, 1)
 
 
 class UrController:
     """A controller that serves clients in an `async with` block.
 
-    Cycles run on the clock `now`. A late cycle reports the arm at the instant when it was due; its packages
-    arrive late, as if delayed by the network.
+    Cycles run on the clock `now`. The packages of a late cycle arrive late, as if delayed by the network.
 
     Args:
-        arm: Arm to control.
+        pose: Initial pose of the arm, (6,) m and rotation vector.
         host: Address on which to listen.
         ports: Ports on which to listen.
         version: Version of the software: 3.x runs at 125 Hz, 5.x at 500 Hz.
@@ -48,12 +53,12 @@ class UrController:
     Attributes:
         box: The control box.
         ports: Actual ports inside the block.
-        connections: Open connections.
+        clients: Clients of RTDE.
     """
 
     def __init__(
         self,
-        arm: Arm,
+        pose: Reals,
         *,
         host: str = "127.0.0.1",
         ports: Ports = PORTS,
@@ -61,91 +66,91 @@ class UrController:
         now: Callable[[], int] = time_ns,
         drift: float = 0.0,
     ) -> None:
-        self.box, self.host, self.ports = ControlBox(arm, version), host, ports
-        self.connections: set[Connection] = set()
+        self.box, self.host, self.ports = ControlBox(pose, version), host, ports
+        self.clients = list[RtdeConnection]()
+        self._texts = set[asyncio.StreamWriter]()  # of script port and dashboard
         self._now, self._period = now, s / self.box.rate / (1 + drift)  # ns
-        self._silent = False
         self._servers: list[asyncio.Server] = []
         self._running: BackgroundTask | None = None
         self._origin = self._cycles = 0  # host time of power-up (ns), and cycles since
 
     async def __aenter__(self) -> Self:
         """Listen, and start the cycles."""
-        ports, loop = list[int](), asyncio.get_running_loop()
-        listeners = self._connect_rtde, ScriptConnection, DashboardConnection
-        for listener, port in zip(listeners, self.ports, strict=True):
-            server = await loop.create_server(partial(listener, self.box, self.connections), self.host, port)
-            self._servers.append(server)
-            ports.append(server.sockets[0].getsockname()[1])
-        self.ports = Ports(*ports)
+        loop, (rtde, script, dashboard) = asyncio.get_running_loop(), self.ports
+        self._servers = [
+            await loop.create_server(lambda: RtdeConnection(self.box, self.clients), self.host, rtde),
+            await asyncio.start_server(self._run_scripts, self.host, script, limit=SCRIPT_LIMIT),
+            await asyncio.start_server(self._answer_dashboard, self.host, dashboard),
+        ]
+        self.ports = Ports(*(each.sockets[0].getsockname()[1] for each in self._servers))
         self._origin, self._cycles = self._now(), 0
-        self._running = BackgroundTask(self.host, "the arm", self._cycle(), lambda _: self._drop())
+        self._running = BackgroundTask(self.host, "the arm", self._cycle())
         return self
 
     async def __aexit__(self, *_: object) -> None:
         """Close all connections and stop listening; raise the error of an arm that failed."""
         for server in self._servers:
             server.close()
-        for connection in list(self.connections):
-            connection.transport.abort()
-            await connection.lost.wait()
+        clients = [*self.clients]
+        self.drop()
+        for client in clients:
+            await client.lost.wait()
         if self._running:
             await self._running.end()
             self._running.check()
 
-    @property
-    def clients(self) -> list[RtdeConnection]:
-        """Clients of RTDE."""
-        return [each for each in self.connections if isinstance(each, RtdeConnection)]
-
     def stall(self) -> None:
-        """Hold up all packages from now on; the cycles go on."""
+        """Send nothing to the present clients of RTDE until `resume`; the cycles go on."""
         for client in self.clients:
-            client.hold()
+            client.stalled = True
 
-    def resume(self, *, burst: bool = False) -> None:
-        """Send again, with a `burst` of the packages that were held up; else they are lost."""
+    def resume(self) -> None:
+        """Send again; what was held up is lost."""
         for client in self.clients:
-            client.release(burst=burst)
+            client.stalled = False
 
     def reset(self) -> None:
         """Reset the connections of all clients of RTDE."""
+        linger = struct.pack("ii", 1, 0)  # close sends RST
         for client in self.clients:
-            client.reset()
+            connected = client.transport.get_extra_info("socket")
+            connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            client.transport.abort()
 
-    def leave(self) -> None:
-        """Become unreachable for the present clients of RTDE; new ones are served."""
+    def drop(self) -> None:
+        """Close all connections."""
         for client in self.clients:
-            client.gone = True
-
-    def silence(self) -> None:
-        """Accept clients of RTDE from now on and never answer them."""
-        self._silent = True
+            client.transport.abort()
+        for writer in self._texts:
+            writer.transport.abort()
 
     def restart(self, *, drop: bool = True) -> None:
         """Power the controller down and up, which drops all clients unless `drop` is False."""
         if drop:
-            self._drop()
+            self.drop()
         self.box.power_up()
         self._origin, self._cycles = self._now(), 0
 
-    def stop_in_emergency(self) -> None:
-        """Press the emergency stop: the arm stops and loses its power, the program ends."""
-        self.box.stop_program()
-        self.box.drive.halt()
-        self.box.safety_mode, self.box.robot_mode = SafetyMode.ROBOT_EMERGENCY_STOP, RobotMode.POWER_OFF
+    async def _run_scripts(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Run programs, which end with a line ``end``."""
+        self._texts.add(writer)
+        try:
+            while True:
+                self.box.run_script((await reader.readuntil(b"\nend\n")).decode())
+        except (OSError, asyncio.IncompleteReadError):
+            self._texts.discard(writer)
+            writer.close()
 
-    def release_emergency(self) -> None:
-        """Release the emergency stop, and switch the arm on again."""
-        self.box.safety_mode, self.box.robot_mode = SafetyMode.NORMAL, RobotMode.RUNNING
-
-    def _connect_rtde(self, box: ControlBox, connections: set[Connection]) -> RtdeConnection:
-        return RtdeConnection(box, connections, gone=self._silent)
-
-    def _drop(self) -> None:
-        """Close all connections."""
-        for connection in list(self.connections):
-            connection.transport.abort()
+    async def _answer_dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._texts.add(writer)
+        writer.write(f"{GREETING}\n".encode())
+        try:
+            async for line in reader:
+                writer.write(f"{answer(self.box, line.decode())}\n".encode())
+        except OSError:
+            pass
+        self._texts.discard(writer)
+        writer.close()
 
     async def _cycle(self) -> None:
         while True:
@@ -155,8 +160,116 @@ class UrController:
                 await asyncio.sleep(-lateness / s)
                 continue
             self._cycles += 1
-            self.box.cycle(due)
+            self.box.cycle()
             for client in self.clients:
                 client.publish()
             if lateness > self._period:
                 await asyncio.sleep(0)  # let other tasks run while it catches up
+
+
+class RtdeConnection(asyncio.Protocol):
+    """A client connection on the RTDE port.
+
+    Args:
+        box: The controller.
+        clients: List that contains this connection while it is open.
+
+    Attributes:
+        stalled: Nothing is sent.
+        lost: Event, set when the connection has ended.
+    """
+
+    def __init__(self, box: ControlBox, clients: "list[RtdeConnection]") -> None:
+        self.box, self._clients, self.stalled, self.lost = box, clients, False, asyncio.Event()
+        self._transport: asyncio.Transport | None = None
+        self._packages, self._started = Packages(), False
+        self._outputs: Recipe | None = None
+        self._interval = 1  # cycles between packages
+        self._inputs: dict[int, Recipe] = {}
+
+    @property
+    def transport(self) -> asyncio.Transport:
+        """Transport of the socket, once connected."""
+        assert self._transport
+        return self._transport
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Add this connection to the open connections."""
+        self._transport = cast("asyncio.Transport", transport)
+        self._clients.append(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Remove this connection from the open connections."""
+        del exc
+        self._clients.remove(self)
+        self.lost.set()
+
+    def data_received(self, data: bytes) -> None:
+        """Handle packages; disconnect a client that violates the protocol."""
+        try:
+            for package in self._packages.feed(data):
+                self._handle(package)
+        except RtdeError as error:
+            log.warning("disconnecting an RTDE client: %s", error)
+            self.transport.abort()
+
+    def publish(self) -> None:
+        """Send the outputs of the latest cycle if they are due."""
+        if self._started and self._outputs and self.box.cycles % self._interval == 0:
+            self.send(Kind.DATA, self._outputs.pack(self.box.values(self._outputs.names)))
+
+    def send(self, kind: int, payload: bytes) -> None:
+        """Send a package."""
+        if not self.stalled and not self.transport.is_closing():
+            self.transport.write(pack(kind, payload))
+
+    def _handle(self, package: Package) -> None:
+        kind, payload = package
+        match kind:
+            case Kind.PROTOCOL:
+                self.send(Kind.PROTOCOL, bytes([int.from_bytes(payload, "big") == PROTOCOL]))
+            case Kind.CONTROLLER:
+                self.send(Kind.CONTROLLER, version_payload(self.box.version))
+            case Kind.OUTPUTS:
+                self.send(Kind.OUTPUTS, self._grant_outputs(payload))
+            case Request.INPUTS:
+                self.send(Request.INPUTS, self._grant_inputs(names(payload)))
+            case Kind.START:
+                self._started = self._outputs is not None
+                self.send(Kind.START, bytes([self._started]))
+            case Request.PAUSE:
+                self._started = False
+                self.send(Request.PAUSE, b"\1")
+            case Kind.DATA if payload and payload[0] in self._inputs:
+                recipe = self._inputs[payload[0]]
+                self.box.write(dict(zip(recipe.names, recipe.unpack(payload), strict=True)))
+            case Kind.TEXT:
+                log.info("RTDE client: %r", payload[:255])
+            case _:
+                raise RtdeError(f"unexpected package {chr(kind)!r}")
+
+    def _grant_outputs(self, payload: bytes) -> bytes:
+        rate, wanted = outputs_asked(payload)
+        types = _types(wanted, OUTPUTS)
+        if "NOT_FOUND" in types or not wanted or not 0 < rate <= self.box.rate:
+            return b"\0" + ",".join(types).encode()
+        self._outputs, self._interval = Recipe(1, wanted, types), round(self.box.rate / rate)
+        return self._outputs.answer
+
+    def _grant_inputs(self, wanted: tuple[str, ...]) -> bytes:
+        taken = {
+            name: "IN_USE"
+            for other in self._clients
+            if other is not self
+            for recipe in other._inputs.values()
+            for name in recipe.names
+        }
+        types, number = _types(wanted, {**INPUTS, **taken}), len(self._inputs) + 1
+        if {"NOT_FOUND", "IN_USE"} & set(types):
+            return b"\0" + ",".join(types).encode()
+        self._inputs[number] = Recipe(number, wanted, types)
+        return self._inputs[number].answer
+
+
+def _types(wanted: tuple[str, ...], known: Mapping[str, str]) -> tuple[str, ...]:
+    return tuple(known.get(name, "NOT_FOUND") for name in wanted)

@@ -5,8 +5,8 @@ none), its parameters are in the other registers. The program sets output_int_re
 for a command, and to 2 from the end of a command until the client resets the command to 0. A speed command
 takes effect at once and lasts until it is stopped.
 
-Source: rtde_control.script of ur-rtde 1.6.5, which runs on the controller. Only the commands of
-a collection and of a safe stop are emulated; all others end the program, like an error in a script.
+Source: rtde_control.script of ur-rtde 1.6.5, which runs on the controller. Only the commands of `UrArm` are
+emulated; all others end the program, like an error in a script.
 
 With D the remaining distance (m, or the remaining angle in rad if that is larger), the speed of a line is
 
@@ -16,46 +16,51 @@ so that it converges for every acceleration of the arm.
 """
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
-from math import sqrt
+from math import inf, sqrt
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
 from operators.batch import Reals
-from operators.rotation import rotation_difference
+from operators.rotation import compose, rotation_difference
 
 log = logging.getLogger("slipflow")
 
 Task: TypeAlias = Literal["none", "line", "speed", "stop"]
 
+STIFFNESS: Final = 1000.0  # N/m, of the surface at height 0
 _POSE_TOLERANCE: Final = 5e-5  # m, rad; a UR10 has a repeatability of 1e-4 m
-_STANDSTILL: Final = 1e-3  # m/s, rad/s
+_FASTEST: Final = 1.0  # m/s2 and rad/s2
 REGISTERS: Final = 48  # per type and direction
 READY: Final = 1
 DONE: Final = 2
 
 
 class Drive:
-    """Velocity generator of motion tasks; a new task replaces the current one without a step in velocity.
+    """Arm that executes motion tasks; a new task replaces the current one without a step in velocity.
 
     Args:
+        pose: Initial pose (6,) m and rotation vector, base frame.
         period: Duration of a cycle (s).
-        acceleration: Maximum acceleration (m/s2 and rad/s2, default 1).
 
     Attributes:
-        velocity: Commanded velocity (6,) m/s and rad/s, base frame.
+        pose: Pose of the TCP.
+        velocity: Velocity (6,) m/s and rad/s, base frame.
         task: Current task; "none" when it is done.
     """
 
-    def __init__(self, period: float, acceleration: float = 1.0) -> None:
-        self._period, self._highest = period, acceleration
-        self.velocity: Reals = np.zeros(6)
+    def __init__(self, pose: Reals, period: float) -> None:
+        self.pose, self.velocity = pose.astype(np.float64), np.zeros(6)
         self.task: Task = "none"
-        self._target: Reals = np.zeros(6)  # pose of a line task, else velocity
+        self._period, self._target = period, np.zeros(6)  # pose of a line task, else velocity
         self._speed = self._acceleration = 0.0
+
+    @property
+    def push(self) -> float:
+        """Force (N) of the surface at height 0 on the arm."""
+        return STIFFNESS * max(0.0, -self.pose.item(2))
 
     def line(self, pose: Reals, speed: float, acceleration: float) -> None:
         """Move straight to a pose (6,) m and rotation vector, at a speed (m/s) and acceleration (m/s2)."""
@@ -65,33 +70,33 @@ class Drive:
         """Accelerate (m/s2 and rad/s2) to a velocity (6,) m/s and rad/s and keep it."""
         self._begin("speed", velocity, 0.0, acceleration)
 
-    def stop(self, deceleration: float) -> None:
+    def stop(self, deceleration: float = inf) -> None:
         """Decelerate to rest (m/s2 and rad/s2)."""
         self._begin("stop", np.zeros(6), 0.0, deceleration)
 
     def halt(self) -> None:
-        """Abort the task and stop as fast as the arm can."""
-        self._begin("stop", np.zeros(6), 0.0, self._highest)
-        self.velocity = np.zeros(6)
+        """Abort the task and stop at once."""
+        self.task, self.velocity = "none", np.zeros(6)
 
-    def step(self, pose: Reals, velocity: Reals) -> None:
-        """Run one cycle with the measured pose (6,) and velocity (6,)."""
+    def step(self) -> None:
+        """Run one cycle."""
+        turned = compose(tuple(self.pose[3:].tolist()), tuple((self.velocity[3:] * self._period).tolist()))
+        self.pose = np.array([*(self.pose[:3] + self.velocity[:3] * self._period), *turned])
         if self.task == "line":
-            self._follow(pose)
+            self._follow()
         elif self.task != "none":
             self._approach()
-        resting = not self.velocity.any() and float(np.abs(velocity).max()) < _STANDSTILL
-        if self.task == "stop" and resting:
+        if self.task == "stop" and not self.velocity.any():
             self.task = "none"
 
     def _begin(self, task: Task, target: Reals, speed: float, acceleration: float) -> None:
         self.task, self._target, self._speed = task, target.copy(), speed
-        self._acceleration = min(acceleration, self._highest)
+        self._acceleration = min(acceleration, _FASTEST)
 
-    def _follow(self, pose: Reals) -> None:
-        turn = rotation_difference(tuple(pose[3:].tolist()), tuple(self._target[3:].tolist()))
-        remaining = np.concatenate((self._target[:3] - pose[:3], turn))  # (6,)
-        distance = _extent(remaining)
+    def _follow(self) -> None:
+        turn = rotation_difference(tuple(self.pose[3:].tolist()), tuple(self._target[3:].tolist()))
+        remaining = np.concatenate((self._target[:3] - self.pose[:3], turn))  # (6,)
+        distance = float(max(np.linalg.norm(remaining[:3]), np.linalg.norm(remaining[3:])))
         if distance < _POSE_TOLERANCE:
             self.halt()
             return
@@ -109,11 +114,6 @@ class Drive:
             self.velocity[part] += change * min(1.0, fraction)
 
 
-def _extent(change: Reals) -> float:
-    """Return the larger of translation (m) and rotation (rad) of a change (6,)."""
-    return float(max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:])))
-
-
 class Command(IntEnum):
     """Command in input_int_register_0, with its parameters."""
 
@@ -121,11 +121,8 @@ class Command(IntEnum):
     MOVE_LINE = 3  # doubles 0..5 pose, 6 speed, 7 acceleration; int 1: 1 asynchronous
     SPEED = 10  # doubles 0..5 velocity, 6 acceleration
     STOP_SPEED = 15  # double 0 deceleration
-    STOP_PROTECTIVELY = 31
     STOP_LINE = 33  # double 0 deceleration; int 1: 1 asynchronous
-    STOP_JOINTS = 34  # as STOP_LINE
     SET_WATCHDOG = 35  # double 0 minimum rate (Hz) of commands
-    IS_STEADY = 47  # result in output_int_register_1
     END = 255
 
 
@@ -136,7 +133,6 @@ class Registers:
     input_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     input_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
     output_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
-    output_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
     command_written: bool = False  # True if a command was written since the last cycle
 
 
@@ -147,19 +143,15 @@ class Program:
         registers: Registers of the controller.
         drive: Drive of the arm.
         period: Duration of a cycle (s).
-        stop_protectively: Triggers a protective stop for a reason.
     """
 
-    def __init__(
-        self, registers: Registers, drive: Drive, period: float, stop_protectively: Callable[[str], None]
-    ) -> None:
+    def __init__(self, registers: Registers, drive: Drive, period: float) -> None:
         self._registers, self._drive, self._period = registers, drive, period
-        self._stop_protectively = stop_protectively
         self._waiting = False  # True while a synchronous motion runs
         self._executed = False  # True once the command in the register was executed
         self._moving = False  # True while an asynchronous motion runs
         self._operations = self._writes = 0  # counters of asynchronous operations, modulo 128
-        self._silence, self._watchdog = 0.0, np.inf  # s since the last command, and the limit
+        self._silence, self._watchdog = 0.0, inf  # s since the last command, and the limit
         self._report(running=False)
         registers.output_int[0] = READY
 
@@ -184,7 +176,7 @@ class Program:
             self._executed = False
             registers.output_int[0] = READY
         elif command == Command.SPEED:
-            drive.speed(self._vector(), registers.input_double[6])
+            drive.speed(np.array(registers.input_double[:6]), registers.input_double[6])
             registers.output_int[0] = READY
         elif not self._executed:
             self._executed = True
@@ -196,31 +188,24 @@ class Program:
         first, asynchronous = registers.input_double[0], registers.input_int[1] == 1
         match command:
             case Command.MOVE_LINE:
-                drive.line(self._vector(), registers.input_double[6], registers.input_double[7])
+                speed, acceleration = registers.input_double[6:8]
+                drive.line(np.array(registers.input_double[:6]), speed, acceleration)
                 self._begin(asynchronous=asynchronous)
             case Command.STOP_SPEED:
                 drive.stop(first)
                 self._begin(asynchronous=False)
-            case Command.STOP_LINE | Command.STOP_JOINTS:
+            case Command.STOP_LINE:
                 drive.stop(first)
                 self._begin(asynchronous=asynchronous)
-            case Command.STOP_PROTECTIVELY:
-                self._stop_protectively("on command")
             case Command.SET_WATCHDOG:
-                self._watchdog = 1 / first if first > 0 else np.inf
-            case Command.IS_STEADY:
-                registers.output_int[1] = int(drive.task == "none")
-            case Command.END:
-                return False
+                self._watchdog = 1 / first if first > 0 else inf
             case _:
-                log.warning("command %d is not emulated: the program ends", command)
+                if command != Command.END:
+                    log.warning("command %d is not emulated: the program ends", command)
                 return False
         if not self._waiting:
             registers.output_int[0] = DONE
         return True
-
-    def _vector(self) -> Reals:
-        return np.array(self._registers.input_double[:6])
 
     def _begin(self, *, asynchronous: bool) -> None:
         if self._moving or asynchronous:

@@ -24,8 +24,7 @@ from flows.graph.testing import VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from operators import EndpointError
 from tests.connectors.ur.direct_control import DirectControl
-from tests.emulators.free_arm import FreeArm
-from tests.emulators.ur_control_box import Arm, RuntimeState
+from tests.emulators.ur_control_box import RuntimeState, SafetyMode
 from tests.emulators.ur_controller import ANYWHERE, UrController
 from tests.emulators.ur_program import Program
 from tests.loopback import own_host
@@ -45,10 +44,10 @@ class Lab:
 
 
 @asynccontextmanager
-async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator[Lab]:
+async def lab(bounds: Bounds = BOUNDS) -> AsyncGenerator[Lab]:
     """Serve an arm; in virtual time `DirectControl` commands it, else ur-rtde."""
-    clock, arm, loop = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0), asyncio.get_running_loop()
-    async with UrController(arm, host=HOST, version=CB3, now=clock.now) as controller:
+    clock, loop = LoopClock(), asyncio.get_running_loop()
+    async with UrController(np.array(BEGIN), host=HOST, version=CB3, now=clock.now) as controller:
         with pytest.MonkeyPatch.context() as patch:
             if isinstance(loop, VirtualLoop):
                 patch.setattr("connectors.ur.ur_arm.ControlClient", partial(DirectControl, controller.box))
@@ -163,7 +162,7 @@ def test_it_is_stopped_off_its_path() -> None:
 
 
 def test_a_protective_stop_ends_its_moves() -> None:
-    here = refused(lambda here: here.controller.box.stop_protectively("a test"), away)
+    here = refused(lambda here: here.controller.box.stop_for(SafetyMode.PROTECTIVE_STOP), away)
     assert here.arm.fault == "protective stop"
 
 
@@ -232,9 +231,8 @@ def test_a_cancelled_move_stops_the_arm() -> None:
 
 def test_an_arm_that_may_not_move_is_not_opened() -> None:
     async def main() -> None:
-        arm = FreeArm(np.array(BEGIN))
-        async with UrController(arm, host=HOST, version=CB3) as controller:
-            controller.stop_in_emergency()
+        async with UrController(np.array(BEGIN), host=HOST, version=CB3) as controller:
+            controller.box.stop_for(SafetyMode.ROBOT_EMERGENCY_STOP)
             async with UrArm(HOST, BOUNDS, LoopClock()):
                 pass
 
@@ -259,7 +257,7 @@ def test_it_is_stopped_when_the_check_of_its_states_fails(monkeypatch: pytest.Mo
 
 def test_the_dashboard_stops_the_program_of_an_arm() -> None:
     async def main() -> tuple[str, int]:
-        async with UrController(FreeArm(np.array(BEGIN)), host=HOST, ports=ANYWHERE) as controller:
+        async with UrController(np.array(BEGIN), host=HOST, ports=ANYWHERE) as controller:
             controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
             answer = await request_stop(HOST, controller.ports.dashboard)
             return answer, controller.box.runtime_state

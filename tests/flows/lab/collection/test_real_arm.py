@@ -15,10 +15,10 @@ from flows.run.clocks import LoopClock
 from operators import EVERY, SLIP, Labelled, Motion, Touch, concat
 from operators.batch import Counts
 from storage import Session
-from tests.emulators.free_arm import PressedArm
 from tests.emulators.i2c_bus import EmulatedI2cBus
 from tests.emulators.i2c_device import served
 from tests.emulators.ur_controller import CB3, UrController
+from tests.emulators.ur_program import Drive
 from tests.flows.lab.collection.test_collector import QUICK, STROKES
 from tests.loopback import own_host
 from tests.waiting import PATIENCE
@@ -31,12 +31,11 @@ TOUCHING = np.array([0.4, 0.0, 0.0, np.pi, 0.0, 0.0])
 class Skin:
     """Counts that fall with the force of the surface on an arm."""
 
-    def __init__(self, arm: PressedArm) -> None:
+    def __init__(self, arm: Drive) -> None:
         self._arm = arm
 
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        push = self._arm.wrench.item(2)
-        return np.full(6, round(450 - 40 * push), np.int16), np.full(6, 507, np.int16)
+        return np.full(6, round(450 - 40 * self._arm.push), np.int16), np.full(6, 507, np.int16)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
@@ -45,9 +44,8 @@ def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
     plan = replace(QUICK, limits=limits, count=STROKES)
 
     async def main() -> Collector:
-        arm = PressedArm(TOUCHING, 1.0)
-        controller = UrController(arm, host=HOST, version=CB3, now=LoopClock().now)
-        with served(EmulatedI2cBus(Skin(arm)), PATH):
+        controller = UrController(TOUCHING, host=HOST, version=CB3, now=LoopClock().now)
+        with served(EmulatedI2cBus(Skin(controller.box.drive)), PATH):
             async with asyncio.timeout(PATIENCE), controller:
                 return await _collect(plan, HOST, PATH, (0,), tmp_path, virtual=False)
 
