@@ -7,13 +7,15 @@ from typing import Any, Final, Self, cast
 
 import numpy as np
 
-from operators.batch import Touch, s
+from operators.batch import Times, Touch, s
 from operators.checks import check_above, check_between
 from operators.errors import FingertipError, InputError, ParameterError
 
 CELL_LIMIT: Final = 128  # cells of a fingertip
 NO_CELL: Final = -1  # empty position of a layout
 RATE_TOLERANCE: Final = 0.1  # relative
+
+_PAUSE: Final = 20  # mean intervals
 
 # By `Fingertip.falls`, for errors about data of the other direction.
 _DIRECTIONS: Final = {True: ", falling as pressure rises", False: ", rising with pressure", None: ""}
@@ -184,12 +186,38 @@ def grid(cells: int, columns: int | None = None) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(i if i < cells else NO_CELL for i in range(row, row + wide)) for row in rows)
 
 
-def measured(batch: Touch) -> Fingertip:
-    """Return what rows of a touch stream say about their fingertip: cells, and the median rate."""
-    interval = float(np.median(np.diff(batch.time))) if len(batch) > 1 else 0.0
-    takktile = batch.cells == TAKKTILE.cells
-    layout = TAKKTILE.layout if takktile else grid(batch.cells)
-    return Fingertip(layout, s / interval if interval > 0 else TAKKTILE.rate)
+def rows_per_second(time: Times) -> float | None:
+    """Return the rate of rows with times (n,) in ns, which may share times: rows over time, without pauses.
+
+    A pause is longer than 0.25 s and 20 mean intervals between times, of those that are shorter.
+
+    Returns:
+        None if all rows have the same time.
+
+    >>> rows_per_second(np.array([0, 0, 1, 2, 2, 3]) * 1_000_000)  # whole milliseconds
+    1666.6666666666667
+    """
+    stamps, first = np.unique(time, return_index=True)
+    steps, rows = np.diff(stamps), np.diff(first)  # of each time until the next: ns, number of rows
+    if not steps.size:
+        return None
+    order = np.argsort(steps)
+    ordered = steps[order]
+    means = np.cumsum(ordered) / np.arange(1, ordered.size + 1)
+    pauses = 1 + np.flatnonzero(ordered[1:] > np.maximum(_PAUSE * means[:-1], s / 4))
+    kept = order[: next((each for each in pauses if 2 * each > ordered.size), ordered.size)]
+    return float(rows[kept].sum() * s / steps[kept].sum())
+
+
+def measured(batch: Touch) -> Fingertip | None:
+    """Return what rows of a touch stream say about their fingertip: cells, and the rate.
+
+    Returns:
+        None if all rows have the same time, which tells no rate.
+    """
+    rate = rows_per_second(batch.time)
+    layout = TAKKTILE.layout if batch.cells == TAKKTILE.cells else grid(batch.cells)
+    return None if rate is None else Fingertip(layout, rate)
 
 
 def _scale(fingertip: Fingertip) -> str:

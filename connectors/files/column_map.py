@@ -1,5 +1,6 @@
-"""Map of the columns of a recording: their meaning, units and layout; a text, a TOML file or Python."""
+"""Map of the columns of a recording: their meaning, units and formats; a text, a TOML file or Python."""
 
+import json
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,36 +17,41 @@ from operators.fingertip import CELL_LIMIT, grid
 
 Layout: TypeAlias = tuple[tuple[int, ...], ...]
 
-TIME, COUNTS, VELOCITY, SPEED, LABEL = "time", "counts", "velocity", "speed", "label"
+TIME, DATE, COUNTS, VELOCITY, SPEED, LABEL = "time", "date", "counts", "velocity", "speed", "label"
 MOTIONS: Final = (VELOCITY, SPEED)
 LABELS: Final[Mapping[str, int]] = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
 SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(  # allowed numbers of columns
-    {
-        TIME: (1,),
-        COUNTS: (*range(1, CELL_LIMIT + 1),),
-        VELOCITY: (3, 6),
-        SPEED: (1,),
-        LABEL: (1,),
-    }
+    {TIME: (1,), DATE: (1,), COUNTS: (), VELOCITY: (3, 6), SPEED: (1,), LABEL: (1,)}
 )
-
+SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "space": " "}
 _SPEEDS: Final = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}
-_CELL_UNITS: Final = ("count", "Pa", "hPa", "mbar", "kPa", "MPa", "bar", "psi", "N", "mN", "V", "mV")
-_OTHER_CELL_UNITS: Final = ("T", "mT", "uT", "G", "ohm", "kohm", "pF")
+PRESSURES: Final = dict(  # noqa: C408 - Pa; shorter than a line for each
+    mPa=1e-3,
+    Pa=1.0,
+    hPa=100.0,
+    mbar=100.0,
+    kPa=1e3,
+    MPa=1e6,
+    bar=1e5,
+    psi=6894.76,
+    mmHg=133.322,
+    atm=101325.0,
+)
+_OTHERS: Final = ("N", "mN", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF")
 UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
-        TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},  # ns
-        COUNTS: dict.fromkeys((*_CELL_UNITS, *_OTHER_CELL_UNITS), 1.0),  # stored as they are
+        TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0, "min": 6e10, "h": 3.6e12, "d": 8.64e13},  # ns
+        COUNTS: dict.fromkeys(("count", *PRESSURES, *_OTHERS), 1.0),  # stored as they are
         VELOCITY: _SPEEDS,  # m/s; the last three columns are always rad/s
         SPEED: _SPEEDS,
     }
 )
 
 _OWNER: Final = "column map"
-_DEFAULT_LABELS: Final = {"-1": UNKNOWN, "0": STATIC, "1": SLIP, "false": STATIC, "true": SLIP, **LABELS}
 _FINGERS: Final = 32767  # fingertip numbers have 16 bits
 _EXAMPLE: Final = "time=t,counts=p0..p5,units.time=ms, or a file such as pad.toml"
-_RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")  # of columns
+_RANGE: Final = re.compile(r"(.*?)(\d+)(\D*)\.\.(.*?)(\d+)(\D*)")  # of columns
+_DIGITS: Final = 9  # of a column's number
 _GRID: Final = re.compile(r"(\d{1,3}) *x *(\d{1,3})")  # rows x columns
 
 
@@ -53,26 +59,34 @@ _GRID: Final = re.compile(r"(\d{1,3}) *x *(\d{1,3})")  # rows x columns
 class ColumnMap:
     """Columns with the time, the cells, the motion and the labels, and the meaning of their values.
 
-    Quantities that are not mapped are recognised by column names. An empty tuple: the quantity is absent.
+    What is not stated is concluded from the file. A map that is complete states all, as that of a `Trace`.
 
     >>> found = ColumnMap.parse("time=stamp,counts=p0..p5,units.time=ms,layout=2x3")
-    >>> found.columns["counts"], found.layout
-    (('p0', 'p1', 'p2', 'p3', 'p4', 'p5'), ((0, 1, 2), (3, 4, 5)))
+    >>> found.cells, found.layout
+    ({0: ('p0', 'p1', 'p2', 'p3', 'p4', 'p5')}, ((0, 1, 2), (3, 4, 5)))
 
     Args:
-        columns: Column names by quantity: ``time``, ``counts`` (of cells 0, 1, ...), ``velocity`` (3 or 6,
-            linear and angular, of the TCP in the base frame), ``speed`` or ``label``.
-        units: Units of ``time``, ``counts``, ``velocity`` and ``speed``, as in `UNITS`. The default is the
-            ending of the column's name, as in ``t_ms``, else s, count and m/s.
+        columns: Column names by quantity: ``time``, ``date`` (if the time has none), ``counts`` (of cells 0,
+            1, ...; a name may be a pattern such as ``taxel*``), ``counts.1`` of fingertip 1, ``velocity`` (3
+            or 6, linear and angular, of the TCP in the base frame), ``speed`` or ``label``. An empty tuple:
+            the quantity is absent.
+        units: Units of ``time``, ``counts``, ``velocity`` and ``speed``. Any text is a unit of counts.
         labels: Values of the label column that mean ``slip``, ``static`` or ``unknown``. If only those for
-            slip are given, all others are static. Default: 1, 0, -1, true, false and these three words.
-        resolution: Units per stored count (default: 1 for counts; otherwise the largest of 1, 2, 2.5 or 5
-            times a power of ten that keeps all digits of the values, or the smallest with which they fit).
-        layout: Rows of cell numbers, the top row first, as of a `Fingertip`; None: unknown.
-        range: Readings at the lowest and at the highest pressure, in the unit of the cells; None: unknown.
+            slip are given, all others are static.
+        labelled: Label of all rows, of a file without a column of labels.
+        slip_speed: Speed of the arm above which a row is slip, m/s, of a file without labels.
+        delay: Lag of the arm's motion for these labels, s.
+        resolution: Units per stored count.
+        offset: Counts that were subtracted from each cell, so that 16 bits suffice.
+        layout: Rows of cell numbers, the top row first, as of a `Fingertip`.
+        range: Readings at the lowest and at the highest pressure, in the unit of the cells.
         rate: Rows per second, Hz: of a file without times, which begin at 0; otherwise the expected rate.
-        zeroed: Readings are relative to the unloaded fingertip; None: if one is negative.
-        finger: Number of the fingertip.
+        zeroed: Readings are relative to the unloaded fingertip.
+        missing: Readings that mean that there is none, such as -999.
+        finger: Number of the fingertip of ``counts``.
+        separator: ``comma``, ``semicolon``, ``tab``, ``pipe`` or ``space``, of a CSV file.
+        decimal: Sign of decimals, ``point`` or ``comma``.
+        dates: Order in dates: ``ymd``, ``dmy`` or ``mdy``.
 
     Raises:
         ParameterError: on an unknown quantity or unit, a wrong number of columns or an invalid value.
@@ -81,32 +95,52 @@ class ColumnMap:
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     units: Mapping[str, str] = field(default_factory=dict[str, str])
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    labelled: str | None = None
+    slip_speed: float = 0.003
+    delay: float = 0.0
     resolution: float | None = None
+    offset: tuple[int, ...] | None = None
     layout: Layout | None = None
     range: tuple[float, float] | None = None
     rate: float | None = None
     zeroed: bool | None = None
+    missing: tuple[float, ...] | None = None
     finger: int = 0
+    separator: str | None = None
+    decimal: str | None = None
+    dates: str | None = None
 
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
-            check_choice(_OWNER, "quantity", name, SIZES)
             _check_size(name, columns)
+        if self.columns.get(COUNTS) and f"{COUNTS}.{self.finger}" in self.columns:
+            given = ",".join(self.columns[COUNTS])
+            raise ParameterError(_OWNER, COUNTS, given, f"omitted, since {COUNTS}.{self.finger} is given")
         for name, unit in self.units.items():
             check_choice(_OWNER, "quantity with a unit", name, UNITS)
-            check_choice(_OWNER, f"unit of {name}", unit, UNITS[name])
+            if name != COUNTS or not unit or unit.casefold() in {each.casefold() for each in UNITS[COUNTS]}:
+                check_choice(_OWNER, f"unit of {name}", unit, UNITS[name])
         for name in self.labels:
             check_choice(_OWNER, "label", name, LABELS)
         motions = [name for name in MOTIONS if self.columns.get(name)]
         if len(motions) > 1:
             given = ",".join(self.columns[motions[1]])
             raise ParameterError(_OWNER, motions[1], given, f"omitted, since {motions[0]} is given")
+        self._check_values()
+
+    def _check_values(self) -> None:
+        check_between(_OWNER, "slip_speed", self.slip_speed, 0, 1, unit="m/s")
+        check_between(_OWNER, "delay", self.delay, -1, 1, unit="s")
         for name in ("resolution", "rate"):
             if (value := getattr(self, name)) is not None:
                 check_above(_OWNER, name, value, 0)
         if self.rate is not None:
             check_between(_OWNER, "rate", self.rate, 0, s, unit="Hz")
-        check_between(_OWNER, "finger", self.finger, 0, _FINGERS)
+        for finger in self.cells:
+            check_between(_OWNER, "finger", finger, 0, _FINGERS)
+        for name, choices in _CHOICES.items():
+            if (value := getattr(self, name)) is not None:
+                check_choice(_OWNER, name, value, choices)
 
     @classmethod
     def load(cls, text: str) -> Self:
@@ -134,8 +168,8 @@ class ColumnMap:
     def parse(cls, text: str) -> Self:
         """Parse a text such as ``time=t,counts=p0..p5,label=,units.time=ms,labels.slip=1,2,layout=8x2``.
 
-        ``p0..p15`` is a range of 16 columns; an empty list declares a quantity absent. The keys are those of
-        the TOML file.
+        ``p0..p15`` is a range of 16 columns, ``taxel*`` all columns that begin so; an empty list declares a
+        quantity absent. The keys are those of the TOML file.
 
         Raises:
             ParameterError: as for the class, or if the text has another form.
@@ -164,14 +198,33 @@ class ColumnMap:
                 units[name] = ",".join(texts)
             elif name and table == "labels":
                 labels[name] = tuple(texts)
-            elif key in SIZES:
+            elif key in SIZES or (table == COUNTS and name.isdecimal()):
                 columns[key] = tuple(each for text in texts for each in expanded(text))
             elif key in _PARSERS:
                 values[key] = _parsed(key, ",".join(texts))
             else:
-                known = (*SIZES, *_PARSERS, "units.time", "labels.slip")
+                known = (*SIZES, "counts.1", *_PARSERS, "units.time", "labels.slip")
                 check_choice(_OWNER, "key", key, known)
         return cls(columns, units, labels, **values)
+
+    def toml(self) -> str:
+        """Return the text of a TOML file with this map, which `load` reads."""
+        values = {name: getattr(self, name) for name in _PARSERS}
+        values["layout"] = layout_text(self.layout) if self.layout else None
+        values["range"] = self.range and "{:g}:{:g}".format(*self.range)
+        values["finger"] = self.finger or None
+        given = {**self.columns, **values}.items()
+        lines = [f"{name} = {_toml(each)}" for name, each in given if each is not None]
+        for table, texts in (("units", self.units), ("labels", self.labels)):
+            lines += [f"{table}.{name} = {_toml(each)}" for name, each in texts.items()]
+        return "\n".join([*lines, ""])
+
+    @property
+    def cells(self) -> dict[int, tuple[str, ...]]:
+        """Columns of the cells by fingertip."""
+        found = {self.finger: self.columns.get(COUNTS, ())}
+        found |= {int(key[7:]): names for key, names in self.columns.items() if key.startswith(f"{COUNTS}.")}
+        return {finger: names for finger, names in found.items() if names} or {self.finger: ()}
 
     def scale(self, name: str) -> float:
         """Return the factor from the file's unit to ns or m/s."""
@@ -182,20 +235,12 @@ class ColumnMap:
         """Unit of the cells."""
         return self.units.get(COUNTS, "count")
 
-    @property
-    def label_codes(self) -> tuple[Mapping[str, int], int | None]:
-        """Codes by value of the label column, and the code of other values (None: they are errors)."""
-        if not self.labels:
-            return _DEFAULT_LABELS, None
-        codes = {_value(value): LABELS[name] for name, values in self.labels.items() for value in values}
-        return codes, STATIC if set(self.labels) == {"slip"} else None
-
 
 def expanded(text: str) -> list[str]:
     """Expand a range such as ``p0..p5`` into column names.
 
-    >>> expanded("cell 6..cell 4")
-    ['cell 6', 'cell 5', 'cell 4']
+    >>> expanded("cell 6..cell 4"), expanded("b0_P..b1_P")
+    (['cell 6', 'cell 5', 'cell 4'], ['b0_P', 'b1_P'])
 
     Raises:
         ParameterError: if it has two names or too many columns.
@@ -203,24 +248,28 @@ def expanded(text: str) -> list[str]:
     match = _RANGE.fullmatch(text)
     if match is None:
         return [text]
-    prefix, first, again, last = match.groups()
-    if again not in (prefix, ""):
+    prefix, first, suffix, again, last, end = match.groups()
+    if again not in (prefix, "") or end != suffix:
         raise ParameterError(_OWNER, "range of columns", text, "of one name, such as p0..p5")
-    begin, end = int(first), int(last)
-    if abs(end - begin) >= CELL_LIMIT:
+    low, high = int(first[:_DIGITS]), int(last[:_DIGITS])
+    if abs(high - low) >= CELL_LIMIT or max(len(first), len(last)) > _DIGITS:
         raise ParameterError(_OWNER, "range of columns", text, f"of {CELL_LIMIT} columns at most")
-    step = 1 if end >= begin else -1
-    return [f"{prefix}{number}" for number in range(begin, end + step, step)]
+    step = 1 if high >= low else -1
+    wide = len(first) if first[0] == "0" else 1
+    return [f"{prefix}{number:0{wide}}{suffix}" for number in range(low, high + step, step)]
 
 
 def _check_size(name: str, columns: Sequence[str]) -> None:
-    """Require that a quantity has an allowed number of columns, or none.
+    """Require that a quantity is known and has an allowed number of columns, or none.
 
     Raises:
-        ParameterError: on another number.
+        ParameterError: if not.
     """
-    if len(columns) not in (0, *SIZES[name]):
-        many = f"1 to {CELL_LIMIT}" if name == COUNTS else " or ".join(map(str, SIZES[name]))
+    quantity = name.partition(".")[0]
+    check_choice(_OWNER, "quantity", quantity, SIZES)
+    sizes = SIZES[quantity] or range(1, CELL_LIMIT + 1)
+    if len(columns) not in (0, *sizes):
+        many = f"1 to {CELL_LIMIT}" if quantity == COUNTS else " or ".join(map(str, sizes))
         raise ParameterError(_OWNER, name, ",".join(columns), f"{many} column names")
 
 
@@ -248,13 +297,9 @@ def _text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _value(text: str) -> str:
-    """Return a value of a label column as `TraceTable.codes` compares it."""
-    try:
-        number = float(text)
-    except ValueError:
-        return text.strip().lower()
-    return str(int(number)) if number.is_integer() else text.strip().lower()
+def _toml(value: object) -> str:
+    """Return a value in TOML: strings of JSON are strings of TOML."""
+    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
 
 
 def _layout(text: str) -> Layout:
@@ -273,8 +318,21 @@ def _range(text: str) -> tuple[float, float]:
     return low, high
 
 
+def _numbers(kind: Callable[[str], Any]) -> Callable[[str], tuple[Any, ...]]:
+    return lambda text: tuple(kind(each) for each in text.split(",") if each.strip())
+
+
+_CHOICES: Final[Mapping[str, Sequence[str]]] = {
+    "labelled": tuple(LABELS),
+    "separator": tuple(SEPARATORS),
+    "decimal": ("point", "comma"),
+    "dates": ("ymd", "dmy", "mdy"),
+}
 _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser and what the text must be
+    "slip_speed": (float, "a number, in m/s"),
+    "delay": (float, "a number, in s"),
     "resolution": (float, "a number"),
+    "offset": (_numbers(int), "a whole number for each cell"),
     "layout": (
         _layout,
         f"ROWSxCOLUMNS such as 8x2 ({CELL_LIMIT} cells at most), or rows such as 5,4,3/0,1,2 (-1: no cell)",
@@ -282,7 +340,9 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser an
     "range": (_range, "LOW:HIGH, the readings at the lowest and at the highest pressure, such as 0:4000"),
     "rate": (float, "a number"),
     "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),
+    "missing": (_numbers(float), "numbers such as -999"),
     "finger": (int, "a whole number"),
+    **dict.fromkeys(_CHOICES, (str, "")),
 }
 
 

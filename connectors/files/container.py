@@ -1,38 +1,62 @@
-"""Container of a recording, recognised by its first bytes: Parquet, or CSV, which may be gzipped."""
+"""Container of a recording, recognised by its first bytes: Parquet, or text, which may be gzipped."""
 
 import gzip
 import hashlib
 import io
+import re
+import stat
 import zlib
 from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
 
-from connectors.files import trace_table
-from connectors.files.csv_table import parse_csv
-from connectors.files.trace_table import TraceTable, check_size
+from connectors.files.raw_table import RawTable, check_size
+from connectors.files.text_table import parse_text
 from operators.errors import InputError, os_error_reason
 from storage.arrow import pa, pq
 
 ENDINGS: Final = (".csv", ".csv.gz", ".tsv", ".txt", ".parquet")  # of recordings that can be replayed
+LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
 
 _PARQUET: Final = b"PAR1"
 _GZIP: Final = b"\x1f\x8b"
-_OTHERS: Final = {  # first bytes of other formats
-    b"\x89MCAP0": "an MCAP file",
-    b"SQLite format 3": "a ROS 2 bag",
-    b"#ROSBAG": "a ROS 1 bag",
-    b"PK\x03\x04": "a ZIP file, such as NPZ or Excel",
-    b"\x89HDF": "an HDF5 file",
-    b"MATLAB 5.0": "a MATLAB file",
-    b"\x93NUMPY": "an array of numpy",
+_RATIO: Final = 200  # of a gzip file; recordings have 2 to 50
+_CHUNK: Final = 1 << 24  # bytes
+_SCRIPT: Final = "docs/how-to/import.md"
+_OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and script by the first bytes of other formats
+    rb"\x89MCAP0": ("an MCAP file", "mcap_json.py, or bag.py for ROS messages"),
+    rb"SQLite format 3": ("a ROS 2 bag or another SQLite file", "bag.py"),
+    rb"#ROSBAG": ("a ROS 1 bag", "bag.py"),
+    rb"(?s:(?<=\.xlsx\n)PK|PK\x03\x04.*xl/)": ("an Excel file", "save it as CSV"),
+    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", "npz.py"),
+    rb"PK\x03\x04": ("a ZIP file", "unpack it"),
+    rb"\xd0\xcf\x11\xe0": ("an old Excel file", "save it as CSV"),
+    rb"\x89HDF": ("an HDF5 file", "hdf5.py"),
+    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", "hdf5.py"),
+    rb"MATLAB 5\.0|(?s:[\0-\4]\0\0\0.{12}[\1-\40]\0\0\0[\w]+\0)": ("a MATLAB file", "matlab.py"),
+    rb"\x93NUMPY": ("an array of numpy", "npz.py"),
+    rb"ARROW1|FEA1": ("a Feather or Arrow file", "polars.read_ipc"),
+    rb"\x80[\2-\5]": ("a pickle of Python", "pandas.read_pickle, if you trust its origin"),
+    rb"TDSm": ("a TDMS file of LabVIEW", "save it as CSV"),
+    rb"ULog": ("a PX4 log", "convert it with ulog2csv"),
+    rb"\s*(\{|\[\s*[\[{\"\d-])": ("a JSON file", "polars.read_json"),
+    rb"\s*<": ("an XML or HTML file", "save it as CSV"),
+    rb"%PDF": ("a PDF file", "save the table as CSV"),
+    rb"\x89PNG|\xff\xd8\xff|GIF8|RIFF": ("a picture, film or sound", "save numbers as CSV"),
+    rb"\x28\xb5\x2f\xfd|\x78[\x01\x5e\x9c\xda]|\xfd7zXZ|BZh|7z\xbc\xaf|Rar!": (
+        "compressed",
+        "decompress it, or use gzip",
+    ),
 }
-_PACKED: Final = (b"\x28\xb5\x2f\xfd", b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")  # zstd, zlib
 
 
-def read_table(path: Path) -> TraceTable:
+def read_table(path: Path, separator: str | None = None) -> RawTable:
     """Read a CSV or Parquet file.
+
+    Args:
+        path: The file.
+        separator: Name of the separator of a CSV file (default: detected).
 
     Raises:
         InputError: if it cannot be read, is damaged, too large or of another format.
@@ -40,52 +64,69 @@ def read_table(path: Path) -> TraceTable:
     where, content = str(path), _read(path)
     sha256 = hashlib.sha256(content).hexdigest()
     if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
-        frame, left_out = _read_parquet(where, content)
-        return TraceTable(frame, where, sha256=sha256, left_out=left_out)
+        return _read_parquet(where, content, sha256)
     if content.startswith(_GZIP):
         content = _unzipped(where, content)
-    for first, name in _OTHERS.items():
-        if content.startswith(first):
-            reason = f"is {name}: read it in Python and pass a DataFrame to import_frame"
-            raise InputError(where, f"{reason} (docs/how-to/import.md)")
-    if content.startswith(_PACKED):
-        raise InputError(where, "is compressed: decompress it first, or use gzip")
-    return parse_csv(content, where, sha256=sha256)
+        if content.startswith(_PARQUET):
+            return _read_parquet(where, content, sha256)
+    head = path.suffix.lower().encode() + b"\n" + content[: 1 << 12]  # the ending tells apart what is zipped
+    for first, (name, remedy) in _OTHERS.items():
+        if re.match(rb"\.?\w*\n" + first, head):
+            if remedy.startswith(("save", "unpack", "convert", "decompress")):
+                raise InputError(where, f"is {name}: {remedy}")
+            how = f"read it in Python ({remedy}) and pass a DataFrame to import_frame, see {_SCRIPT}"
+            raise InputError(where, f"is {name}: {how}")
+    return parse_text(content, where, sha256, separator)
 
 
 def _read(path: Path) -> bytes:
     """Return the content of a file, up to the limit."""
     try:
+        mode = path.stat().st_mode
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise InputError(str(path), "is no regular file but a pipe or a device: save its content first")
         with path.open("rb") as file:
-            return _limited(str(path), file.read(trace_table.LIMIT + 1))
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
+            return _limited(str(path), file.read(LIMIT + 1))
+    except (OSError, ValueError) as error:
+        reason = os_error_reason(error) if isinstance(error, OSError) else str(error)
+        raise InputError(str(path), f"cannot be read: {reason}") from None
 
 
 def _unzipped(where: str, content: bytes) -> bytes:
+    """Return the content of a gzip file; one that unpacks to very much is refused early."""
+    parts, size = list[bytes](), 0
     try:
         with gzip.open(io.BytesIO(content)) as file:
-            return _limited(where, file.read(trace_table.LIMIT + 1))
+            while part := file.read(min(_CHUNK, LIMIT + 1)):
+                parts.append(part)
+                size += len(part)
+                if size > LIMIT:
+                    return _limited(where, b"".join(parts))
+                if size > max(_CHUNK, _RATIO * len(content)):
+                    raise InputError(
+                        where, f"unpacks to more than {_RATIO} times its size: no recording does"
+                    )
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
+    return b"".join(parts)
 
 
 def _limited(where: str, content: bytes) -> bytes:
-    if len(content) > trace_table.LIMIT:
-        reason = f"is larger than {trace_table.LIMIT >> 20} MiB, the limit: split it into several files"
+    if len(content) > LIMIT:
+        reason = f"is larger than {LIMIT >> 20} MiB, the limit: split it into several files"
         raise InputError(where, reason)
     return content
 
 
-def _read_parquet(where: str, content: bytes) -> tuple[pl.DataFrame, dict[str, str]]:
-    """Return the columns of a Parquet file, and the reasons for those that are left out.
+def _read_parquet(where: str, content: bytes, sha256: str) -> RawTable:
+    """Return the columns of a Parquet file.
 
     Arrow reads it: of damaged files, polars 2.1 did not return.
     """
     try:
         data = pa.BufferReader(content)
         file: Any = pq.ParquetFile(data, page_checksum_verification=True)
-        check_size(where, file.metadata.num_rows * file.metadata.num_columns)
+        check_size(where, file.metadata.num_rows * file.metadata.num_columns, file.metadata.num_columns)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
         read: Any = file.read(use_threads=False)
         read.validate(full=True)
@@ -98,4 +139,4 @@ def _read_parquet(where: str, content: bytes) -> tuple[pl.DataFrame, dict[str, s
             columns.append(pl.Series(name, values))
         except (TypeError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException):
             left_out[name] = f"its values are {values.type}"
-    return pl.DataFrame(columns), left_out
+    return RawTable.of(pl.DataFrame(columns), where, left_out, sha256)

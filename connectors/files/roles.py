@@ -1,13 +1,18 @@
-"""Roles of a table's columns: those that the map names, and those with common names."""
+"""Roles of a table's columns: those that the map states, and those with usual names."""
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from shlex import quote
 from typing import Final
+
+import polars as pl
 
 from connectors.files.column_map import (
     COUNTS,
+    DATE,
     LABEL,
     MOTIONS,
     SIZES,
@@ -16,142 +21,289 @@ from connectors.files.column_map import (
     UNITS,
     VELOCITY,
     ColumnMap,
+    expanded,
 )
-from operators.errors import InputError
+from connectors.files.raw_table import Problems, RawTable
+from connectors.files.units import is_temperature, split_unit, unit_in
+from operators.errors import ParameterError
+from operators.fingertip import CELL_LIMIT, grid
 
-_MAP_IT: Final = "map it (import --map, ColumnMap.parse), for example"
-_EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5, or counts=left,right,top,bottom,tip,base"}
-_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
-    {
-        TIME: ("t", "time", "timestamp", "stamp"),  # each also with a unit: t_ms, time [s]
-        SPEED: ("speed", "v", "tcp_speed"),
-        LABEL: ("label", "labels", "slip", "is_slip"),
-    }
+_NAMES: Final = {  # usual names, without blanks and signs, in lower case
+    TIME: "t|time|time[mun]s|timestamp|stamp|datetime|elapsed|elapsedtime|seconds|sec|millis|micros|ms|us"
+    "|zeit|zeitstempel|uhrzeit",
+    DATE: "date|datum",
+    SPEED: "speed|v|tcpspeed|geschwindigkeit",
+    LABEL: "labels?|slip|isslip|slipping|groundtruth|state|zustand|class|klasse",
+}
+_TIME_UNIT: Final = re.compile("(?:time)?(ms|us|ns)|(millis|micros)")
+_UNSURE_LABELS: Final = ("state", "zustand", "class", "klasse")  # labels only if their words are usual
+_CELL: Final = re.compile(  # words before the number of a cell
+    "s|c|p|b|counts?|cells?|taxels?|txl|baro|barometer|pressure|press|druck|sensors?|ch|channel|kanal|zelle|pad"
+    "|druckzelle|electrode|el|adc|fsr|force|kraft|raw|value|state|observationstate"
 )
-_CELL: Final = re.compile(
-    r"(s|c|p|b|counts?|cells?|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d{1,3})", re.IGNORECASE
+_READING: Final = re.compile("|p|press|pressure|druck|raw|value")  # words after it
+_NUMBERED: Final = re.compile(r"(\D*)(\d{1,3})(?:(\D{1,3})(\d{1,3}))?(\D*)")
+_AXES: Final = ("vx", "vy", "vz", "wx", "wy", "wz")
+_SLIP: Final = ("slip", "slipping", "sliding", "slide", "rutscht", "gleiten", "gleitet", "1", "true")
+_STATIC: Final = (
+    "static",
+    "no slip",
+    "no_slip",
+    "noslip",
+    "stick",
+    "stable",
+    "rest",
+    "hold",
+    "still",
+    "0",
+    "false",
 )
-_WITH_UNIT: Final = re.compile(r"(.+?)(?:[ _]?[\[(]([a-z/]+)[\])]|[ _]([a-z]+))", re.IGNORECASE)
-_AXES: Final = (("vx", "vy", "vz", "wx", "wy", "wz"), ("vx", "vy", "vz"))
+_GERMAN: Final = ("haften", "haftet", "ruhe")
+_WORDS: Final = {
+    "slip": _SLIP,
+    "static": (*_STATIC, *_GERMAN),
+    "unknown": ("unknown", "-1", "unbekannt", "?"),
+}
+_SHOWN: Final = 20  # columns in an error
 
 
 @dataclass(frozen=True)
-class Header:
-    """Column names of a table.
+class CellGroup:
+    """Columns that are numbered alike.
 
     Args:
-        names: The names.
-        where: Their place in messages.
-        left_out: Reasons by names of what cannot be a column.
+        names: The columns, in the order of their numbers.
+        rows: Number of rows of a layout, from names with row and column; 0: one number.
+        sure: They have a usual name of cells.
     """
 
     names: tuple[str, ...]
-    where: str = "table"
-    left_out: Mapping[str, str] = field(default_factory=dict[str, str])
-
-    def error(self, reason: str) -> InputError:
-        """Return an error that lists the names."""
-        listed = "; ".join(f"{name} cannot be used: {why}" for name, why in self.left_out.items())
-        text = f"has the columns {' '.join(self.names)!r:.200}, {reason}"
-        return InputError(self.where, f"{text} ({listed:.200})" if listed else text)
-
-    def check(self, column: str) -> None:
-        """Require that a column exists and can be used.
-
-        Raises:
-            InputError: if it does not, or cannot.
-        """
-        if column in self.left_out:
-            raise InputError(self.where, f"column {column} cannot be used: {self.left_out[column]}")
-        if column not in self.names:
-            raise self.error(f"must have {column}")
+    rows: int
+    sure: bool
 
 
-def completed(columns: ColumnMap, header: Header) -> ColumnMap:
-    """Return a map that is completed by columns with common names, without absent quantities.
+def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[ColumnMap, list[str]]:
+    """Return a map that is completed by columns with usual names, and what was concluded.
 
     A time is required unless the map has a rate.
 
     Args:
-        columns: Map as stated.
-        header: Column names of a recording.
-
-    Raises:
-        InputError: if a column is missing, there are no counts or no time, or the choice is ambiguous.
+        stated: Map of the user.
+        table: Table of the recording.
+        problems: Gets quantities that are missing or ambiguous, and a map made of the table's columns.
     """
-    found = dict(columns.columns)
-    for name in SIZES:
-        if name not in found:
-            redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
-            found[name] = () if redundant else _guess(name, header)
-    for name in (TIME, COUNTS) if columns.rate is None else (COUNTS,):
-        if not found[name]:
-            raise header.error(f"none recognised as {name}; {_MAP_IT} {_EXAMPLES[name]}")
-    for column in (column for names in found.values() for column in names):
-        header.check(column)
-        if found[COUNTS].count(column) > 1:
-            raise InputError(header.where, f"column {column} cannot be two cells")
-    found = {name: found[name] for name in SIZES if found[name]}
-    units = {name: columns.units.get(name) or _unit(name, found[name]) for name in found if name in UNITS}
-    return replace(columns, columns=found, units=units)
+    given = {key: _matched(key, names, table, problems) for key, names in stated.columns.items()}
+    groups, found = cell_groups(list(table.columns)), dict(given)
+    for name in (TIME, DATE, VELOCITY, SPEED, LABEL):
+        redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
+        redundant |= name == LABEL and stated.labelled is not None
+        found.setdefault(name, () if redundant else _usual(name, table, problems))
+    if not any(_quantity(key) == COUNTS for key in given):
+        found[COUNTS] = _cells(groups, table, problems)
+    if not found[TIME] and stated.rate is None and not stated.columns.get(TIME) and not problems.about(TIME):
+        problems.add(
+            "no column is recognised as time; state time=..., or rate=... if it has none", about=TIME
+        )
+    if not found[TIME]:
+        del found[DATE]
+    order = [*SIZES]
+    found = {
+        name: found[name]
+        for name in sorted(found, key=lambda key: order.index(_quantity(key)))
+        if found[name]
+    }
+    units = _units(found, stated, table, problems)
+    layout = next((group for group in groups if group.rows and group.names in found.values()), None)
+    columns = replace(stated, columns=found, units=units)
+    problems.remedy = _remedy(columns, stated, groups, table) if problems.found else ""
+    if layout is None or stated.layout is not None:
+        return columns, []
+    wide = len(layout.names) // layout.rows
+    return replace(columns, layout=grid(len(layout.names), wide)), [
+        f"layout {layout.rows}x{wide} by the names"
+    ]
 
 
-def _guess(name: str, header: Header) -> tuple[str, ...]:
-    """Return the columns with a common name of a quantity; none, if there are none."""
-    candidates = list(_recognised(name, header.names))
-    if len(candidates) > 1:
-        several = " or ".join(repr(" ".join(each)) for each in candidates)
-        example = f"{_MAP_IT} {name}={candidates[0][0]}"
-        raise InputError(header.where, f"has several candidates for {name}: {several:.300}; {example}")
-    return candidates[0] if candidates else ()
-
-
-def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield the columns with a common name of a quantity."""
-    by_name = {each.casefold(): each for each in names}
-    if name == COUNTS:
-        yield from _cells(names)
-    elif name == VELOCITY:
-        for axes in _AXES:
-            if set(axes) <= set(by_name):
-                yield tuple(by_name[axis] for axis in axes)
-                return
-    else:
-        usual = _NAMES.get(name, ())
-        yield from ((each,) for each in names if _stem(name, each)[0].casefold() in usual)
-
-
-def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield each group of columns that are numbered from 0 or from 1; groups of one only if alone."""
-    rows: dict[tuple[str, str, str], dict[int, str]] = {}
+def cell_groups(names: Sequence[str]) -> list[CellGroup]:
+    """Return the columns that are numbered alike from 0 or 1, or by row and column; never temperatures."""
+    found: dict[tuple[str, ...], dict[tuple[int, ...], str]] = {}
     for name in names:
-        stem, unit = _stem(COUNTS, name)
-        if match := _CELL.fullmatch(stem):
-            rows.setdefault((match[1], match[2], unit), {})[int(match[3])] = name
-    groups = [tuple(row[number] for number in sorted(row)) for row in rows.values() if _is_numbered(row)]
-    yield from [group for group in groups if len(group) > 1] or groups
+        stem, unit = split_unit(COUNTS, name)
+        match = _NUMBERED.fullmatch(stem)
+        if match and not (is_temperature(unit) and unit != "T") and not is_temperature(_word(match[5])):
+            numbers = tuple(int(each) for each in match.group(2, 4) if each)
+            found.setdefault((match[1], match[3] or "", match[5], unit), {})[numbers] = name
+    groups = list[CellGroup]()
+    for (before, _, after, _unit), members in found.items():
+        numbered = sorted(members)
+        axes = [
+            sorted({key[axis] for key in numbered if len(key) > axis}) for axis in range(len(numbered[0]))
+        ]
+        whole = all(each[0] <= 1 and each == [*range(each[0], each[-1] + 1)] for each in axes)
+        size = len(axes[0]) * len(axes[-1]) if len(axes) > 1 else len(axes[0])
+        if whole and len({len(key) for key in numbered}) == 1 and size == len(numbered) <= CELL_LIMIT:
+            sure = bool(_CELL.fullmatch(_word(before)) and _READING.fullmatch(_word(after)))
+            groups.append(
+                CellGroup(tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0, sure)
+            )
+    return [group for group in groups if not _word(group.names[0]).startswith("temp")]
 
 
-def _is_numbered(numbers: Collection[int]) -> bool:
-    first = min(numbers)
-    return first <= 1 and sorted(numbers) == [*range(first, first + len(numbers))]
+def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return the label by value of a label column; without `labels`, of the usual words and numbers."""
+    return {_value(value): label for label, values in (labels or _WORDS).items() for value in values}
 
 
-def _stem(quantity: str, column: str) -> tuple[str, str]:
-    """Split the unit off a column name; an empty unit: it has none.
-
-    >>> _stem("time", "t_ms"), _stem("counts", "cell 1 [kPa]"), _stem("time", "time_stamp")
-    (('t', 'ms'), ('cell 1', 'kPa'), ('time_stamp', ''))
-    """
-    if match := _WITH_UNIT.fullmatch(column):
-        known = {unit.casefold(): unit for unit in UNITS.get(quantity, ())}
-        if unit := known.get((match[2] or match[3]).casefold()):
-            return match[1], unit
-    return column, ""
+def _value(text: str) -> str:
+    """Return a value of a label column as it is compared."""
+    with suppress(ValueError):
+        if (number := float(text)).is_integer():
+            return str(int(number))
+    return text.strip().lower()
 
 
-def _unit(name: str, columns: Sequence[str]) -> str:
-    """Return the unit in the names of columns; without one, the first of the quantity."""
-    units = {_stem(name, column)[1] for column in columns}
-    found = units.pop() if len(units) == 1 else ""
-    return found or next(iter(UNITS[name]))
+def _matched(key: str, names: Sequence[str], table: RawTable, problems: Problems) -> tuple[str, ...]:
+    """Return the columns that a map names; a pattern becomes those that match, ordered by their numbers."""
+    found = list[str]()
+    for name in names:
+        if name in table.columns:
+            found.append(name)
+        elif matches := [each for each in table.columns if "*" in name and fnmatchcase(each, name)]:
+            found += sorted(matches, key=lambda each: [int(part) for part in re.findall(r"\d+", each)])
+        elif name in table.left_out:
+            problems.add(f"column {name} cannot be used: {table.left_out[name]}")
+        else:
+            more = f" and {len(table.columns) - _SHOWN} more" if len(table.columns) > _SHOWN else ""
+            listed = " ".join([*table.columns][:_SHOWN])
+            problems.add(f"there is no column {name}; the columns are {listed}{more}", about=key)
+    for name in found:
+        if found.count(name) > 1:
+            problems.add(f"column {name} cannot be two cells")
+    if len(found) not in (0, *(SIZES.get(key) or range(CELL_LIMIT + 1))):
+        problems.add(f"{key} matches {len(found)} columns", about=key)
+    return tuple(found)
+
+
+def _usual(quantity: str, table: RawTable, problems: Problems) -> tuple[str, ...]:
+    """Return the columns with a usual name of a quantity; none, if there are none."""
+    if quantity == VELOCITY:
+        axes = {_word(each): each for each in table.columns}
+        size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
+        return tuple(axes[axis] for axis in _AXES[:size])
+    names = [
+        each for each in table.columns if re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, each)[0]))
+    ]
+    if quantity == LABEL:
+        names = [
+            each
+            for each in names
+            if _word(each) not in _UNSURE_LABELS or _has_usual_words(table.columns[each])
+        ]
+    names = ["t"] if "t" in names else names  # T may be a temperature
+    if len(names) > 1:
+        text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
+        problems.add(text, about=quantity)
+    return tuple(names[:1])
+
+
+def _has_usual_words(column: pl.Series) -> bool:
+    """Return True if a column has only usual words for labels, one of them for slip."""
+    words = {str(each).strip().lower() for each in column.unique().head(_SHOWN)} - {"", "none"}
+    return bool(words & {*_WORDS["slip"]}) and words <= set(label_values({}))
+
+
+def _cells(groups: Sequence[CellGroup], table: RawTable, problems: Problems) -> tuple[str, ...]:
+    """Return the cells: the only group of columns with a usual name; groups of one column only if alone."""
+    sure = [group for group in groups if group.sure]
+    sure = [group for group in sure if len(group.names) > 1] or sure
+    if len(sure) == 1:
+        return sure[0].names
+    several = [_short(group.names) for group in sure or groups]
+    two = ", or counts.0=... and counts.1=... of two fingertips" if len(several) > 1 else ""
+    left_out = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())
+    who = f"{' or '.join(several):.200} may be the cells" if several else "no columns are recognised as cells"
+    problems.add(f"{who}; state counts=...{two}{f' ({left_out:.200})' if left_out else ''}", about=COUNTS)
+    return ()
+
+
+def _units(
+    found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTable, problems: Problems
+) -> dict[str, str]:
+    """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
+    units = dict(stated.units)
+    for key, names in found.items():
+        if (quantity := _quantity(key)) not in UNITS or quantity in units:
+            continue
+        known = {
+            split_unit(quantity, name)[1] or split_unit(quantity, f"x [{table.units.get(name, '')}]")[1]
+            for name in names
+        }
+        unit = next(iter(known)) if len(known) == 1 else ""
+        if quantity == TIME and not unit and (match := _TIME_UNIT.fullmatch(_word(names[0]))):
+            unit = match[1] or unit_in(match[2])
+        like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
+        if like and unit not in like:
+            problems.add(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")
+        elif quantity == COUNTS and any(
+            is_temperature(_suffix(split_unit(COUNTS, name)[0])) for name in names
+        ):
+            problems.add(
+                f"column {names[0]} is a temperature, not a cell (or state units.counts=...)", about=COUNTS
+            )
+        else:
+            units[quantity] = unit or next(iter(UNITS[quantity]))
+        if quantity == TIME and not unit:
+            del units[TIME]
+    return units
+
+
+def _remedy(columns: ColumnMap, stated: ColumnMap, groups: Sequence[CellGroup], table: RawTable) -> str:
+    """Return a map that is made of the table's own columns, as an option of `slipflow import`."""
+    items = [f"{key}={_short(names)}" for key, names in columns.columns.items()]
+    taken = {name for names in columns.columns.values() for name in names}
+    free = [name for name in table.columns if name not in taken]
+    if TIME not in columns.columns and columns.rate is None:
+        name = next((name for name in free if _rises(table.columns[name])), "")
+        items.insert(0, f"time={name}" if name else "rate=ROWS_PER_SECOND")
+        free = [each for each in free if each != name]
+    if not any(_quantity(key) == COUNTS for key in columns.columns):
+        several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
+        numbers = tuple(name for name in free if _is_number(table.columns[name]))[:CELL_LIMIT]
+        if [len(each) for each in several] == 2 * [len(several[0]) if several else 0]:
+            items += [f"counts.{finger}={_short(names)}" for finger, names in enumerate(several)]
+        else:
+            items.append(f"counts={_short(several[0] if several else numbers) or 'NAME,NAME'}")
+    items += [f"units.{name}={unit}" for name, unit in stated.units.items()]
+    return f"try --map {quote(','.join(items))}"
+
+
+def _short(names: Sequence[str]) -> str:
+    """Return columns as a map states them: a range if they are one."""
+    with suppress(ParameterError):
+        if names[2:] and expanded(text := f"{names[0]}..{names[-1]}") == [*names]:
+            return text
+    return ",".join(names)
+
+
+def _rises(column: pl.Series) -> bool:
+    values = column.head(_SHOWN).cast(pl.Float64, strict=False).drop_nulls()
+    return len(values) > 1 and bool((values.diff().drop_nulls() > 0).all())
+
+
+def _is_number(column: pl.Series) -> bool:
+    return column.head(_SHOWN).cast(pl.String).str.contains(r"^[+-]?[\d.,]*\d[\deE.,+-]*$").all()
+
+
+def _quantity(key: str) -> str:
+    """Return the quantity of a key such as ``counts.1``."""
+    return key.partition(".")[0]
+
+
+def _word(name: str) -> str:
+    """Return a name without blanks and signs, in lower case."""
+    return re.sub(r"[\W_]+", "", name).lower()
+
+
+def _suffix(name: str) -> str:
+    """Return the word after the last number of a name; of ``b0_T`` it is ``t``."""
+    return _word(re.split(r"\d", name)[-1]) if re.search(r"\d", name) else ""

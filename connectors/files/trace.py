@@ -1,55 +1,27 @@
-"""Recorded trace of one fingertip, from a file or a DataFrame."""
+"""Recorded trace of fingertips, from a file or a DataFrame."""
 
 from collections.abc import Iterator
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
 
-from connectors.files.column_map import (
-    COUNTS,
-    LABEL,
-    MOTIONS,
-    TIME,
-    ColumnMap,
-    layout_text,
-)
-from connectors.files.resolution import COUNT_LIMIT, is_multiple, offsets, resolution_of
-from connectors.files.roles import completed
-from operators.batch import (
-    EVERY,
-    UNKNOWN,
-    Batch,
-    Codes,
-    Counts,
-    Flags,
-    Motion,
-    Reals,
-    Times,
-    Touch,
-    Zeroed,
-    s,
-)
-from operators.errors import InputError, ParameterError
-from operators.fingertip import RATE_TOLERANCE, Fingertip, measured
+from connectors.files.column_map import LABEL, ColumnMap
+from operators.batch import EVERY, Batch, Motion, Reals, Touch, Zeroed
+from operators.errors import InputError
+from operators.fingertip import Fingertip
 from operators.ports import Description, Json
 
 if TYPE_CHECKING:
-    from connectors.files.trace_table import TraceTable
+    from connectors.files.interpretation import Interpretation
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
-
-SLOWEST: Final = 5.0  # Hz; a rate outside these limits is implausible
-FASTEST: Final = 5000.0  # Hz
-MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
-GAP: Final = 5.0  # median intervals; a longer interval is a gap
 
 _DEFAULT: Final = ColumnMap()
 
 
 class Trace:
-    """`Recording` of one fingertip, and of the motion if there is one, loaded completely and checked.
+    """`Recording` of fingertips, and of the motion if there is one, loaded completely and checked.
 
     Decimal times are converted exactly, then rounded to the nearest ns. Other columns are ignored.
     Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an offset. A
@@ -57,118 +29,76 @@ class Trace:
     becomes a velocity along x of the base frame. A row without a velocity adds no row of motion.
 
     Args:
-        source: A CSV or Parquet file, or a polars or pandas DataFrame, or a dictionary of arrays.
-        columns: Map of the columns; unmapped quantities are recognised by common column names.
+        source: A CSV or Parquet file, a polars or pandas DataFrame, a dictionary of arrays, or an
+            interpretation of one.
+        columns: Map of the columns; what it does not state is concluded from the data.
         name: Name of a DataFrame.
         group: Surface or object of the recording.
         about: Further entries of the description.
+        part: Number of the part, of a recording of several episodes.
 
     Attributes:
-        columns: The completed map, without absent quantities.
+        columns: The completed map: it states all, without absent quantities.
         sha256: Checksum of the file, hex; empty for a DataFrame.
-        notes: Remarks on how the file was read.
-        resolution: Units per count.
-        offset: (cells,) counts; a reading is (count + offset) x resolution.
+        notes: Conclusions on how the data is read.
+        warnings: Doubts about implausible values, such as a wrong unit, one line each.
+        offset: (cells,) counts of the first fingertip; a reading is (count + offset) x resolution.
         missing: Number of missing readings.
-        touch: The whole trace, Touch or Zeroed.
+        touch: Rows of the first fingertip, Touch or Zeroed.
         motion: Motion of the arm; no rows if there is none.
         labels: (n,) 1 slip, 0 static, -1 unknown.
+        rate: Rows per second; None: unknown.
 
     Raises:
-        InputError: if the file cannot be read, or has an invalid value or another rate; it names row and
-            column.
+        InputError: if the file cannot be read, or has invalid values or several parts; it lists all problems.
         ParameterError: if the layout or the range does not fit the cells.
     """
 
-    columns: ColumnMap
-    touch: Touch
-    motion: Motion
-    labels: Codes
-
     def __init__(
         self,
-        source: Any,  # noqa: ANN401 - all that pl.DataFrame takes
+        source: "Any | Interpretation",  # noqa: ANN401 - all that pl.DataFrame takes
         columns: ColumnMap = _DEFAULT,
         *,
         name: str = "table",
         group: str | None = None,
         about: Description | None = None,
+        part: int | None = None,
     ) -> None:
-        table, stated = _table(source, name), columns.resolution
-        self.name, self.sha256, self.group, self._about = table.file, table.sha256, group, about or {}
+        from connectors.files.decoding import described  # noqa: PLC0415 - slow to import
+        from connectors.files.plausibility import gap_doubts, motion_doubts  # noqa: PLC0415 - slow to import
 
-        self.columns = columns = completed(columns, table.header)
-        found = columns.columns
-        if TIME in found:
-            times = table.times(found[TIME][0], columns.units[TIME])
-        else:
-            times = np.rint(np.arange(len(table)) * (s / cast("float", columns.rate))).astype(np.int64)
-        self.notes = table.notes
-        readings = self._readings(table)
-        zeroed = bool(np.any(readings < 0)) if columns.zeroed is None else columns.zeroed
-        self.resolution = stated or resolution_of(readings, offset=not zeroed)
-        self._rounded = stated is not None and not is_multiple(readings, stated)
-        self.offset = np.zeros(readings.shape[1]) if zeroed else offsets(readings, self.resolution)
-        counts, valid = self._counts(table, readings)
-        kind = Zeroed if zeroed else Touch
-        self.touch = kind(times, counts, np.zeros_like(counts), valid, finger=columns.finger)
-        self._fingertip = self._described()
-        self.missing = int(np.count_nonzero(~valid))
-        self.motion = _motion(table, columns, times)
-        if LABEL in found:
-            self.labels = table.codes(found[LABEL][0], *columns.label_codes, UNKNOWN)
-        else:
-            self.labels = np.full(len(times), UNKNOWN, np.int8)
-        self._check_rate()
-
-    def _readings(self, table: "TraceTable") -> Reals:
-        """Return the readings of the cells, (n, cells) in their unit; NaN: missing."""
-        names = self.columns.columns[COUNTS]
-        whole = self.columns.unit == "count" and self.columns.resolution is None
-        readings = np.empty((len(table), len(names)))
-        for cell, name in enumerate(names):
-            values = table.reals(name)
-            if whole:
-                fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
-                table.check(name, np.isnan(values) | (values == np.rint(values)), fix)
-            if np.isnan(values).all():
-                raise InputError(table.file, f"column {name} has no readings")
-            readings[:, cell] = values
-        return readings
-
-    def _counts(self, table: "TraceTable", readings: Reals) -> tuple[Counts, Flags]:
-        """Return the counts (n, cells) of the readings, and which are valid."""
-        counts = np.rint(readings / self.resolution - self.offset)
-        valid: Flags = ~np.isnan(readings)
-        for cell, name in enumerate(self.columns.columns[COUNTS]):
-            ends = (np.array([-1, 1]) * COUNT_LIMIT + self.offset[cell]) * self.resolution
-            limits = f"from {ends[0]:g} to {ends[1]:g} at a resolution of {self.resolution:g}"
-            table.check(name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
-        return np.where(valid, counts, 0).astype(np.int16), valid
-
-    def _described(self) -> Fingertip:
-        """Return the fingertip of the counts; a range in the unit of the cells becomes counts."""
-        found, limits, layout = measured(self.touch), None, self.columns.layout
-        if layout is not None and Fingertip(layout, 1.0).cells != found.cells:
-            must_be = f"of {found.cells} cells, as many as the counts have"
-            raise ParameterError("Trace", "layout", layout_text(layout), must_be)
-        if self.columns.range is not None:
-            readings = np.array(self.columns.range) / self.resolution - self.offset.mean()
-            ends = np.clip(np.rint(readings), -COUNT_LIMIT, COUNT_LIMIT)
-            limits = int(ends[0]), int(ends[1])
-        return Fingertip(layout or found.layout, found.rate, self.columns.unit, self.resolution, limits)
-
-    def _check_rate(self) -> None:
-        """Require the rate of the map, if it has one."""
-        expected, found = self.columns.rate, self.rate
-        if expected and found and abs(found - expected) > RATE_TOLERANCE * expected:
-            reason = f"has {found:.1f} rows per second, not {expected:g}: is its time in another unit?"
-            raise InputError(self.name, reason)
+        found = interpreted(source, columns, name=name)
+        if part is None and len(found.decoded) > 1:
+            reason = f"has {len(found.decoded)} episodes: slipflow import makes a session of each"
+            raise InputError(found.table.file, reason)
+        rows = found.decoded[part or 0]
+        self.name, self.sha256, self.group, self._about = (
+            found.table.file,
+            found.table.sha256,
+            group,
+            about or {},
+        )
+        self.columns, self.notes, self.stated = found.columns, found.notes, found.stated
+        self.rate = found.axis.rate
+        self._touch, self.motion, self.labels = rows.touch, rows.motion, rows.labels
+        self.touch = next(iter(rows.touch.values()))
+        self.offset = np.resize(self.columns.offset or (0,), self.touch.cells)
+        self._fingertip = described(self.columns) if self.columns.rate else None
+        self.missing = sum(int(np.count_nonzero(~each.valid)) for each in rows.touch.values())
+        doubts = [*motion_doubts(self.speeds), *found.warnings]
+        if self.missing:
+            bad = np.any([~each.valid.all(axis=1) for each in rows.touch.values()], axis=0)
+            doubts.append(f"missing readings: {self.missing}, in {np.count_nonzero(bad)} of {len(bad)} rows")
+        self.warnings = (*doubts, *gap_doubts(rows.time, self.rate))
 
     @property
     def extent(self) -> tuple[float, float]:
         """Lowest and highest reading, in the unit of the counts."""
-        readings = (self.touch.counts + self.offset)[self.touch.valid]
+        counts, valid = (
+            np.concatenate([getattr(each, name) for each in self._touch.values()], axis=1)
+            for name in ("counts", "valid")
+        )
+        readings = (counts + np.array(self.columns.offset or 0))[valid]
         return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
 
     @property
@@ -176,11 +106,10 @@ class Trace:
         """Type of the touch stream: Touch or Zeroed."""
         return type(self.touch)
 
-    @cached_property
-    def rate(self) -> float | None:
-        """Median rate of the rows (Hz); None if all have the same time."""
-        interval = float(np.median(np.diff(self.touch.time))) if len(self.touch) > 1 else 0.0
-        return s / interval if interval else None
+    @property
+    def resolution(self) -> float:
+        """Units per count."""
+        return self.columns.resolution or 1.0
 
     @property
     def speeds(self) -> Reals:
@@ -188,36 +117,17 @@ class Trace:
         speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
         return speeds
 
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """Warnings about implausible values, such as a wrong unit, one line each."""
-        lines = list[str]()
-        fastest, rate = float(self.speeds.max(initial=0.0)), self.rate
-        if fastest > MAX_SPEED:
-            lines.append(f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
-        if rate is not None and not SLOWEST <= rate <= FASTEST:
-            lines.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
-        if self.missing:
-            rows = int(np.count_nonzero(~self.touch.valid.all(axis=1)))
-            lines.append(f"missing readings: {self.missing}, in {rows} of {len(self.touch)} rows")
-        if self._rounded:
-            lines.append(f"the readings are rounded to steps of {self.resolution:g} {self.columns.unit}")
-        intervals = np.diff(self.touch.time) * ((rate or 0.0) / s)  # (n - 1,) median intervals
-        if (gaps := np.flatnonzero(intervals > GAP)).size:
-            longest = int(gaps[np.argmax(intervals[gaps])])
-            span, at = (self.touch.time[longest + 1] - self.touch.time[longest]) / s, self.touch.time[longest]
-            many = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"
-            lines.append(f"the time has {many} of {span:.3g} s after {(at - self.touch.time[0]) / s:.4g} s")
-        return tuple(lines)
-
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
         return self._fingertip if issubclass(kind, Touch) else None
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingers with a stream of a type; EVERY for the arm's motion."""
-        streams = [stream for stream in (self.touch, self.motion) if len(stream)]
-        return tuple(stream.finger for stream in streams if isinstance(stream, kind))
+        if issubclass(kind, Touch):
+            return tuple(
+                finger for finger, rows in self._touch.items() if len(rows) and isinstance(rows, kind)
+            )
+        return (EVERY,) if kind is Motion and len(self.motion) else ()
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
         """Yield a stream in batches of at most `rows`.
@@ -227,7 +137,7 @@ class Trace:
         """
         if finger not in self.fingers(kind):
             raise InputError(self.name, f"has no {kind.__name__} stream of finger {finger}")
-        stream = cast("SomeBatch", self.touch if isinstance(self.touch, kind) else self.motion)
+        stream = cast("SomeBatch", self._touch[finger] if issubclass(kind, Touch) else self.motion)
         return (stream[start : start + rows] for start in range(0, len(stream), rows))
 
     def describe(self) -> Description:
@@ -251,31 +161,37 @@ class Trace:
         return about
 
 
-def _table(source: Any, name: str) -> "TraceTable":  # noqa: ANN401 - as for Trace
-    """Return the columns of a file or of a DataFrame."""
+def interpreted(
+    source: "Any | Interpretation",  # noqa: ANN401 - as for Trace
+    columns: ColumnMap = _DEFAULT,
+    *,
+    name: str = "table",
+    split: bool = False,
+) -> "Interpretation":
+    """Return the interpretation of a file or of a DataFrame.
+
+    Args:
+        source: As of a `Trace`.
+        columns: Map of the columns.
+        name: Name of a DataFrame.
+        split: A clock that starts again begins another part, which is a trace of its own.
+
+    Raises:
+        InputError: if it cannot be read; it lists all problems.
+    """
     import polars as pl  # noqa: PLC0415 - slow to import
 
     from connectors.files.container import read_table  # noqa: PLC0415 - slow to import
-    from connectors.files.trace_table import TraceTable  # noqa: PLC0415 - slow to import
+    from connectors.files.interpretation import Interpretation, interpret  # noqa: PLC0415 - slow to import
+    from connectors.files.raw_table import RawTable  # noqa: PLC0415 - slow to import
 
+    if isinstance(source, Interpretation):
+        return source
     if isinstance(source, str | Path):
-        return read_table(Path(source))
+        return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
-    return TraceTable(frame, name)
-
-
-def _motion(table: "TraceTable", columns: ColumnMap, times: Times) -> Motion:
-    """Return the rows with a velocity; `times` are those of all rows."""
-    velocity: Reals = np.full((len(times), 6), np.nan)
-    for name in MOTIONS:
-        if names := columns.columns.get(name):
-            given = [table.reals(each) for each in names]
-            velocity = np.pad(np.column_stack(given), ((0, 0), (0, 6 - len(given))))
-            velocity[:, :3] *= columns.scale(name)
-    moving: Flags = np.all(np.isfinite(velocity), axis=1)
-    unknown = np.full((len(times), 6), np.nan)
-    return Motion(times, times, velocity, unknown, finger=EVERY)[moving]
+    return interpret(RawTable.of(frame, name), columns, split=split)

@@ -1,12 +1,10 @@
 """The command `slipflow fetch`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson
 from flows.cli.terminal import progress_bar
 
 
@@ -26,7 +24,6 @@ def fetch(
             help="Copy of the source, such as a git clone or a mirror (default: the source on GitHub).",
         ),
     ] = None,
-    as_json: AsJson = False,
 ) -> None:
     """Download, verify and import a public dataset of real touch.
 
@@ -44,12 +41,11 @@ def fetch(
     from operators.errors import ParameterError
 
     if recipe is None:
-        listed = [each.json() for each in RECIPES.values()]
-        typer.echo(json.dumps(listed) if as_json else "\n".join(each.summary() for each in RECIPES.values()))
+        typer.echo("\n".join(each.summary() for each in RECIPES.values()))
         return
     check_choice("fetch", "NAME", recipe, RECIPES)
     if out is None:
         raise ParameterError("fetch", "OUT", None, "the folder of the new dataset")
     with progress_bar("fetching") as update:
         done = fetch_recipe(RECIPES[recipe], out, source, update)
-    typer.echo(json.dumps(done.json()) if as_json else done.text())
+    typer.echo(done.text())

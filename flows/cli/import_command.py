@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Delay
+from flows.cli.options import AsJson
 from flows.cli.terminal import note, progress_bar
 
 
@@ -28,14 +28,6 @@ def import_(
             " time=t,counts=p0..p5,speed=v,units.time=ms. Quantities left out are recognised by usual names.",
         ),
     ] = "",
-    slip_speed: Annotated[
-        str,
-        typer.Option(
-            metavar="SPEED",
-            help="Label samples as slip above this arm speed (if the file has no labels).",
-        ),
-    ] = "3mm/s",
-    delay: Delay = "0s",
     session: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="Name of the session of a single file (default: the file's name)."),
@@ -48,6 +40,20 @@ def import_(
             " '(.+)_vel'. Evaluations split by it.",
         ),
     ] = "",
+    labelled: Annotated[
+        str | None,
+        typer.Option("--label", metavar="LABEL", help="Label of all rows: slip, static or unknown."),
+    ] = None,
+    split: Annotated[
+        bool, typer.Option("--split", help="Make a session of each part where the clock starts again.")
+    ] = False,
+    flow: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.py",
+            help="Write a flow that follows such a file live, and FILE.toml, the map with all conclusions.",
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print how the files are interpreted; write nothing.")
     ] = False,
@@ -62,27 +68,27 @@ def import_(
       slipflow import trace.csv recordings --dry-run
       slipflow import trace.csv lab --map time=t,counts=p0..p5,speed=v,units.time=ms,units.speed=mm/s
       slipflow import *.parquet strokes --map pad.toml --group '(.+)_vel'
+      slipflow import bench.csv own --flow own.py
     """
-    from connectors.files.column_map import ColumnMap
-    from flows.graph.quantity import parse_quantity, parse_time
-    from flows.lab.importing import import_files
-    from flows.report.table import counted
-    from operators import Label
+    from dataclasses import replace
 
-    label = Label(
-        speed=parse_quantity("import", "--slip-speed", slip_speed, "m/s"),
-        delay=parse_time("import", "--delay", delay),
-    )
+    from connectors.files.column_map import ColumnMap
+    from flows.lab.importing import import_files
+    from flows.lab.own_flow import write_flow
+    from flows.report.table import counted
+
+    stated = ColumnMap.load(columns)
+    stated = replace(stated, labelled=labelled) if labelled else stated
     done = []
     with progress_bar("importing") as update:
         update(0, len(files), files[0].name)
         for found in import_files(
             files,
             out,
-            ColumnMap.load(columns),
+            stated,
             group=group,
             session=session,
-            label=label,
+            split=split,
             dry_run=dry_run,
         ):
             done.append(found)
@@ -97,9 +103,12 @@ def import_(
         ]
         typer.echo(json.dumps({"dataset": str(out), "files": listed}))
     if present := sum(each.state == "present" for each in done):
-        note(f"{counted(present, 'file')} left out: the dataset has them already")
+        note(f"{counted(present, 'session')} left out: the dataset has them already")
     if dry_run:
         note("dry run: nothing written")
+    complete = next((each.columns for each in done if each.columns), None)
+    if flow and complete and not dry_run:
+        note(f"{flow} follows such a file live, by the map {write_flow(flow, files[0], complete)}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)

@@ -14,6 +14,7 @@ import numpy as np
 
 from connectors import Replay, Trace
 from connectors.files.column_map import COUNTS, LABEL, LABELS, ColumnMap, layout_text
+from connectors.files.trace import interpreted
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
 from operators import Align, Label, Operator, Zero, Zeroed, ms
@@ -60,21 +61,24 @@ class TraceImport:
         trace: The trace.
         out: Folder of the dataset; created if absent.
         session: Name of the session.
-        label: Labels by the arm's speed.
-        stated: Quantities that the user mapped; others were recognised by their names.
     """
 
     trace: Trace
     out: Path
     session: str
-    label: Label = field(default_factory=Label)
-    stated: frozenset[str] = frozenset()
+
+    @property
+    def label(self) -> Label:
+        """Labels by the arm's speed."""
+        return Label(speed=self.trace.columns.slip_speed, delay=round(self.trace.columns.delay * s))
 
     @property
     def label_source(self) -> str:
         """Origin of the labels; empty if there are neither labels nor motion."""
         if LABEL in self.trace.columns.columns:
             return "the file"
+        if self.trace.columns.labelled:
+            return "the map"
         if not len(self.trace.motion):
             return ""
         delay = f", {self.label.delay / ms:g} ms after the sample" if self.label.delay else ""
@@ -90,7 +94,7 @@ class TraceImport:
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
             samples = (touch | Zero()) & motion | Align(within=20 * ms) | self.label
-            (samples | attach if self.label_source == "the file" else samples).to(dataset)
+            (samples if "arm" in self.label_source else samples | attach).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
         return flow
@@ -115,12 +119,12 @@ class TraceImport:
     def summary(self) -> dict[str, Any]:
         """Return the interpretation as JSON data."""
         trace = self.trace
-        speeds = trace.speeds  # (n,) m/s
         lowest, highest = trace.extent
         return {
             **trace.describe(),
-            "recognised": [name for name in trace.columns.columns if name not in self.stated],
-            "finger": trace.touch.finger,
+            "recognised": [name for name in trace.columns.columns if name not in trace.stated],
+            "concluded": list(trace.notes),
+            "fingers": list(trace.fingers(Touch)),
             "seconds": int(trace.touch.time[-1] - trace.touch.time[0]) / s,
             "rate": trace.rate,
             "unit": trace.columns.unit,
@@ -129,8 +133,6 @@ class TraceImport:
             "highest": highest,
             "missing": trace.missing,
             "motion": len(trace.motion),
-            "moving": int((speeds > self.label.speed).sum()),
-            "fastest": float(speeds.max()) if len(speeds) else None,
             "warnings": list(trace.warnings),
             "labelled": self.label_source or None,
             "labels": {name: int((trace.labels == code).sum()) for name, code in LABELS.items()},
@@ -144,8 +146,8 @@ class TraceImport:
         way = "zeroed" if self.trace.kind is Zeroed else "raw"
         units = {**found.units, COUNTS: way if found.unit == "count" else f"{way}, {found.unit}"}
         for name, columns in found.columns.items():
-            notes = [units[name]] if name in units else []
-            notes += ["recognised by name"] if name not in self.stated else []
+            notes = [units[each] for each in [name.partition(".")[0]] if each in units]
+            notes += ["recognised by name"] if name not in self.trace.stated else []
             text = f"  {name:9}{' '.join(columns)}"
             lines.append(f"{text}  ({', '.join(notes)})" if notes else text)
         if found.layout is not None:
@@ -154,10 +156,10 @@ class TraceImport:
             low, high = found.range
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
-        if self.label_source not in ("", "the file"):
-            lines.append(f"  labels by {self.label_source}")
         if not self.label_source:
             lines.append("  no labels and no motion: no samples")
+        elif "arm" in self.label_source:
+            lines.append(f"  labels by {self.label_source}")
         return lines
 
     def report(self, *, short: bool = False) -> str:
@@ -165,26 +167,27 @@ class TraceImport:
         found, trace = self.summary(), self.trace
         rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {trace.rate or 0.0:.1f} Hz"
         notes = f" ({', '.join(trace.notes)})" if trace.notes else ""
-        unit, resolution = found["unit"], found["resolution"]
-        counts = "counts" if unit == "count" else unit
+        unit = "counts" if found["unit"] == "count" else found["unit"]
         lines = [f"{trace.name}: {rows}{notes}", *(() if short else self.interpretation())]
-        lines.append(f"  readings from {found['lowest']:g} to {found['highest']:g} {counts}")
-        if (resolution, unit) != (1, "count"):
-            lines.append(f"  stored in steps of {resolution:g} {unit}")
-        if found["motion"]:
-            moving = f"{found['moving']} of {found['motion']} rows, above {self.label.speed:g} m/s"
-            lines.append(f"  the arm moves in {moving}, at up to {found['fastest']:.3g} m/s")
-        if self.label_source == "the file":
+        lines.append(f"  readings from {found['lowest']:g} to {found['highest']:g} {unit}")
+        if (trace.resolution, unit) != (1, "counts"):
+            lines.append(f"  stored in steps of {trace.resolution:g} {found['unit']}")
+        if len(speeds := trace.speeds):  # (n,) m/s
+            moving = f"{np.sum(speeds > self.label.speed)} of {len(speeds)} rows"
+            moving += f", above {self.label.speed:g} m/s, at up to {speeds.max():.3g} m/s"
+            lines.append(f"  the arm moves in {moving}")
+        if self.label_source and "arm" not in self.label_source:
             labels = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
-            lines.append(f"  labels of the file: {labels}")
-        lines += [f"  warning: {each}" for each in found["warnings"]]
+            lines.append(f"  labels of {self.label_source}: {labels}")
+        lines += [f"  warning: {each}" for each in trace.warnings]
         group = "" if trace.group is None else f", group {trace.group}"
-        return "\n".join([*lines, f"session {self.session} of {self.out}, finger {found['finger']}{group}"])
+        fingers = " and ".join(map(str, found["fingers"]))
+        return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{group}"])
 
 
 @dataclass(frozen=True, slots=True)
 class ImportedFile:
-    """Result of one file.
+    """Result of one session of a file.
 
     Args:
         path: The file.
@@ -192,6 +195,7 @@ class ImportedFile:
         error: Reason of a failure.
         summary: Interpretation as JSON data; empty after a failure.
         report: Interpretation as text, without the columns if they are those of the file before.
+        columns: Completed map; None after a failure.
     """
 
     path: Path
@@ -199,6 +203,7 @@ class ImportedFile:
     error: str = ""
     summary: dict[str, Any] = field(default_factory=dict[str, Any])
     report: str = ""
+    columns: ColumnMap | None = None
 
 
 def import_frame(
@@ -208,7 +213,6 @@ def import_frame(
     columns: str | ColumnMap = _DEFAULT,
     *,
     group: str | None = None,
-    label: Label | None = None,
     about: Description | None = None,
 ) -> TraceImport:
     """Write a DataFrame as a session of a dataset; return its interpretation.
@@ -219,17 +223,15 @@ def import_frame(
         session: Name of the session.
         columns: Map of the columns, also as text or as the path of a TOML file.
         group: Surface or object of the recording, by which recordings are split.
-        label: Labels by the arm's speed, for a recording without labels.
         about: Further entries of the session's description.
 
     Raises:
-        InputError: if it has an invalid value, named by row and column, or another rate.
+        InputError: that lists all problems of the data, with a map that solves them.
         ParameterError: on an invalid map or name of the session.
         EndpointError: if the dataset cannot be written, or has a session of that name.
     """
     stated = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
-    trace = Trace(frame, stated, name=session, group=group, about=about)
-    found = TraceImport(trace, Path(out), session, label or Label(), frozenset(stated.columns))
+    found = TraceImport(Trace(frame, stated, name=session, group=group, about=about), Path(out), session)
     found.write()
     return found
 
@@ -241,13 +243,13 @@ def import_files(
     *,
     group: str = "",
     session: str | None = None,
-    label: Label | None = None,
+    split: bool = False,
     dry_run: bool = False,
 ) -> Iterator[ImportedFile]:
-    """Import CSV and Parquet files one by one; files that the dataset has already are left out.
+    """Import CSV and Parquet files one by one; sessions that the dataset has already are left out.
 
     A file that cannot be imported does not stop the others. Files with a unit get the resolution of the
-    dataset or of the first of them, so that a detector can be trained on all.
+    dataset or of the first of them, so that a detector can be trained on all. An episode is a session.
 
     Args:
         paths: The files.
@@ -256,7 +258,7 @@ def import_files(
         group: Regular expression that is searched in the name of each file; its first group, or the whole
             match, is the surface or object.
         session: Name of the session of a single file (default: the file's name).
-        label: Labels by the arm's speed, for files without labels.
+        split: A clock that starts again begins another session.
         dry_run: Check the files and write nothing.
 
     Raises:
@@ -273,32 +275,31 @@ def import_files(
     steps, before = _resolutions(out), list[str]()
     for path, name, surface in zip(paths, names, groups, strict=True):
         try:
-            trace = _read(path, columns, surface, steps)
-            found = TraceImport(trace, out, name, label or Label(), frozenset(columns.columns))
-            present = _is_present(out, name, trace.sha256)
+            traces = _traces(path, columns, surface, steps, split=split)
+            for number, trace in enumerate(traces, 1):
+                found = TraceImport(trace, out, f"{name}-{number}" if len(traces) > 1 else name)
+                present = _is_present(out, found.session, trace.sha256)
+                if not (present or dry_run):
+                    found.write()
+                state = "present" if present else "checked" if dry_run else "written"
+                report = found.report(short=found.interpretation() == before)
+                yield ImportedFile(path, state, "", found.summary(), report, trace.columns)
+                before = found.interpretation()
         except InputError as error:
             if len(paths) == 1:
                 raise
             yield ImportedFile(path, "failed", str(error))
-            continue
-        if not (present or dry_run):
-            found.write()
-        state = "present" if present else "checked" if dry_run else "written"
-        yield ImportedFile(
-            path, state, "", found.summary(), found.report(short=found.interpretation() == before)
-        )
-        before = found.interpretation()
 
 
-def _read(path: Path, columns: ColumnMap, group: str | None, steps: dict[str, float]) -> Trace:
-    """Read a file; a unit other than counts gets the resolution in `steps`, if there is one."""
-    trace = Trace(path, columns, group=group)
-    unit = trace.columns.unit
-    if columns.resolution is None and unit != "count":
-        step = steps.setdefault(unit, trace.resolution)
-        if step != trace.resolution:
-            trace = Trace(path, replace(columns, resolution=step), group=group)
-    return trace
+def _traces(
+    path: Path, columns: ColumnMap, group: str | None, steps: dict[str, float], *, split: bool
+) -> list[Trace]:
+    """Return the parts of a file; a unit other than counts gets the resolution in `steps`, if it is there."""
+    found = interpreted(path, columns, split=split)
+    unit, resolution = found.columns.unit, found.columns.resolution or 1.0
+    if columns.resolution is None and unit != "count" and steps.setdefault(unit, resolution) != resolution:
+        found = interpreted(path, replace(columns, resolution=steps[unit]), split=split)
+    return [Trace(found, group=group, part=part) for part in range(len(found.decoded))]
 
 
 def _resolutions(out: Path) -> dict[str, float]:

@@ -4,10 +4,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from operators import Touch, ms
+from operators import Touch, ms, s
 from operators.errors import FingertipError, InputError, ParameterError
-from operators.fingertip import TAKKTILE, Fingertip, grid, measured
+from operators.fingertip import TAKKTILE, Fingertip, grid, measured, rows_per_second
 
 POOL = "Pool(groups=..., gain=..., unit='count')"
 PAGE = "(docs/how-to/any-fingertip.md)"
@@ -92,5 +94,25 @@ def test_a_rate_within_a_tenth_and_an_unknown_range_fit() -> None:
 
 def test_cells_and_rate_are_measured_if_nothing_states_them() -> None:
     rows = replace(Touch.zeros(5, 16), time=np.arange(5) * ms)
-    assert (measured(rows).cells, measured(rows).rate) == (16, 1000.0)
-    assert measured(Touch.zeros(1)).layout == TAKKTILE.layout
+    found = measured(rows)
+    assert found is not None
+    assert (found.cells, found.rate) == (16, 1000.0)
+    assert measured(Touch.zeros(9)) is None  # all rows have one time: no default
+
+
+@given(
+    packets=st.lists(st.integers(1, 9), min_size=20, max_size=60),
+    rate=st.floats(20, 4000),
+    step=st.sampled_from([1, 1_000, 1_000_000]),
+    pause=st.booleans(),
+)
+def test_the_rate_is_that_of_the_rows_over_the_time(
+    packets: list[int], rate: float, step: int, *, pause: bool
+) -> None:
+    size = sum(packets)
+    time = (np.arange(size) * (s / rate)).astype(np.int64)
+    time[size // 2 :] += 500 * s * pause
+    packed = np.repeat(time[np.cumsum([0, *packets[:-1]])], packets)  # rows of a USB packet share a time
+    for stamps in (time // step * step, packed):
+        found = rows_per_second(stamps)
+        assert found == pytest.approx(rate, rel=20 / size + 4 * step * rate / s / size)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from connectors.files.column_map import ColumnMap
 
@@ -83,11 +83,6 @@ class DatasetRecipe:
         parts = {"source": self.page, "terms": self.terms, "about": self.about, "assumed": self.assumed}
         lines = [f"{name}: {text}" for name, text in {**parts, "labels": self.labels}.items()]
         return "\n  ".join([self.summary(), *lines])
-
-    def json(self) -> dict[str, Any]:
-        """Return all that the recipe states about the dataset as JSON data."""
-        names = "name", "title", "size", "licence", "terms", "citation", "about", "assumed", "labels"
-        return {**{name: getattr(self, name) for name in names}, "source": self.page}
 
 
 def read_registry(path: Path) -> dict[str, str]:

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from flows.lab.importing import import_frame
 from flows.lab.recipes.dataset_recipe import DatasetRecipe, Locate
@@ -30,11 +30,6 @@ class Fetched:
     seconds: float = 0.0
     groups: set[str] = field(default_factory=set[str])
     labels: Counter[str] = field(default_factory=Counter[str])
-
-    def json(self) -> dict[str, Any]:
-        """Return the recipe and the contents as JSON data."""
-        found = {"dataset": str(self.dataset), "sessions": self.sessions, "groups": sorted(self.groups)}
-        return {**self.recipe.json(), **found, "seconds": self.seconds, "labels": dict(self.labels)}
 
     def text(self) -> str:
         """Return the recipe and the contents as text."""

@@ -61,21 +61,39 @@ def test_any_content_is_read_or_refused_in_one_line(ending: str, tmp_path: Path,
     assert "\n" not in refusal(path)
 
 
+READ = "read it in Python"
+PYTHON = "and pass a DataFrame to import_frame, see docs/how-to/import.md"
+
+
 @pytest.mark.parametrize(
-    ("first", "name"),
+    ("first", "complaint"),
     [
-        (b"\x89MCAP0\r\n", "an MCAP file"),
-        (b"SQLite format 3\0", "a ROS 2 bag"),
-        (b"#ROSBAG V2.0\n", "a ROS 1 bag"),
-        (b"PK\x03\x04", "a ZIP file, such as NPZ or Excel"),
-        (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
-        (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
-        (b"\x93NUMPY", "an array of numpy"),
+        (
+            b"\x89MCAP0\r\n",
+            f"is an MCAP file: read it in Python (mcap_json.py, or bag.py for ROS messages) {PYTHON}",
+        ),
+        (b"SQLite format 3\0", f"is a ROS 2 bag or another SQLite file: read it in Python (bag.py) {PYTHON}"),
+        (b"#ROSBAG V2.0\n", f"is a ROS 1 bag: read it in Python (bag.py) {PYTHON}"),
+        (b"PK\x03\x04" + bytes(26) + b"time.npy", f"is an NPZ file: read it in Python (npz.py) {PYTHON}"),
+        (b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml", "is an Excel file: save it as CSV"),
+        (b"PK\x03\x04", "is a ZIP file: unpack it"),
+        (b"\x89HDF\r\n\x1a\n", f"is an HDF5 file: read it in Python (hdf5.py) {PYTHON}"),
+        (b"MATLAB 5.0 MAT-file", f"is a MATLAB file: read it in Python (matlab.py) {PYTHON}"),
+        (
+            b"MATLAB 7.3 MAT-file",
+            f"is a MATLAB file of version 7.3, which is HDF5: read it in Python (hdf5.py) {PYTHON}",
+        ),
+        (b"\x93NUMPY", f"is an array of numpy: read it in Python (npz.py) {PYTHON}"),
+        (b'{"t": [0, 1]}', f"is a JSON file: read it in Python (polars.read_json) {PYTHON}"),
+        (
+            b"\x80\x04\x95",
+            f"is a pickle of Python: {READ} (pandas.read_pickle, if you trust its origin) {PYTHON}",
+        ),
+        (b"%PDF-1.7", "is a PDF file: save the table as CSV"),
+        (b"\x28\xb5\x2f\xfd", "is compressed: decompress it, or use gzip"),
     ],
 )
-def test_another_format_is_named_with_the_remedy(tmp_path: Path, first: bytes, name: str) -> None:
-    path = tmp_path / "trace.dat"
+def test_another_format_is_named_with_the_remedy(tmp_path: Path, first: bytes, complaint: str) -> None:
+    path = tmp_path / "trace.csv"
     path.write_bytes(first + bytes(50))
-    assert refusal(path) == (
-        f"{path}: is {name}: read it in Python and pass a DataFrame to import_frame (docs/how-to/import.md)"
-    )
+    assert refusal(path) == f"{path}: {complaint}"

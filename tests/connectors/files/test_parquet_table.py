@@ -51,7 +51,8 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
     cells = {f"p{k}": [1.0, None, 3.0, float("inf")] for k in range(2)}
     put(path, t=[0.0, 1.0, 2.0, 3.0], **cells)
     with pytest.raises(
-        InputError, match=r"trace.parquet, row 3, column p0: is inf, must be a number or empty"
+        InputError,
+        match=r"2 problems: \(1\) row 3, column p0 is inf, .*; \(2\) row 3, column p1 is inf",
     ):
         Trace(path)
     for times, row, must_be in (
@@ -67,7 +68,7 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
 
 def test_a_file_of_many_values_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     put(path, t=np.zeros(1 << 18))
-    monkeypatch.setattr("connectors.files.trace_table.VALUES", 1 << 17)
+    monkeypatch.setattr("connectors.files.raw_table.VALUES", 1 << 17)
     assert path.stat().st_size < 1 << 14
     with pytest.raises(InputError, match="has more than 0 million values, the limit: split it into several"):
         read_table(path)

@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 from tests.command import error, slipflow
@@ -8,7 +7,6 @@ def test_without_a_name_the_recipes_are_listed_with_size_licence_and_citation() 
     done = slipflow("fetch")
     assert "grasps: Slip in a grasp while the arm moves" in done.stdout
     assert "  47 recordings, 122 MB; licence: none\n  cite: nomadik" in done.stdout
-    assert [each["name"] for each in json.loads(slipflow("fetch", "--json").stdout)] == ["grasps", "strokes"]
 
 
 def test_errors_are_one_line(tmp_path: Path) -> None:

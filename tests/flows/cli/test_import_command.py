@@ -27,7 +27,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     done = slipflow("import", "lab.csv", "out", "--map", "pad.toml", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     [file] = json.loads(done.stdout)["files"]
-    assert (file["state"], file["recognised"], file["finger"]) == ("written", [], 2)
+    assert (file["state"], file["recognised"], file["fingers"]) == ("written", [], [2])
     samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
     assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
     judged = slipflow("evaluate", "out", "--split", "all", "--method", "paper_tcn", "--json", cwd=tmp_path)
@@ -41,12 +41,15 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     ("arguments", "message"),
     [
         (["import", "lab.csv", "out", "--map", "time"], "must be written as time=t,counts=p0..p5"),
-        (["import", "lab.csv", "out", "--map", "units.time=h"], "unit of time is 'h', must be one of s, ms"),
-        (["import", "lab.csv", "out", "--map", "label=p9"], "lab.csv, line 1: has the columns"),
-        (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: is '500', must be"),
+        (["import", "lab.csv", "out", "--map", "units.time=w"], "unit of time is 'w', must be one of s, ms"),
+        (
+            ["import", "lab.csv", "out", "--map", "label=p9"],
+            "lab.csv: there is no column p9; the columns are t p0",
+        ),
+        (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: has '500', '501'"),
         (["import", "lab.csv", "out", "--map", "rate=50"], "has 100.0 rows per second, not 50"),
         (["import", "lab.csv", "out", "--map", "mine.toml"], "mine.toml: cannot be read: No such file"),
-        (["import", "lab.csv", "out", "--delay", "soon"], "with its unit: 500ms"),
+        (["import", "lab.csv", "out", "--map", "delay=soon"], "delay is 'soon', must be a number, in s"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
         (["import", "lab.csv", "out", "--map", "labels.slip=0,static=1"], "key is 'static', must be one of"),
         (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
@@ -95,4 +98,4 @@ def test_many_files_are_imported_in_one_call_that_can_be_repeated(tmp_path: Path
     again = slipflow(*arguments, "--json", cwd=tmp_path)
     states = [each["state"] for each in json.loads(again.stdout)["files"]]
     assert states == ["present", "written", "present"]
-    assert "2 files left out: the dataset has them already" in again.stderr
+    assert "2 sessions left out: the dataset has them already" in again.stderr

@@ -28,7 +28,7 @@ from flows.lab.importing import (
 )
 from flows.learn.labelled_recordings import load
 from flows.run.replay_runner import ReplayRunner
-from operators import Label, Zero
+from operators import Zero
 from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms
 from operators.errors import EndpointError, InputError, ParameterError
 from storage import Session
@@ -52,9 +52,8 @@ def counts(row: int, base: int = 500) -> str:
     return ",".join(str(base - 3 * row - cell) for cell in range(6))
 
 
-def read(path: Path, out: Path, columns: ColumnMap = GUESS, label: Label | None = None) -> TraceImport:
-    trace, name = Trace(path, columns), session_name(str(path))
-    return TraceImport(trace, out, name, label or Label(), frozenset(columns.columns))
+def read(path: Path, out: Path, columns: ColumnMap = GUESS) -> TraceImport:
+    return TraceImport(Trace(path, columns), out, session_name(str(path)))
 
 
 def imported(trace_import: TraceImport) -> Session:
@@ -87,8 +86,8 @@ def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write)
     speeds = [0 if k < 150 else 40 for k in range(300)]
     lines = [f"{k * 10},{counts(0)},{v}" for k, v in enumerate(speeds)]
     path = write(f"t_ms,{CELLS},v", lines)
-    columns = ColumnMap(units={"speed": "mm/s"})
-    trace_import = read(path, tmp_path / "out", columns, label=Label(speed=0.02, delay=30 * ms))
+    columns = ColumnMap.parse("units.speed=mm/s,slip_speed=0.02,delay=0.03")
+    trace_import = read(path, tmp_path / "out", columns)
     session = imported(trace_import)
     assert session.tables == ("touch", "motion", "samples")
     assert rows(session, Motion, EVERY).velocity[:, 0].tolist() == [v / 1000 for v in speeds]
@@ -99,7 +98,8 @@ def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write)
 
 def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write) -> None:
     lines = [f"{k / 100},{counts(0, 3)},{0.1 if k % 2 else ''},{k % 2}" for k in range(300)]
-    session = imported(read(write(f"t,{CELLS},speed,slip", lines), tmp_path / "out"))
+    path = write(f"t,{CELLS},speed,slip", lines)
+    session = imported(read(path, tmp_path / "out", ColumnMap(zeroed=True)))
     samples = rows(session, Labelled)
     assert type(rows(session, Touch)) is Zeroed
     assert samples.label.tolist() == [k % 2 for k in range(300)]
@@ -171,7 +171,7 @@ def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Pat
     assert json.loads(json.dumps(found)) == found
     assert found["recognised"] == ["time", "counts"]
     assert found["labels"] == {"slip": 5, "static": 6, "unknown": 0}
-    assert (found["seconds"], found["rate"], found["fastest"]) == (0.2, pytest.approx(50), 0.1)
+    assert (found["seconds"], found["rate"]) == (0.2, pytest.approx(50))
     assert trace_import.report().splitlines() == [
         f"{path}: 11 rows, 0.2 s, 50.0 Hz",
         "  time     T  (s, recognised by name)",
@@ -255,8 +255,10 @@ def test_a_bad_file_does_not_stop_the_others_and_is_an_error_alone(tmp_path: Pat
     bad, good = put(tmp_path / "bad.parquet", time="clock"), put(tmp_path / "good.parquet")
     first, second = imports([bad, good], tmp_path / "out")
     assert (first.state, second.state) == ("failed", "written")
-    assert first.error.startswith(f"{bad}: has the columns 'clock p0 p1', none recognised as time")
-    with pytest.raises(InputError, match="none recognised as time"):
+    assert first.error.startswith(f"{bad}: no column is recognised as time; state time=...")
+    with pytest.raises(
+        InputError, match=r"no column is recognised as time.* try --map time=clock,counts=p0,p1"
+    ):
         imports([bad], tmp_path / "out")
 
 

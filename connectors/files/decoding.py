@@ -1,0 +1,288 @@
+"""Rows of a table as touch, motion and labels, by a map that states all."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from connectors.files.column_map import (
+    DATE,
+    LABEL,
+    LABELS,
+    MOTIONS,
+    SEPARATORS,
+    TIME,
+    ColumnMap,
+    layout_text,
+)
+from connectors.files.number_format import NumberFormat, is_missing
+from connectors.files.raw_table import Problems, RawTable
+from connectors.files.resolution import COUNT_LIMIT
+from connectors.files.roles import completed, label_values
+from connectors.files.time_axis import continued
+from connectors.files.time_format import nanoseconds
+from operators.batch import (
+    EVERY,
+    STATIC,
+    UNKNOWN,
+    Codes,
+    Counts,
+    Flags,
+    Motion,
+    Reals,
+    Times,
+    Touch,
+    Zeroed,
+    s,
+)
+from operators.errors import InputError, ParameterError
+from operators.fingertip import TAKKTILE, Fingertip, grid
+
+_WORDS_SHOWN: Final = 5
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """Rows of a recording.
+
+    Args:
+        time: (n,) ns of the clock of the file: since 1970, or since the start of its device.
+        touch: Rows of each fingertip.
+        motion: Motion of the arm; no rows if there is none.
+        labels: (n,) 1 slip, 0 static, -1 unknown.
+    """
+
+    time: Times
+    touch: Mapping[int, Touch]
+    motion: Motion
+    labels: Codes
+
+
+def decode(table: RawTable, columns: ColumnMap, time: Times, readings: Reals, problems: Problems) -> Decoded:
+    """Return the rows of a table by a map that states all.
+
+    Args:
+        table: The table.
+        columns: The map.
+        time: (n,) ns.
+        readings: (n, cells of all fingertips) in their unit; NaN: missing.
+        problems: Gets invalid values.
+    """
+    numbers = NumberFormat("," if columns.decimal == "comma" else ".")
+    counts, valid = _counts(table, columns, readings, problems)
+    touch, first = dict[int, Touch](), 0
+    for finger, names in columns.cells.items():
+        cells = slice(first, first := first + len(names))
+        kind = Zeroed if columns.zeroed else Touch
+        touch[finger] = kind(
+            time, counts[:, cells], np.zeros_like(counts[:, cells]), valid[:, cells], finger=finger
+        )
+    return Decoded(
+        time, touch, _motion(table, columns, time, numbers, problems), _labels(table, columns, problems)
+    )
+
+
+def readings_of(table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems) -> Reals:
+    """Return the readings (n, cells of all fingertips) in their unit; NaN: missing."""
+    names = [name for names in columns.cells.values() for name in names]
+    whole = columns.unit == "count" and columns.resolution is None
+    readings = np.full((len(table), len(names)), np.nan)
+    for cell, name in enumerate(names):
+        values = _reals(table, name, numbers, problems)
+        if whole:
+            fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
+            problems.check(table, name, np.isnan(values) | (values == np.rint(values)), fix)
+        readings[:, cell] = values
+    return readings
+
+
+def described(columns: ColumnMap) -> Fingertip:
+    """Return the fingertip of the counts that a complete map gives; a range becomes counts.
+
+    Raises:
+        ParameterError: if the layout does not fit the cells, or the map has no rate.
+    """
+    cells = len(next(iter(columns.cells.values())))
+    layout = columns.layout or (TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells))
+    if columns.layout is not None and Fingertip(layout, 1.0).cells != cells:
+        must_be = f"of {cells} cells, as many as the counts have"
+        raise ParameterError("Trace", "layout", layout_text(layout), must_be)
+    if columns.rate is None:
+        raise ParameterError("column map", "rate", None, "stated: rows per second")
+    resolution, limits = columns.resolution or 1.0, None
+    if columns.range is not None:
+        middle = np.mean(columns.offset or (0,))
+        ends = np.clip(np.rint(np.array(columns.range) / resolution - middle), -COUNT_LIMIT, COUNT_LIMIT)
+        limits = int(ends[0]), int(ends[1])
+    return Fingertip(layout, columns.rate, columns.unit, resolution, limits)
+
+
+class Decoder:
+    """Decoder of rows that come one after the other, such as those of a growing file.
+
+    Clocks of 32 bits go on where they wrap.
+
+    Args:
+        columns: Complete map, as of a `Trace` or as `slipflow import --flow` writes it.
+        names: Names of the columns, in the order of the fields of a row.
+        where: Name of the file or device, for errors.
+
+    Attributes:
+        fingertip: Fingertip of the rows.
+        separator: Sign between the fields of a line.
+
+    Raises:
+        InputError: if columns of the map are missing.
+        ParameterError: if the map has no rate, or its layout does not fit.
+    """
+
+    def __init__(self, columns: ColumnMap, names: Sequence[str], where: str) -> None:
+        self._names, self._where = tuple(names), where
+        problems = Problems(where)
+        self._columns, _ = completed(columns, self._table((), 1), problems)
+        problems.stop()
+        self.fingertip = described(self._columns)
+        self.separator = SEPARATORS[self._columns.separator or "comma"]
+        self._last: int | None = None  # ns, continued time of the row before
+        self._wrapped = 0  # ns, added to the clock
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Type of the touch stream: Touch or Zeroed."""
+        return Zeroed if self._columns.zeroed else Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """Fingertips of the rows."""
+        return tuple(self._columns.cells)
+
+    def decode(self, rows: Sequence[Sequence[str]], first: int = 1) -> Decoded:
+        """Return the next rows.
+
+        Args:
+            rows: Fields of each row.
+            first: Number of the first row in its file, for errors.
+
+        Raises:
+            InputError: on invalid values, named by line and column, or if the clock starts again.
+        """
+        table, problems = self._table(rows, first), Problems(self._where)
+        columns = self._columns
+        numbers = NumberFormat("," if columns.decimal == "comma" else ".")
+        time = self._times(table, numbers, problems)
+        readings = readings_of(table, columns, numbers, problems)
+        readings[np.isin(readings, columns.missing or ())] = np.nan
+        found = decode(table, columns, time, readings, problems)
+        problems.stop()
+        return found
+
+    def _table(self, rows: Sequence[Sequence[str]], first: int) -> RawTable:
+        wide = len(self._names)
+        if long := [number for number, row in enumerate(rows, first) if len(row) > wide and any(row[wide:])]:
+            raise InputError(f"{self._where}, line {long[0]}", f"has more than {wide} fields")
+        fields = [[row[each] if each < len(row) else "" for row in rows] for each in range(wide)]
+        columns = {
+            name: pl.Series(name, each, pl.String) for name, each in zip(self._names, fields, strict=True)
+        }
+        return RawTable(columns, self._where, "line", np.arange(first, first + len(rows)))
+
+    def _times(self, table: RawTable, numbers: NumberFormat, problems: Problems) -> Times:
+        columns = self._columns
+        if TIME not in columns.columns:
+            step = s / (columns.rate or 1.0)
+            start = 0.0 if self._last is None else self._last + step
+            time: Times = np.rint(start + np.arange(len(table)) * step).astype(np.int64)
+        else:
+            raw = raw_times(table, columns, columns.units.get(TIME, "s"), columns.dates or "ymd", numbers)
+            problems.check(table, columns.columns[TIME][0], raw.is_not_null().to_numpy(), "a time")
+            problems.stop()
+            given = raw.to_numpy() + self._wrapped
+            before = given[:1] if self._last is None else np.array([self._last])
+            time = continued(np.concatenate([before, given]), [], s / (columns.rate or 1.0))[1:]
+            ordered = np.diff(time, prepend=before) >= 0
+            problems.check(
+                table,
+                columns.columns[TIME][0],
+                ordered,
+                "no less than in the line before: the clock started again",
+            )
+            problems.stop()
+            self._wrapped += int(time[-1] - given[-1]) if len(time) else 0
+        self._last = int(time[-1]) if len(time) else self._last
+        return time
+
+
+def raw_times(table: RawTable, columns: ColumnMap, unit: str, order: str, numbers: NumberFormat) -> pl.Series:
+    """Return the times (n,) of a table in ns, as its clock gives them; null for what is no time."""
+    column = table.columns[columns.columns[TIME][0]]
+    if dates := columns.columns.get(DATE):
+        column = table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
+    return nanoseconds(column, unit, order, numbers)
+
+
+def _reals(table: RawTable, name: str, numbers: NumberFormat, problems: Problems) -> Reals:
+    values = numbers.reals(table.columns[name])
+    signs = " with a decimal comma" if numbers.decimal == "," else ""
+    problems.check(table, name, values.is_not_null().to_numpy(), f"a number{signs} or empty")
+    found: Reals = values.fill_null(np.nan).to_numpy()
+    return found
+
+
+def _counts(table: RawTable, columns: ColumnMap, readings: Reals, problems: Problems) -> tuple[Counts, Flags]:
+    """Return the counts (n, cells) of readings, and which are valid."""
+    resolution, offset = columns.resolution or 1.0, np.array(columns.offset or (0,))
+    counts = np.rint(readings / resolution - offset)
+    names = [name for names in columns.cells.values() for name in names]
+    for cell, name in enumerate(names):
+        ends = (np.array([-1, 1]) * COUNT_LIMIT + np.resize(offset, len(names))[cell]) * resolution
+        limits = f"from {ends[0]:g} to {ends[1]:g} at a resolution of {resolution:g}"
+        problems.check(table, name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
+    valid: Flags = ~np.isnan(readings)
+    return np.where(valid, np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT), 0).astype(np.int16), valid
+
+
+def _motion(
+    table: RawTable, columns: ColumnMap, time: Times, numbers: NumberFormat, problems: Problems
+) -> Motion:
+    """Return the rows with a velocity."""
+    velocity: Reals = np.full((len(time), 6), np.nan)
+    for name in MOTIONS:
+        if names := columns.columns.get(name):
+            given = [_reals(table, each, numbers, problems) for each in names]
+            velocity = np.pad(np.column_stack(given), ((0, 0), (0, 6 - len(given))))
+            velocity[:, :3] *= columns.scale(name)
+    moving: Flags = np.all(np.isfinite(velocity), axis=1)
+    unknown = np.full((len(time), 6), np.nan)
+    return Motion(time, time, velocity, unknown, finger=EVERY)[moving]
+
+
+def _labels(table: RawTable, columns: ColumnMap, problems: Problems) -> Codes:
+    """Return the labels of the rows (n,); other values than the stated or usual ones are a problem."""
+    if LABEL not in columns.columns:
+        return np.full(len(table), LABELS[columns.labelled or "unknown"], np.int8)
+    [name] = columns.columns[LABEL]
+    column = table.columns[name]
+    numbers = column.cast(pl.Float64, strict=False)
+    whole = (numbers == numbers.round()) & (numbers.abs() < 2.0**53)
+    text = column.cast(pl.String, strict=False).str.strip_chars().str.to_lowercase()
+    if column.dtype != pl.Boolean:
+        whole = whole.fill_null(value=False)
+        text = text.zip_with(~whole, numbers.set(~whole, None).cast(pl.Int64, strict=False).cast(pl.String))
+    codes_of = {value: LABELS[label] for value, label in label_values(columns.labels).items()}
+    other = STATIC if set(columns.labels) == {"slip"} else None
+    codes = text.replace_strict(codes_of, default=other, return_dtype=pl.Int8)
+    codes = codes.set(is_missing(text) & ~text.is_in(list(codes_of)).fill_null(value=False), UNKNOWN)
+    if codes.null_count():
+        words = text.filter(codes.is_null()).unique(maintain_order=True).to_list()
+        listed = ", ".join(repr(each) for each in words[:_WORDS_SHOWN]) + (
+            ", ..." if len(words) > _WORDS_SHOWN else ""
+        )
+        row = int(codes.is_null().arg_true()[0])
+        reason = (
+            f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
+        )
+        problems.add(reason, f"{table.place_of(row)}, column {name}")
+    found: Codes = codes.fill_null(UNKNOWN).to_numpy()
+    return found

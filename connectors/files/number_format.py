@@ -1,0 +1,110 @@
+"""Format of the numbers of a file as a whole: the sign of decimals, and that of thousands."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from connectors.files.raw_table import Problems, RawTable
+
+MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
+_SAMPLE: Final = 2000  # values of a column that decide; all others must have the same format
+
+
+@dataclass(frozen=True)
+class NumberFormat:
+    """Format of numbers in texts.
+
+    Args:
+        decimal: Sign of decimals, ``.`` or ``,``. The other one, blanks and apostrophes divide thousands.
+    """
+
+    decimal: str = "."
+
+    def plain(self, column: pl.Series) -> pl.Series:
+        """Return the texts of a column as Python writes numbers; null for those in another format."""
+        if column.dtype != pl.String:
+            return column
+        column = column.str.strip_chars().str.replace("\u2212", "-", literal=True)
+        if self.decimal == "." and not column.str.contains(r"[,'\u2019\u00a0\u202f ]").any():
+            return column
+        sign, other = re.escape(self.decimal), re.escape("," if self.decimal == "." else ".")
+        groups = [rf"\d{{1,3}}(?:{each}\d{{3}})+" for each in (other, "['\u2019]", "[ \u00a0\u202f]")]
+        good = column.str.contains(rf"^[+-]?(?:\d*|{'|'.join(groups)})(?:{sign}\d*)?(?:[eE][+-]?\d+)?$")
+        bare = column.str.replace_all(rf"[{other}'\u2019\u00a0\u202f ]", "").str.replace(
+            self.decimal, ".", literal=True
+        )
+        return bare.set(~good.fill_null(value=False) & ~is_missing(column), None)
+
+    def reals(self, column: pl.Series) -> pl.Series:
+        """Return the numbers of a column; NaN for a missing value, null for what is no finite number."""
+        values = self.plain(column).cast(pl.Float64, strict=False)
+        values = values.set((~values.is_finite()).fill_null(value=True), None)
+        return values.set(is_missing(column), np.nan)
+
+
+def is_missing(column: pl.Series) -> pl.Series:
+    """Return which values of a column are missing."""
+    if column.dtype == pl.String:
+        return column.str.to_lowercase().str.strip_chars().is_in(list(MISSING)).fill_null(value=True)
+    return column.is_null() | (column.is_nan() if column.dtype.is_float() else column.is_null())
+
+
+def number_format(
+    table: RawTable, names: Iterable[str], stated: str | None, problems: Problems
+) -> NumberFormat:
+    """Conclude the format of the numbers in the columns `names`.
+
+    Args:
+        table: The table.
+        names: Columns of numbers.
+        stated: ``point``, ``comma`` or None.
+        problems: Gets the problem that both signs occur, or that each number may have either format.
+    """
+    if stated or not (texts := [name for name in names if table.columns[name].dtype == pl.String]):
+        return NumberFormat("," if stated == "comma" else ".")
+    proof = {sign: _example(table, texts, _decimals(sign)) for sign in ".,"}
+    doubt = {sign: _example(table, texts, _groups_or_decimals(sign)) for sign in ".,"}
+    if all(proof.values()):
+        both = " and ".join(proof.values())
+        problems.add(f"decimals have both point and comma ({both}); state decimal=point or decimal=comma")
+    sign = "," if proof[","] else "."
+    likely = (
+        doubt["."] and table.separator != "semicolon"
+    )  # 1.500 is a decimal, unless the file may be German
+    if not any(proof.values()) and any(doubt.values()) and not (likely and not doubt[","]):
+        example = doubt[","] or doubt["."]
+        problems.add(f"{example} may have decimals or thousands; state decimal=point or decimal=comma")
+    return NumberFormat(sign)
+
+
+def _example(table: RawTable, names: Iterable[str], pattern: str) -> str:
+    """Return a value that matches, with its column; empty if there is none."""
+    for name in names:
+        column = table.columns[name]
+        signed = column.filter(column.str.contains("[.,]"))
+        sample = signed.gather_every(max(1, len(signed) // _SAMPLE))
+        if not (found := sample.filter(sample.str.contains(pattern))).is_empty():
+            return f"column {name}: {found[0]}"
+        rest = signed.filter(signed.str.contains(","))  # a rare comma counts, too
+        found = rest.filter(rest.str.contains(pattern))
+        if len(found):
+            return f"column {name}: {found[0]}"
+    return ""
+
+
+def _decimals(sign: str) -> str:
+    """Return the pattern of numbers in which a sign can only be that of decimals."""
+    point, other = re.escape(sign), re.escape("," if sign == "." else ".")
+    mixed = rf"\d{{1,3}}(?:{other}\d{{3}})+{point}\d+"
+    several = rf"\d{{1,3}}{other}\d{{3}}(?:{other}\d{{3}})+"
+    plain = rf"\d*{point}(?:\d{{0,2}}|\d{{4,}})|(?:0\d*|\d{{4,}}|){point}\d{{3}}"
+    return rf"^[+-]?(?:{mixed}|{several}|{plain}|\d*{point}\d+[eE][+-]?\d+)(?:[eE][+-]?\d+)?$"
+
+
+def _groups_or_decimals(sign: str) -> str:
+    """Return the pattern of numbers in which a sign may divide decimals or thousands."""
+    return rf"^[+-]?[1-9]\d{{0,2}}{re.escape(sign)}\d{{3}}$"

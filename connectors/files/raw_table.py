@@ -1,0 +1,161 @@
+"""Table as a recording's file has it: columns of texts or typed values, and the problems found in them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final, Self
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from operators.batch import Flags
+from operators.errors import InputError
+
+VALUES: Final = 1 << 26  # of a file; an import takes about 48 bytes of memory for each
+COLUMN_LIMIT: Final = 4096
+
+
+@dataclass(frozen=True)
+class RawTable:
+    """Columns of a recording. A missing value is null, NaN or an empty text.
+
+    Args:
+        columns: The columns by name, (n,) each.
+        file: Name of the file, or of the table in memory.
+        place: Word for a row in messages.
+        numbers: Numbers of the rows (n,) in messages.
+        units: Units by column, of a row below the names.
+        separator: Of a CSV file.
+        left_out: Reasons by names of what cannot be a column.
+        notes: Conclusions on how the file was read.
+        sha256: Checksum of the file, hex.
+    """
+
+    columns: Mapping[str, pl.Series]
+    file: str
+    place: str
+    numbers: NDArray[np.int64]
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
+    separator: str | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict[str, str])
+    notes: tuple[str, ...] = ()
+    sha256: str = ""
+
+    @classmethod
+    def of(
+        cls, frame: pl.DataFrame, file: str, left_out: Mapping[str, str] | None = None, sha256: str = ""
+    ) -> Self:
+        """Return the table of typed columns.
+
+        Lists of equal length become columns ``name0``, ``name1``, ..., structs ``name.field``.
+        """
+        columns, reasons = dict[str, pl.Series](), dict(left_out or {})
+        for column in frame:
+            for name, values in _flat(column.name, column):
+                if reason := _unusable(values):
+                    reasons[name] = reason
+                else:
+                    columns.setdefault(name, _plain(values))
+        return cls(columns, file, "row", np.arange(frame.height), left_out=reasons, sha256=sha256)
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def rows(self, start: int, stop: int) -> Self:
+        """Return the rows from `start` to before `stop`."""
+        columns = {name: column[start:stop] for name, column in self.columns.items()}
+        return replace(self, columns=columns, numbers=self.numbers[start:stop])
+
+    def place_of(self, row: int) -> str:
+        """Return the place of a row in messages."""
+        return f"{self.place} {self.numbers[row]}"
+
+
+@dataclass
+class Problems:
+    """Problems of a file, which become one error.
+
+    Args:
+        file: Name of the file.
+        remedy: Command line or map that solves them; empty: none is known.
+    """
+
+    file: str
+    remedy: str = ""
+    found: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+
+    def add(self, reason: str, place: str = "", *, about: str = "") -> None:
+        """Add a problem at a place of the file; of each subject, by default the place, only the first."""
+        self.found.setdefault(about or place or reason, (place, reason))
+
+    def about(self, subject: str) -> bool:
+        """Return True if there is a problem about a subject."""
+        return subject in self.found
+
+    def check(self, table: RawTable, name: str, good: Flags, must_be: str) -> None:
+        """Add the first value of a column that is invalid; `good`: (n,) False for these."""
+        if not good.all():
+            row = int(np.argmin(good))
+            found = table.columns[name][row]
+            text = "''" if found is None else repr(found) if isinstance(found, str) else f"{found}"
+            self.add(f"is {text:.40}, must be {must_be}", f"{table.place_of(row)}, column {name}")
+
+    def stop(self) -> None:
+        """Raise the error, if there are problems.
+
+        Raises:
+            InputError: that lists all problems, and the remedy.
+        """
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        if len(self.found) == 1:
+            [(place, reason)] = self.found.values()
+            raise InputError(f"{self.file}, {place}" if place else self.file, f"{reason}{remedy}")
+        if self.found:
+            listed = (f"{place} {reason}".strip() for place, reason in self.found.values())
+            text = "; ".join(f"({number}) {each}" for number, each in enumerate(listed, 1))
+            raise InputError(self.file, f"has {len(self.found)} problems: {text}{remedy}")
+
+
+def check_size(where: str, values: int, columns: int = 0) -> None:
+    """Check the number of values and columns of a table.
+
+    Raises:
+        InputError: if it exceeds `VALUES` or `COLUMN_LIMIT`.
+    """
+    if columns > COLUMN_LIMIT:
+        raise InputError(where, f"has more than {COLUMN_LIMIT} columns: is it a table with a row per time?")
+    if values > VALUES:
+        reason = f"has more than {VALUES >> 20} million values, the limit: split it into several files"
+        raise InputError(where, reason)
+
+
+def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
+    """Yield the scalar columns of a column, and what cannot be split into them."""
+    if isinstance(column.dtype, pl.Struct):
+        for each in column.struct.fields:
+            yield from _flat(f"{name}.{each}", column.struct.field(each))
+        return
+    if isinstance(column.dtype, pl.Array):
+        column = column.arr.to_list()
+    sizes = column.list.len().unique().drop_nulls() if isinstance(column.dtype, pl.List) else pl.Series([])
+    if len(sizes) == 1 and sizes.item() <= COLUMN_LIMIT and sizes.item() * len(column) <= VALUES:
+        for item in range(sizes.item()):
+            yield from _flat(f"{name}{item}", column.list.get(item))
+    else:
+        yield name, column
+
+
+def _unusable(column: pl.Series) -> str:
+    """Return why a column cannot be used; empty: it can."""
+    if isinstance(column.dtype, pl.List):
+        return "its lists differ in length, or are too long"
+    if isinstance(column.dtype, pl.Object | pl.Binary):
+        return f"its values are {column.dtype}, not numbers, texts or dates"
+    return ""
+
+
+def _plain(column: pl.Series) -> pl.Series:
+    """Return a column of categories as texts, and one without values as numbers."""
+    if isinstance(column.dtype, pl.Categorical | pl.Enum):
+        return column.cast(pl.String)
+    return column.cast(pl.Float64) if isinstance(column.dtype, pl.Null) else column

@@ -1,0 +1,310 @@
+"""Table of a text file: its encoding, separator, line of names and row of units are detected."""
+
+import codecs
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from connectors.files.column_map import SEPARATORS
+from connectors.files.raw_table import COLUMN_LIMIT, RawTable, check_size
+from connectors.files.units import unit_in
+from operators.errors import InputError
+
+_HEAD: Final = 1 << 20  # bytes in which the names and the first rows must be
+_LINES: Final = 60  # that decide
+_WIDE: Final = 20  # values of a row that may be a channel
+_COMMENT: Final = re.compile(r"\s*[#%]+\s*")
+_NAMES: Final = {sign: name for name, sign in SEPARATORS.items()}
+_FOREIGN: Final = re.compile(r"[;\t|,]")  # in a word: it is no word, but several values
+_DATE: Final = r"\d{1,4}[-/. ](\d{1,2}|[a-z]{3})[-/. ]\d{1,4}"
+_VALUE: Final = re.compile(  # a number, a date, a time, or nothing
+    r"|[+\-\u2212]?[\d.,'\u2019\u00a0\u202f ]*\d[\d.,]*(e[+-]?\d+)?"
+    rf"|[+-]?(nan|inf|na|n/a|null|none|true|false)|{_DATE}|((\d{{8}}|{_DATE}|\d+ days?)[T_,; ]+)?"
+    r"\d{1,2}:\d{2}[\d:.,]*( ?[ap]m)?( ?(z|utc|gmt|[+-]\d\d:?\d\d))?",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Form of a text file.
+
+    Args:
+        separator: Sign between the values.
+        names: Names of the columns; an empty name: it has none.
+        units: Units of the columns, of a row below the names; empty: there is none.
+        first: Number of lines above the first row.
+        named_by: Number of the line of names; 0: there is none.
+    """
+
+    separator: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    first: int
+    named_by: int
+
+    @property
+    def header(self) -> str:
+        """Place of the names in messages."""
+        return f"line {self.named_by} has names" if self.named_by else f"line {self.first + 1}"
+
+
+def parse_text(content: bytes, where: str, sha256: str = "", separator: str | None = None) -> RawTable:
+    """Parse the content of a text file with a row of values per line.
+
+    Lines above the names are skipped. Columns without a name are ``column1``, ``column2``, ....
+
+    Args:
+        content: The content.
+        where: Name of the file.
+        sha256: Checksum of the file, hex.
+        separator: Name of the separator (default: the one that divides the lines into values).
+
+    Raises:
+        InputError: if it is too large or not a table.
+    """
+    notes = list[str]()
+    content = _utf8(content, where, notes)
+    if not content.strip():
+        raise InputError(where, "is empty: its first line must name the columns")
+    lines = content[:_HEAD].decode("utf-8", "replace").split("\n")
+    if len(content) > _HEAD and len(lines) == 1:
+        raise InputError(where, "has a line of more than 1 MiB: is it a table with a row per time?")
+    shape = _shape(lines[:_LINES], where, SEPARATORS[separator] if separator else None)
+    notes += [f"separator {_NAMES[shape.separator]}"] if shape.separator != "," else []
+    if shape.named_by > 1:
+        notes.append(f"names in line {shape.named_by}")
+    if not shape.named_by:
+        notes.append("without names of columns")
+    return _parsed(content, where, shape, sha256, notes)
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """Split a line into its fields, without blanks around them.
+
+    >>> split_line('0,5; "a; b" ;3;', ";"), split_line("1   2", " ")
+    (['0,5', 'a; b', '3', ''], ['1', '2'])
+    """
+    if separator == " ":
+        return line.split()
+    if '"' not in line:
+        return [each.strip() for each in line.split(separator)]
+    try:
+        rows = list(csv.reader([line.strip()], delimiter=separator, skipinitialspace=True))
+    except csv.Error:
+        rows = [[line]]
+    return [each.strip() for row in rows for each in row]
+
+
+def named(fields: Sequence[str]) -> list[str]:
+    """Return the names of columns; one without a name is ``column1``, ``column2``, ..., by its place."""
+    return [each.strip() or f"column{number}" for number, each in enumerate(fields, 1)]
+
+
+def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
+    """Return text of any usual encoding as UTF-8 with lines that end with a line feed."""
+    zeros = content[0:200:2].count(0), content[1:200:2].count(0)
+    wide = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else ""
+    if not wide and max(zeros) > 4 * min(zeros) and max(zeros) > len(content[:200]) // 8:
+        wide = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+    try:
+        if wide:
+            content = content.decode(wide).encode()
+            notes.append("UTF-16")
+        elif not content.isascii():
+            content.decode()
+    except UnicodeError:
+        if wide:
+            raise InputError(where, "is damaged UTF-16: save it as UTF-8") from None
+        content = content.decode("cp1252", "replace").encode()
+        notes.append("Windows-1252")
+    if b"\0" in content:
+        raise InputError(where, "is not a CSV file: it has bytes of zero, so it is no text")
+    content = content.removeprefix(codecs.BOM_UTF8)
+    return content.replace(b"\r", b"\n") if b"\n" not in content else content
+
+
+def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
+    """Return the form of a file by its first lines.
+
+    Raises:
+        InputError: if it has too many columns, or a row per channel.
+    """
+    said = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE)
+    if max(line.count(sign) for line in lines for sign in _NAMES) >= COLUMN_LIMIT:
+        check_size(where, 0, COLUMN_LIMIT + 1)
+    candidates = [stated] if stated else [said[1]] if said and said[1] in _NAMES else list(_NAMES)
+    begin = 1 if said else 0
+    found = {sign: _rows(lines, sign, begin) for sign in candidates}
+    sign = max(
+        found, key=lambda each: (len(found[each][1]), found[each][0]) if found[each][0] > 1 else (0, 0)
+    )
+    width, rows = found[sign]
+    if not rows:  # no row of values is recognised: the first line with fields has the names
+        while begin + 1 < len(lines) and (not lines[begin].strip() or _COMMENT.match(lines[begin])):
+            begin += 1
+        sign = max(candidates, key=lambda each: len(split_line(lines[begin], each)))
+        return _Shape(sign, tuple(split_line(lines[begin], sign)), (), begin + 1, begin + 1)
+    fields = [split_line(lines[row], sign) for row in rows]
+    _check_rows(fields, where)
+    above = [number for number in range(begin, rows[0]) if len(split_line(lines[number], sign)) >= width - 1]
+    words = [place for place, each in enumerate(fields[0]) if not _VALUE.fullmatch(each)]
+    if not above and any(all(_VALUE.fullmatch(row[place]) for row in fields[1:]) for place in words):
+        rows = rows[1:] or [rows[0] + 1]  # names such as t,1,2,3
+    first = rows[0]
+    above = [number for number in range(begin, first) if lines[number].strip()]
+    units = tuple[str, ...]()
+    if len(above) > 1 and _are_units(lowest := _fields(lines[above[-1]], sign), width):
+        above, units = above[:-1], tuple(lowest)
+    names = _fields(lines[above[-1]], sign) if above else []
+    if above and lines[above[-1]].count('"') % 2:
+        raise InputError(
+            f"{where}, line {above[-1] + 1}", 'has a quoted name that is not closed: write "" for a "'
+        )
+    if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):  # noqa: PLR2004 - a title
+        return _Shape(sign, ("",) * width, units, first, 0)
+    return _Shape(sign, tuple(names), units, first, above[-1] + 1)
+
+
+def _fields(line: str, sign: str) -> list[str]:
+    """Return the fields of a line above the rows, which may be a comment."""
+    return split_line(_COMMENT.sub("", line, count=1) if _COMMENT.match(line) else line, sign)
+
+
+def _rows(lines: Sequence[str], sign: str, begin: int) -> tuple[int, list[int]]:
+    """Return the width of the rows of values that a separator gives, and their indices."""
+    rows = dict[int, int]()
+    for number, line in enumerate(lines[begin:], begin):
+        fields = [] if _COMMENT.match(line) else split_line(line, sign)
+        filled = [each for each in fields if each]
+        values = sum(bool(_VALUE.fullmatch(each)) for each in filled)
+        words = all(_VALUE.fullmatch(each) or not _FOREIGN.search(each) for each in filled)
+        if values >= max(1, len(filled) / 2) and words:
+            rows[number] = len(fields)
+    widths = Counter(rows.values())
+    width = max(widths, key=lambda each: (widths[each], each), default=0)
+    return width, [number for number, each in rows.items() if each == width]
+
+
+def _check_rows(rows: Sequence[Sequence[str]], where: str) -> None:
+    """Require that rows are times, not channels that begin with their name.
+
+    Raises:
+        InputError: if they are channels.
+    """
+    words = {row[0] for row in rows if row[0] and not _VALUE.fullmatch(row[0])}
+    wide = len(rows[0]) > max(_WIDE, 3 * len(rows))
+    if wide and len(words) == len(rows) > 1 and all(_VALUE.fullmatch(each) for each in rows[0][1:]):
+        reason = f"has a row per channel ({', '.join(sorted(words)):.60}): transpose it to a row per time"
+        raise InputError(where, reason)
+
+
+def _are_units(fields: Sequence[str], width: int) -> bool:
+    """Return True if the fields of a line are units."""
+    bare = [each.strip("[]() ") for each in fields]
+    known = [bool(unit_in(each)) for each in bare]
+    return (
+        len(fields) >= width - 1
+        and any(known)
+        and all(map(lambda good, each: good or each in ("", "-"), known, bare))
+    )
+
+
+def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[str]) -> RawTable:
+    """Return the table of a file of known form.
+
+    Raises:
+        InputError: if a row has more fields than there are names, or the last line is cut off.
+    """
+    sign, body = shape.separator, content
+    for _ in range(shape.first):
+        body = body.partition(b"\n")[2]
+    if not body.strip():
+        raise InputError(where, f"has no rows below line {shape.first}")
+    if sign == " ":
+        body = b"\n".join(b" ".join(line.split()) for line in body.split(b"\n"))
+    check_size(where, body.count(sign.encode()) + body.count(b"\n") + 1)
+    top, last = (split_line(line.decode("utf-8", "replace"), sign) for line in _ends(body))
+    frame = _frame(body, where, shape, max(len(shape.names), len(top)))
+    blank = pl.DataFrame([column.fill_null("") == "" for column in frame])
+    while frame.width > len(shape.names) and blank.to_series(frame.width - 1).all():
+        frame, blank = frame[:, :-1], blank[:, :-1]  # a separator at the end of each row
+    if frame.width > len(shape.names):
+        row = int((~blank.to_series(len(shape.names))).arg_true()[0])
+        raise InputError(f"{where}, line {row + shape.first + 1}", _too_many(shape))
+    if len(last) < min(frame.width, len(top)):
+        reason = f"the last line has fewer fields than line {shape.first + 1}: it is cut off, delete it"
+        raise InputError(where, reason)
+    names = named(shape.names)
+    again = [
+        column == name for column, name in zip(frame, shape.names, strict=True)
+    ]  # a logger that started again
+    keep = ~(
+        blank.select(pl.all_horizontal(pl.all())).to_series()
+        | pl.DataFrame(again).select(pl.all_horizontal(pl.all())).to_series()
+    )
+    keep = keep.fill_null(value=True)
+    numbers = np.flatnonzero(keep.to_numpy()) + shape.first + 1
+    frame = frame if keep.all() else frame.filter(keep)
+    often = Counter(names)
+    unused = {
+        name for name, given, none in zip(names, shape.names, blank, strict=True) if not given and none.all()
+    }
+    columns = {
+        name: column.alias(name)
+        for name, column in zip(names, frame, strict=True)
+        if often[name] == 1 and name not in unused
+    }
+    left_out = {name: "it occurs twice" for name in names if often[name] > 1}
+    units = dict(zip(names, shape.units, strict=False))
+    return RawTable(columns, where, "line", numbers, units, _NAMES[sign], left_out, tuple(notes), sha256)
+
+
+def _ends(body: bytes) -> tuple[bytes, bytes]:
+    """Return the first and the last line that is not blank; its end may be a separator."""
+    end = len(body.rstrip())
+    return body.lstrip(b"\n").partition(b"\n")[0], body[body.rfind(b"\n", 0, end) + 1 :].partition(b"\n")[0]
+
+
+def _frame(body: bytes, where: str, shape: _Shape, width: int) -> pl.DataFrame:
+    """Parse the columns of a file as text.
+
+    Raises:
+        InputError: if a row has too many fields, or a quotation mark is not closed.
+    """
+    schema = {f"{number}": pl.String for number in range(width)}
+    try:
+        frame = pl.read_csv(body, has_header=False, schema=schema, separator=shape.separator)
+    except pl.exceptions.PolarsError as error:
+        if line := _too_long(body, shape.separator, width):
+            raise InputError(f"{where}, line {line + shape.first}", _too_many(shape)) from None
+        raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
+    torn = [column.str.contains("\n", literal=True).arg_true()[:1] for column in frame]
+    if rows := [row for each in torn for row in each]:  # an unpaired quotation mark
+        reason = "has a quoted field that spans lines: close its quotation mark"
+        raise InputError(f"{where}, line {min(rows) + shape.first + 1}", reason)
+    columns = frame.get_columns()
+    del frame
+    for number in range(len(columns)):  # one by one, as each needs as much memory again
+        columns[number] = columns[number].str.strip_chars()
+    return pl.DataFrame(columns)
+
+
+def _too_many(shape: _Shape) -> str:
+    return f"has more fields than {shape.header}; a {_NAMES[shape.separator]} in a value needs quotes"
+
+
+def _too_long(body: bytes, sign: str, width: int) -> int:
+    """Return the number of the first line with more than `width` fields; 0 if there is none."""
+    rows = csv.reader(io.StringIO(body.decode("utf-8", "replace"), newline=""), delimiter=sign)
+    try:
+        return next((rows.line_num for row in rows if len(row) > width), 0)
+    except csv.Error:
+        return 0

@@ -1,0 +1,185 @@
+"""CSV files of any dialect."""
+
+import csv
+import gzip
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from connectors.files.column_map import SEPARATORS
+from connectors.files.container import read_table
+from connectors.files.number_format import NumberFormat, number_format
+from connectors.files.raw_table import Problems
+from operators.errors import InputError
+
+Write = Callable[[str], Path]
+NAMES = "t", "p0", "p1"
+
+
+def read(path: Path) -> dict[str, list[float]]:
+    """Return the columns of a file as numbers."""
+    table, problems = read_table(path), Problems(str(path))
+    numbers = number_format(table, table.columns, None, problems)
+    problems.stop()
+    return {name: numbers.reals(column).to_list() for name, column in table.columns.items()}
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write_text(text: str) -> Path:
+        path = tmp_path / "trace.csv"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write_text
+
+
+@given(
+    st.sampled_from([*SEPARATORS]),
+    st.lists(
+        st.tuples(*[st.floats(-1e6, 1e6).map(lambda value: round(value, 3))] * 3), min_size=1, max_size=9
+    ),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_numbers_are_read_with_any_separator(
+    write: Write, separator: str, rows: list[tuple[float, float, float]]
+) -> None:
+    text = io.StringIO()
+    csv.writer(text, delimiter=SEPARATORS[separator]).writerows([NAMES, *rows])
+    path = write(text.getvalue())
+    assert read_table(path).separator == separator
+    numbers = NumberFormat()
+    columns = read_table(path).columns
+    assert [numbers.reals(column).to_list() for column in columns.values()] == [
+        list(each) for each in zip(*rows, strict=True)
+    ]
+    assert tuple(columns) == NAMES
+
+
+def test_columns_may_be_aligned_with_spaces_and_tabs(write: Write) -> None:
+    assert read(write("   t      p0\t p1\n\n 0.01    1      2\n 0.02   10     20  \n"))["p1"] == [2, 20]
+
+
+BODY = "0.00,500,501\n0.01,502,503\n"
+EXPECTED = {"t": [0, 0.01], "p0": [500, 502], "p1": [501, 503]}
+
+
+@pytest.mark.parametrize(
+    ("content", "names", "first"),
+    [
+        (f"t,p0,p1\n{BODY}", "t p0 p1", 2),
+        (f"# a sensor\n# 2026\nt,p0,p1\n{BODY}", "t p0 p1", 4),
+        (f"# 2026\n# t,p0,p1\n{BODY}", "t p0 p1", 3),  # numpy.savetxt
+        (f"%t,p0,p1\n{BODY}", "t p0 p1", 2),
+        (f"t,0,1\n{BODY}", "t 0 1", 2),
+        (f"Recording,stroke 3\nRate [Hz],100\n\nt,p0,p1\n{BODY}", "t p0 p1", 5),
+        (f"A title\nt,p0,p1\ns,kPa,kPa\n{BODY}", "t p0 p1", 4),
+        (f"A title\n{BODY}", "column1 column2 column3", 2),
+        (BODY, "column1 column2 column3", 1),
+        (f"sep=,\nt,p0,p1\n{BODY}", "t p0 p1", 3),
+        ("t,p0,p1,\n" + BODY.replace("\n", ",\n"), "t p0 p1", 2),
+        ("t,p0,p1\n" + BODY.replace("\n", ",\n"), "t p0 p1", 2),
+        (f"t,p0,p1\n{BODY}".replace("\n", "\r"), "t p0 p1", 2),
+        (f"t,p0,p1\n{BODY}".replace("\n", "\r\n"), "t p0 p1", 2),
+        (f"t,p0,p1\n\n{BODY}\n\n", "t p0 p1", 3),
+        (f"t,p0,p1\n{BODY[:13]}t,p0,p1\n{BODY[13:]}", "t p0 p1", 2),  # a logger that started again
+        (f"\ufefft,p0,p1\n{BODY}", "t p0 p1", 2),
+        (f"\ufeff# a rig\nt,p0,p1\n{BODY}", "t p0 p1", 3),
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be"])
+def test_a_table_is_found_below_other_lines(
+    tmp_path: Path, content: str, names: str, first: int, encoding: str
+) -> None:
+    path = tmp_path / "trace.csv"
+    path.write_bytes(content.encode(encoding))
+    assert dict(zip(names.split(), EXPECTED.values(), strict=True)) == read(path)
+    assert read_table(path).numbers[0] == first
+
+
+def test_a_row_of_units_is_not_a_row_of_values(write: Write) -> None:
+    assert read_table(write(f"t,p0,p1\n[s],[kPa],-\n{BODY}")).units == {"t": "[s]", "p0": "[kPa]", "p1": "-"}
+    assert read_table(write(f"t,p0,p1\n{BODY}")).units == {}
+
+
+def test_windows_1252_is_read(tmp_path: Path) -> None:
+    (tmp_path / "trace.csv").write_bytes("time [\u00b5s],p0,p1\n".encode("cp1252") + BODY.encode())
+    table = read_table(tmp_path / "trace.csv")
+    assert (list(table.columns), table.notes) == (["time [\u00b5s]", "p0", "p1"], ("Windows-1252",))
+
+
+def test_a_row_per_channel_is_refused_with_the_remedy(write: Write) -> None:
+    rows = [",".join([name, *map(str, range(50))]) for name in ("time", "p0", "p1")]
+    with pytest.raises(InputError, match=r"has a row per channel \(p0, p1, time\): transpose it"):
+        read_table(write("\n".join(rows)))
+
+
+def test_names_may_have_quotation_marks(write: Write) -> None:
+    assert [*read_table(write('t,"2"" pad"\n0.01,1\n')).columns] == ["t", '2" pad']
+    with pytest.raises(InputError, match='line 1: has a quoted name that is not closed: write "" for a "'):
+        read_table(write('t,2" pad\n0.01,1\n'))
+
+
+def test_a_file_of_many_values_is_refused_before_they_fill_the_memory(
+    write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("connectors.files.raw_table.VALUES", 1 << 20)
+    for sign in ",", " ":
+        line = sign.join(("1", "2", "3")) + "\n"
+        assert len(read_table(write(line.replace("1", "t") + line * 300_000))) == 300_000
+        with pytest.raises(
+            InputError, match="has more than 1 million values, the limit: split it into several files"
+        ):
+            read_table(write(line.replace("1", "t") + line * 350_000))
+
+
+def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "trace.csv.gz"
+    path.write_bytes(gzip.compress(b"t,p0,p1\n1,2,3\n"))
+    assert read(path)["p1"] == [3]
+    monkeypatch.setattr("connectors.files.container.LIMIT", 1 << 20)
+    path.write_bytes(gzip.compress(b"t,p0,p1\n" + b"1,2,3\n" * (1 << 18)))
+    assert path.stat().st_size < 1 << 14
+    with pytest.raises(InputError, match="is larger than 1 MiB, the limit: split it into several files"):
+        read_table(path)
+    packed = path.read_bytes()
+    for damaged in (packed[:100], packed[:20] + bytes(20) + packed[40:]):
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="is a damaged gzip file"):
+            read_table(path)
+    path.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
+    with pytest.raises(InputError, match="is compressed: decompress it, or use gzip"):
+        read_table(path)
+
+
+def test_a_table_of_very_many_columns_is_refused_at_once(write: Write) -> None:
+    with pytest.raises(InputError, match="has more than 4096 columns"):
+        read_table(write(",".join(map(str, range(20_000))) + "\n" + "1," * 19_999 + "1\n"))
+    with pytest.raises(InputError, match="has a line of more than 1 MiB"):
+        read_table(write("1" * (1 << 21)))
+
+
+def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
+    with pytest.raises(InputError, match="the last line has fewer fields than line 2: it is cut off"):
+        read_table(write("t,p0,p1\n1,2,3\n2,3"))
+
+
+def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:
+    for end in ("", "\n", "\r\n\r\n", "\n \n"):
+        assert np.isnan(read(write(f"t\tp0\tp1\n1\t2\t3\n2\t3\t{end}"))["p1"]).tolist()[:2] == [False, True]
+
+
+@given(st.binary(max_size=300))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_content_is_a_table_or_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "any.csv").write_bytes(content)
+    try:
+        read = len(read_table(tmp_path / "any.csv")) > 0
+    except InputError as error:
+        read = "\n" not in str(error)
+    assert read
