@@ -110,7 +110,7 @@ def print_json(flow: "Flow") -> None:
 
 @contextmanager
 def logged(run: "Run") -> Generator[None]:
-    """Log the start of a run, and its result at the end, as an error if the run ends with one."""
+    """Log the start of a run, and its result at the end with the level of its worst loss."""
     from flows.run.log_events import event, reason_of
     from flows.run.run_summary import Summary
 
@@ -124,5 +124,5 @@ def logged(run: "Run") -> Generator[None]:
         raise
     finally:
         if log.isEnabledFor(logging.INFO):  # a JSON log; after a text log, the command prints the error
-            level = logging.ERROR if run.error else logging.INFO
-            log.log(level, "%s ends", run.session, extra=event("run_ends", **Summary.of(run).as_dict()))
+            summary = Summary.of(run)
+            log.log(summary.level, "%s ends", run.session, extra=event("run_ends", **summary.as_dict()))

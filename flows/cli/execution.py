@@ -81,7 +81,6 @@ def report_run(run: "Run", *, log: Format, as_json: bool) -> None:
     elif log is Format.TEXT:  # a JSON log ends with the same data
         typer.echo(summary.report())
     if run.error:
-        note(f"error: {run.error}")
         raise typer.Exit(130)
     if summary.lost:
         raise typer.Exit(1)

@@ -1,6 +1,7 @@
 """Summary of a run, as text and as JSON."""
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Self
 
@@ -17,13 +18,13 @@ class Summary:
     seconds: float  # run time
     sources: Mapping[str, SourceStatus]  # by name
     sinks: Mapping[str, SinkStatus]  # by name
-    error: str = ""  # reason of an early end; empty: none
+    error: str = ""  # reason of an early end, or what was lost; empty: neither
 
     @classmethod
     def of(cls, run: Run) -> Self:
         """Return the summary of a run."""
-        seconds = (run.clock.now() - run.start) / s
-        return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), run.error)
+        seconds, error = (run.clock.now() - run.start) / s, run.error or "; ".join(losses(run))
+        return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), error)
 
     @property
     def rows_in(self) -> int:
@@ -32,10 +33,16 @@ class Summary:
 
     @property
     def lost(self) -> bool:
-        """True if a source was down or silent at the end, or a sink dropped rows."""
-        return any(sink.dropped or sink.error for sink in self.sinks.values()) or any(
-            source.error for source in self.sources.values()
-        )
+        """True if the run ended early, a source was down or silent at the end, or a sink dropped rows."""
+        return bool(self.error)
+
+    @property
+    def level(self) -> int:
+        """Level of `logging` that fits the worst loss: a warning if only sources lacked rows for a time."""
+        if self.lost:
+            return logging.ERROR
+        lacking = any(source.lost or source.gaps for source in self.sources.values())
+        return logging.WARNING if lacking else logging.INFO
 
     def as_dict(self) -> dict[str, Any]:
         """Return all fields, for JSON."""
@@ -43,12 +50,22 @@ class Summary:
 
     def report(self) -> str:
         """Return the summary as text."""
-        lines = [f"{self.session}: {self.seconds:.1f} s"]
+        lines = [f"{self.session}: {self.seconds:.1f} s" + (f"; {self.error}" if self.error else "")]
         for name, source in self.sources.items():
             gaps = f"{len(source.gaps)} {'gap' if len(source.gaps) == 1 else 'gaps'}"
-            gaps += f": {source.error}" if source.error else ""
             lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
         for name, sink in self.sinks.items():
-            error = f": {sink.error}" if sink.error else ""
-            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{error}")
+            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped")
         return "\n".join(lines)
+
+
+def losses(run: Run) -> Iterator[str]:
+    """Yield what a run lost: its sources that were down or silent at the end, and rows that sinks dropped."""
+    for name, source in run.sources.items():
+        if source.error:
+            yield f"{name}: {source.error}"
+    for name, sink in run.sinks.items():
+        if sink.dropped:
+            yield f"{name} dropped rows ({sink.dropped:,})" + (f": {sink.error}" if sink.error else "")
+        elif sink.error:
+            yield f"{name}: {sink.error}"

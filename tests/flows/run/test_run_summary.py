@@ -1,4 +1,5 @@
 import json
+import logging
 from collections.abc import Callable
 
 import pytest
@@ -29,10 +30,13 @@ def test_the_summary_counts_rows_in_and_out(ended: Run) -> None:
 def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
     ended.sources["touch"].error = "bus stuck"
     ended.sources["touch"].gaps.append(Gap(start=1, end=2, reason="bus stuck"))
-    ended.sinks["dataset"].error = "disk full"
-    assert Summary.of(ended).report().splitlines()[1:] == [
-        "  touch: 300 rows in, 2 late, 1 gap: bus stuck",
-        "  dataset: 12 rows out, 0 dropped: disk full",
+    ended.sinks["dataset"].error, ended.sinks["dataset"].dropped = "disk full", 1617
+    summary = Summary.of(ended)
+    assert summary.error == "touch: bus stuck; dataset dropped rows (1,617): disk full"
+    assert summary.report().splitlines() == [
+        f"run1: 10.0 s; {summary.error}",
+        "  touch: 300 rows in, 2 late, 1 gap",
+        "  dataset: 12 rows out, 1617 dropped",
     ]
 
 
@@ -48,9 +52,16 @@ def full(run: Run) -> None:
     run.sinks["dataset"].error = "disk full"
 
 
-@pytest.mark.parametrize("spoil", [dropped, failed, full])
-def test_rows_that_were_dropped_and_ends_that_are_down_are_losses(
-    ended: Run, spoil: Callable[[Run], None]
-) -> None:
+def ended_early(run: Run) -> None:
+    run.error = "was interrupted"
+
+
+@pytest.mark.parametrize("spoil", [dropped, failed, full, ended_early])
+def test_a_loss_at_the_end_is_an_error_of_the_whole_run(ended: Run, spoil: Callable[[Run], None]) -> None:
+    assert (Summary.of(ended).level, Summary.of(ended).as_dict()["error"]) == (logging.WARNING, None)
+    ended.sources["touch"].late = 0
+    assert Summary.of(ended).level == logging.INFO
     spoil(ended)
-    assert Summary.of(ended).lost
+    summary = Summary.of(ended)
+    assert (summary.lost, summary.level, summary.as_dict()["error"]) == (True, logging.ERROR, summary.error)
+    assert summary.error
