@@ -21,6 +21,7 @@ from operators.ports import Clock, ClockStep, Run, SourceStatus
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
 REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
 YIELD_EVERY: Final = 16  # rows; a source that never waits yields to the event loop after as many
+CANCEL_LIMIT: Final = 5.0  # s; a source that has not ended so long after its cancellation is left alone
 LAGGING: Final = 50 * ms  # ns; a source whose newest row is older is catching up, as after a host stall
 PASSES: Final = 8  # passes of the event loop that a source catching up waits for older rows of the others
 
@@ -151,7 +152,7 @@ class LiveRunner:
                 self._delivered.clear()
                 await self._delivered.wait()
         finally:
-            errors = await _cancelled([*readers, *ends, reading])
+            errors = await _cancelled([*readers, *ends, reading], CANCEL_LIMIT)
             for reader in self._readers.values():
                 reader.end()
         for error in errors:  # of an operator, a source's contract, or a task of this run
@@ -265,9 +266,10 @@ async def _unless(stop: asyncio.Event, work: Coroutine[Any, Any, None]) -> bool:
         await _cancelled([task, stopped])
 
 
-async def _cancelled(tasks: Sequence[asyncio.Task[Any]]) -> list[Exception]:
-    """Cancel tasks, wait for their end, and return the errors of those that failed."""
+async def _cancelled(tasks: Sequence[asyncio.Task[Any]], limit: float | None = None) -> list[Exception]:
+    """Cancel tasks, wait for their end for `limit` s at most, and return the errors of those that failed."""
     for task in tasks:
         task.cancel()
-    results = await asyncio.gather(*tasks, return_exceptions=True)
-    return [result for result in results if isinstance(result, Exception)]
+    done, _ = await asyncio.wait(tasks, timeout=limit)
+    errors = (task.exception() for task in tasks if task in done and not task.cancelled())
+    return [error for error in errors if isinstance(error, Exception)]

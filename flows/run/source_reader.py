@@ -68,6 +68,7 @@ class SourceReader:
                     with contained():
                         async for batch in stream:
                             if not self._checked(batch).time.size:
+                                await asyncio.sleep(0)  # else a source without rows could block the run
                                 continue
                             if self._gap_start:
                                 gap = asdict(self._end_gap())

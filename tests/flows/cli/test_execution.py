@@ -82,7 +82,7 @@ def test_lost_rows_and_an_interruption_set_the_exit_code(
 ) -> None:
     run.sinks["dataset"] = SinkStatus(dropped=1)
     for error, code, text in (
-        ("", 1, "dataset: 1 rows dropped"),
+        ("", 1, "dataset dropped rows (1)"),
         ("was interrupted", 130, "was interrupted"),
     ):
         run.error = error

@@ -39,6 +39,7 @@ from operators import (
     s,
 )
 from tests.flows.run.live import Endless, execute, flow_of, scores, times
+from tests.waiting import PATIENCE
 
 
 def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
@@ -420,3 +421,40 @@ def test_rows_of_one_time_are_joined_after_a_stall_of_the_host(stall: float) -> 
     samples = sink.rows(Sample, 0)
     assert len(samples) == 200
     assert samples.matched.all()
+
+
+class Flooded(Endless):
+    """Source that never waits and yields batches without rows, as of a device that sends other messages."""
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        while True:
+            yield Scores.empty()
+
+
+class Stubborn(Endless):
+    """Source that catches its first cancellation."""
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        try:
+            async for batch in super().batches(clock):
+                yield batch
+        except asyncio.CancelledError:
+            await asyncio.sleep(3600)
+
+
+def test_a_run_ends_on_time_although_a_source_floods_it_without_rows() -> None:
+    async def main() -> Run:
+        flow = flow_of(Endless(), TestSink())
+        flow.source(Flooded(), "flooded").to(TestSink())
+        return await asyncio.wait_for(LiveRunner(flow, "test", duration=s // 5).execute(), PATIENCE)
+
+    run = asyncio.run(main())
+    assert 0 < run.sources["scores"].rows <= 20
+    assert run.sources["flooded"].rows == 0
+
+
+def test_a_source_that_does_not_end_when_it_is_cancelled_keeps_no_sink_open() -> None:
+    sink = TestSink()
+    run = execute(flow_of(Stubborn(), sink), duration=s)
+    assert run.clock.now() - run.start == 6 * s
+    assert (sink.closed, len(sink.written)) == (1, run.sources["scores"].rows)
