@@ -1,6 +1,7 @@
 """Source that replays a recorded stream as fast as it was recorded."""
 
 from collections.abc import AsyncIterator, Iterator
+from functools import cached_property
 from heapq import merge
 from pathlib import PurePath
 from typing import Generic, TypeVar
@@ -16,7 +17,8 @@ Given = TypeVar("Given", bound=Batch)
 class Replay(Source[Given], Generic[Given]):
     """Recorded stream as a source: each row is a batch, due at its recorded time on the clock of the run.
 
-    Rows keep their recorded timestamps. `ReplayRunner` reads the recording itself, at full speed.
+    Rows keep their recorded timestamps. `ReplayRunner` reads the recording itself, at full speed. A run reads
+    the recording; the declaration of a flow does not.
 
     Args:
         recording: Recording to replay.
@@ -25,9 +27,6 @@ class Replay(Source[Given], Generic[Given]):
             (episodes, truth).
         origin: Recorded time (ns) of the start of the run (default: the first timestamp of this stream). Set
             the same origin for all streams of a recording, to keep them synchronous.
-
-    Raises:
-        InputError: if the recording has no such stream, or states an invalid fingertip.
     """
 
     stale_after = None  # a recording may have gaps
@@ -40,31 +39,33 @@ class Replay(Source[Given], Generic[Given]):
         *,
         origin: int | None = None,
     ) -> None:
-        recorded = recording.fingers(kind)
-        for finger in fingers or recorded or (() if kind in ANNOTATIONS else (None,)):
-            if finger not in recorded:
-                which = "" if finger is None else f" of finger {finger}"
-                others = f"; its fingers are {', '.join(map(str, recorded))}" if recorded else ""
-                raise InputError(recording.name, f"has no {kind.__name__} stream{which}{others}")
-        self._recording, self._kind, self._fingers = recording, kind, fingers or recorded
-        self._origin = origin
-        # once, because it may be measured
-        self._fingertip = recording.fingertip(kind) if isinstance(recording, TouchRecording) else None
+        self._recording, self._kind, self._chosen, self._origin = recording, kind, fingers, origin
 
     @property
     def kind(self) -> type[Given]:
         """Type of the batches."""
         return self._kind
 
-    @property
+    @cached_property
     def fingers(self) -> tuple[int, ...]:
-        """Fingertips of the batches."""
-        return self._fingers
+        """Fingertips of the batches.
 
-    @property
+        Raises:
+            InputError: if the recording has no such stream.
+        """
+        recorded, kind = self._recording.fingers(self._kind), self._kind
+        for finger in self._chosen or recorded or (() if kind in ANNOTATIONS else (None,)):
+            if finger not in recorded:
+                which = "" if finger is None else f" of finger {finger}"
+                others = f"; its fingers are {', '.join(map(str, recorded))}" if recorded else ""
+                raise InputError(self._recording.name, f"has no {kind.__name__} stream{which}{others}")
+        return self._chosen or recorded
+
+    @cached_property
     def fingertip(self) -> Fingertip | None:
-        """Fingertip of the recorded touch, if the recording states it."""
-        return self._fingertip
+        """Fingertip of the recorded touch, if the recording states it; it may be measured."""
+        stated = isinstance(self._recording, TouchRecording)
+        return self._recording.fingertip(self._kind) if stated else None
 
     @property
     def recording(self) -> str:
@@ -74,7 +75,7 @@ class Replay(Source[Given], Generic[Given]):
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Yield the whole stream, with the fingertips merged in the order of their timestamps."""
         start, origin = clock.now(), self._origin
-        streams = [_rows(self._recording.read(self._kind, finger)) for finger in self._fingers]
+        streams = [_rows(self._recording.read(self._kind, finger)) for finger in self.fingers]
         for row in merge(*streams, key=_time):
             if origin is None:
                 origin = _time(row)

@@ -48,7 +48,7 @@ class ParameterError(SlipflowError):
     """
 
     def __init__(self, owner: str, name: str, value: object, must_be: str) -> None:
-        super().__init__(f"{owner}: {name} is {value!r}, must be {must_be}")
+        super().__init__(f"{owner}: {name} is {value!r:.300}, must be {must_be}")
         self.owner, self.name, self.value, self.must_be = owner, name, value, must_be
 
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
@@ -12,8 +11,9 @@ from typing import Any, Final, Self, TypeAlias
 
 from operators.batch import SLIP, STATIC, UNKNOWN, s
 from operators.checks import check_above, check_between, check_choice
-from operators.errors import InputError, ParameterError, os_error_reason
+from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
+from storage.toml_text import parse_toml, read_text
 
 Layout: TypeAlias = tuple[tuple[int, ...], ...]
 
@@ -153,12 +153,7 @@ class ColumnMap:
         path = Path(text)
         if path.suffix != ".toml":
             return cls.parse(text)
-        try:
-            table = tomllib.loads(path.read_text("utf-8"))
-        except OSError as error:
-            raise InputError(text, f"cannot be read: {os_error_reason(error)}") from None
-        except (ValueError, RecursionError) as error:  # not UTF-8, not TOML, a number without end
-            raise InputError(text, f"is not valid TOML: {error}") from None
+        table = parse_toml(read_text(path), text)
         try:
             return cls._of(dict(_flat("", table)))
         except ParameterError as error:

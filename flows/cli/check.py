@@ -24,7 +24,8 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
     declaration = load(target)
     chosen = parse_settings(settings)
     flow = declaration.flow(chosen)
-    found = [str(problem) for problem in problems(flow)]
+    live = all(source.recording is None for source in flow.sources().values())
+    found = [str(problem) for problem in problems(flow, fingertips=live)]  # a recording is read by a run only
     if as_json:
         parameters = {name: each.as_dict() for name, each in declaration.parameters.items()}
         typer.echo(json.dumps({"flow": flow.name, "problems": found, "parameters": parameters}))

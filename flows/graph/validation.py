@@ -198,8 +198,9 @@ def _shared_destinations(flow: Flow) -> Iterator[FlowError]:
 def _duplicate_streams(flow: Flow) -> Iterator[FlowError]:
     for node in flow.sinks():
         seen: dict[tuple[type[Batch] | None, int], Node] = {}
+        kinds = [parent.gives for parent in node.inputs]
         for parent in node.inputs:
-            for finger in parent.fingers:
+            for finger in parent.fingers if kinds.count(parent.gives) > 1 else ():  # they may have to be read
                 first = seen.setdefault((parent.gives, finger), parent)
                 if first is not parent and parent.gives:
                     yield FlowError(

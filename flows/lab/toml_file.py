@@ -1,6 +1,5 @@
 """TOML files as dataclasses, such as collection plans."""
 
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from difflib import get_close_matches
@@ -11,7 +10,8 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_arg
 
 from flows.graph.quantity import parse_quantity
 from operators.checks import check_choice
-from operators.errors import InputError, ParameterError, os_error_reason
+from operators.errors import InputError, ParameterError
+from storage.toml_text import parse_toml, read_text
 
 T = TypeVar("T")
 
@@ -34,25 +34,17 @@ def shipped_text(owner: str, kind: str, name: str, shipped: Mapping[str, Path]) 
     path = shipped.get(name) or Path(name)
     if not (path.suffix == ".toml" or path.is_file()):
         raise ParameterError(owner, kind, name, f"one of {', '.join(shipped)}, or a file such as mine.toml")
-    try:
-        return path, path.read_text("utf-8")
-    except UnicodeDecodeError:
-        raise InputError(str(path), "is not text in UTF-8") from None
-    except OSError as error:
-        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
+    return path, read_text(path)
 
 
-def parse_toml(kind: type[T], path: Path, text: str) -> T:
+def parse_dataclass(kind: type[T], path: Path, text: str) -> T:
     """Return the dataclass `kind` of a TOML text; `name` defaults to the file's name.
 
     Raises:
         InputError: if it is not TOML, has an unknown key or lacks a required one.
         ParameterError: if a key has an invalid value.
     """
-    try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # also a number without end, and nested keys
-        raise InputError(str(path), f"is not valid TOML: {error}") from None
+    table = parse_toml(text, str(path))
     return _Reader(str(path)).table(kind, {"name": path.stem, **table}, "")
 
 

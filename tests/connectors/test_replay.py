@@ -95,9 +95,9 @@ def test_the_chosen_fingertips_are_merged_by_timestamp() -> None:
 def test_a_missing_stream_cannot_be_replayed() -> None:
     recording: Recording = Recorded({0: [0]})
     with pytest.raises(InputError, match=r"^recorded: has no Motion stream$"):
-        Replay(recording, Motion)
+        _ = Replay(recording, Motion).fingers
     with pytest.raises(InputError, match=r"^recorded: has no Scores stream of finger 3; its fingers are 0$"):
-        Replay(recording, Scores, (0, 3))
+        _ = Replay(recording, Scores, (0, 3)).fingers
 
 
 def test_the_source_names_its_recording() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Final
 
 from flows.lab.collection.stroke_plan import CollectionPlan
-from flows.lab.toml_file import parse_toml, shipped_text
+from flows.lab.toml_file import parse_dataclass, shipped_text
 
 SHIPPED: Final = {path.stem: path for path in sorted((Path(__file__).parent / "plans").glob("*.toml"))}
 
@@ -30,4 +30,4 @@ def load_plan(plan: str) -> CollectionPlan:
         InputError: if the file cannot be read, is not TOML, or has an unknown key.
     """
     path, text = plan_text(plan)
-    return parse_toml(CollectionPlan, path, text)
+    return parse_dataclass(CollectionPlan, path, text)

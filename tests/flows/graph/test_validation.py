@@ -1,8 +1,9 @@
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
+from connectors import Replay
 from flows.graph import Flow, Stream
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems, validate
@@ -19,6 +20,7 @@ from operators import (
     Touch,
     Zero,
 )
+from operators.ports import Recording
 
 
 def _one_problem(flow: Flow) -> str:
@@ -188,3 +190,22 @@ def test_a_sink_without_a_type_annotation_is_reported() -> None:
     flow.source(TestSource(Scores)).to(Untyped())
     with pytest.raises(ParameterError, match="Untyped: the annotation of write"):
         validate(flow)
+
+
+class Unread:
+    """Recording that must not be read."""
+
+    name = "unread"
+
+    def __getattr__(self, name: str) -> object:
+        raise AssertionError(name)
+
+
+def test_a_recording_in_a_flow_is_not_read_by_a_check_or_a_replay_of_other_data() -> None:
+    flow, recording = Flow("f"), cast("Recording", Unread())
+    zeroed = flow.source(Replay(recording, Touch)) | Zero()
+    (zeroed & flow.source(Replay(recording, Motion)) | Align()).to(TestSink())
+    assert problems(flow, fingertips=False) == []
+    assert "Replay(unread, Touch)" in str(flow)
+    with pytest.raises(AssertionError):
+        problems(flow)
