@@ -64,8 +64,8 @@ class Replay(Source[Given], Generic[Given]):
     @cached_property
     def fingertip(self) -> Fingertip | None:
         """Fingertip of the recorded touch, if the recording states it; it may be measured."""
-        stated = isinstance(self._recording, TouchRecording)
-        return self._recording.fingertip(self._kind) if stated else None
+        recording = self._recording
+        return recording.fingertip(self._kind) if isinstance(recording, TouchRecording) else None
 
     @property
     def recording(self) -> str:
