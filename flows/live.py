@@ -11,7 +11,7 @@ def live(
     detector: str = "tcn",
     broker: str | None = None,
     site: str = "lab",
-    rig: str = "rig",
+    rig: str = "",
     seed: int = 0,
     *,
     false_alarms: Rate | None = None,
@@ -22,7 +22,7 @@ def live(
         detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
         broker: Broker URL, such as mqtt://localhost; None: print only.
         site: Site name used in topics.
-        rig: Rig name used in topics.
+        rig: Rig name used in topics; empty: name of this host.
         seed: Random seed of the simulation.
         false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.
     """

@@ -78,7 +78,7 @@ def messages(broker: TestBroker, run: Run) -> list[Received]:
         for _ in range(2):
             await asyncio.to_thread(events.next, f"{RIG}/replay/logger-1")
 
-    sink = Mqtt(broker.url, model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2)
+    sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2)
     use(sink, run, body)
     return everything.rest()
 
@@ -146,7 +146,7 @@ def test_a_replay_publishes_as_another_rig(broker: TestBroker, run: Run, *, live
     async def body() -> None:
         await sink.write(slips(1, 0))
 
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     use(sink, replay, body)
     found = {received.topic: received for received in listener.rest()}
     unasked = [topic(row) for row in rows if not row["topic"].startswith("`replay/")]
@@ -194,7 +194,7 @@ def follow(
         working.cancel()
         await asyncio.wait([working])
 
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     use(sink, run, body)
 
 

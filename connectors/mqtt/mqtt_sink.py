@@ -14,6 +14,7 @@ from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import (
     SUFFIX,
+    host_rig,
     name_in_run,
     outbox_path,
     replay_name,
@@ -55,7 +56,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
 
     url: str  # see `connectors.mqtt.broker.Broker`
     site: str = "lab"
-    rig: str = "rig"  # unique within the site
+    rig: str = ""  # unique within the site; empty: name of this host
     model: Mapping[str, str] = field(default_factory=dict[str, str])  # id and sha256 of the detector
     threshold: float | None = None  # probability from which a sample counts as slip, reported in events
     consecutive: int | None = None  # samples required for an onset, reported in events
@@ -63,7 +64,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
 
     def __post_init__(self) -> None:
-        self._broker = Broker.parse(self.url)
+        self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
         self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
         self._model, self._sha256 = self.model.get("id", "unknown"), self.model.get("sha256")
         valid = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}

@@ -1,8 +1,10 @@
 """Names of a rig: its topic, its name in replays, and the folder of its outbox."""
 
 import os
+import re
 from hashlib import sha256
 from pathlib import Path
+from socket import gethostname
 from typing import Final
 from urllib.parse import quote
 
@@ -12,6 +14,14 @@ from operators.ports import Run
 SUFFIX: Final = "-replay"  # suffix of the rig name in replays; live rigs may not use it
 NAME_MAX: Final = 64  # characters of a site or a rig, so that all topics below them fit
 _FILE_NAME_MAX: Final = 200  # bytes; the limit of file systems is 255
+
+
+def host_rig() -> str:
+    """Return the default name of a rig: that of the host, without its domain."""
+    name = re.sub(r"[^\w.-]", "-", gethostname().partition(".")[0])[:NAME_MAX]
+    while is_replay(name):
+        name = name.removesuffix(SUFFIX)
+    return name or "rig"
 
 
 def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> str:

@@ -71,7 +71,7 @@ async def sent(sink: Mqtt) -> None:
 
 async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
-    sink = Mqtt(broker.url, model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
+    sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
     async with opened(sink, run):
         await sink.write(slips(1, 0))
         await sink.write(slips(1, finger=2, probability=float("nan")))
@@ -100,7 +100,7 @@ async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker,
 async def test_a_late_subscriber_gets_the_retained_documents(broker: TestBroker, run: Run) -> None:
     run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
     found: dict[str, Any] = {}
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(slips(1, 0, 1))
         await sent(sink)
@@ -145,7 +145,7 @@ async def test_a_regular_end_publishes_offline_with_its_time(
     broker: TestBroker, run: Run, links: list[Link]
 ) -> None:
     listener = broker.listen(f"{RIG}/status")
-    async with opened(Mqtt(broker.url), run):
+    async with opened(Mqtt(broker.url, rig="rig"), run):
         pass
     assert not links[0].alive
     assert read(listener.next())["state"] == "online"
@@ -155,7 +155,7 @@ async def test_a_regular_end_publishes_offline_with_its_time(
 
 async def test_events_are_degraded_while_a_fault_lasts(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(fault(3, FaultKind.STUCK, begins=True))
         await sink.write(fault(1, FaultKind.DEAD, begins=True))
@@ -172,7 +172,7 @@ async def test_events_are_degraded_while_a_fault_lasts(broker: TestBroker, run: 
 async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents(
     broker: TestBroker, run: Run, number: signal.Signals
 ) -> None:
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(slips(1))
         await sent(sink)
@@ -193,7 +193,7 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
 async def test_the_next_run_sends_unsent_events_and_begins_an_epoch(
     broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
 ) -> None:
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(slips(1))
         await sent(sink)
@@ -219,7 +219,7 @@ async def test_health_is_published_periodically(
     monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
     run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=NOW - 5 * ms)
     run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
-    sink = Mqtt(broker.url)
+    sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
         await sink.write(fault(3, FaultKind.STUCK, begins=True))
         offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
@@ -247,7 +247,7 @@ async def test_an_idle_connection_is_restored_and_its_loss_logged_once(
             raise
 
     monkeypatch.setattr(Link, "connect", counted)
-    async with opened(Mqtt(broker.url), run):
+    async with opened(Mqtt(broker.url, rig="rig"), run):
         broker.stop()
         for _ in range(3):
             await failures.acquire()
@@ -264,7 +264,7 @@ async def test_a_run_ends_without_error_if_the_broker_is_gone_or_hangs(
     broker: TestBroker, run: Run, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link, "TIMEOUT", 0.1)
-    async with opened(Mqtt(broker.url), run):
+    async with opened(Mqtt(broker.url, rig="rig"), run):
         assert broker.process
         broker.process.send_signal(number)
 
@@ -301,7 +301,7 @@ def tmp_outbox(broker: TestBroker) -> Path:
 def test_a_run_that_cannot_connect_does_not_start(broker: TestBroker, run: Run) -> None:
     broker.stop()
     with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
-        asyncio.run(Mqtt(broker.url).open(run))
+        asyncio.run(Mqtt(broker.url, rig="rig").open(run))
 
 
 def test_a_run_without_the_right_to_publish_does_not_start(
@@ -313,12 +313,12 @@ def test_a_run_without_the_right_to_publish_does_not_start(
         with pytest.raises(
             EndpointError, match=f"refuses to publish {RIG}/status: Not authorized; allow it in"
         ):
-            asyncio.run(Mqtt(broker.url).open(run))
+            asyncio.run(Mqtt(broker.url, rig="rig").open(run))
         assert not links[0].alive
 
 
 def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None:
-    sink, again = Mqtt("mqtt://127.0.0.1:1"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
+    sink, again = Mqtt("mqtt://127.0.0.1:1", rig="rig"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
     assert sink.destination == f"mqtt://127.0.0.1:1/{RIG}"
     assert (
         sink.replay_destination

@@ -3,7 +3,9 @@ from pathlib import Path
 
 import pytest
 
-from connectors.mqtt.rig_names import is_replay, name_in_run, outbox_path, replay_name, rig_topic
+from connectors import Mqtt
+from connectors.mqtt import rig_names
+from connectors.mqtt.rig_names import host_rig, is_replay, name_in_run, outbox_path, replay_name, rig_topic
 from operators.errors import ParameterError
 from operators.ports import Run
 
@@ -16,6 +18,24 @@ def test_a_replay_never_has_the_name_of_a_live_rig(run: Run, rig: str, *, live: 
     assert is_replay(name)
     with pytest.raises(ParameterError, match=f"^Mqtt: rig is '{name}', must be a name that does not end in"):
         name_in_run(run, "Mqtt", name)
+
+
+@pytest.mark.parametrize(
+    ("host", "name"),
+    [
+        ("ur10.lab.example", "ur10"),
+        ("a b/c+", "a-b-c-"),
+        ("x-replay-replay", "x"),
+        ("", "rig"),
+        ("x" * 99, "x" * 64),
+    ],
+)
+def test_the_default_name_of_a_rig_is_that_of_its_host(
+    monkeypatch: pytest.MonkeyPatch, host: str, name: str
+) -> None:
+    monkeypatch.setattr(rig_names, "gethostname", lambda: host)
+    assert host_rig() == name == Mqtt("mqtt://localhost").rig
+    assert rig_topic("Mqtt", "lab", name)
 
 
 def test_every_rig_has_its_own_outbox_in_the_state_folder(
