@@ -4,6 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import inf
 from typing import TYPE_CHECKING
 
 from connectors.events import CONTENT_TYPE, encode
@@ -19,6 +20,7 @@ log = logging.getLogger("slipflow")
 TOPIC_MAX = 256  # characters
 PENDING_MAX = 32  # requests; a client without an answer repeats its request
 SLICE = 64  # events per answer; the client requests the rest
+PAUSE = 0.05  # s, from one answer to the next, so that no number of requests delays new events
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +91,18 @@ class GapReplies:
         """Prepare to answer for the rig at `topic` from `outbox`."""
         self._outbox, self._topic = outbox, topic
         self._pending: dict[GapRequest, None] = {}  # in order of arrival
+        self._earliest = 0.0  # loop time, s, of the next answer
         self._malformed_logged = False
 
+    @property
+    def due(self) -> float:
+        """Loop time (s) of the next answer; infinite if there is no request."""
+        return self._earliest if self._pending else inf
+
     def request(self, payload: bytes) -> None:
-        """Queue a request; ignore malformed ones, and log the first of them."""
+        """Queue a request if there is room; ignore malformed ones, and log the first of them."""
+        if len(self._pending) >= PENDING_MAX:
+            return
         try:
             request = GapRequest.decode(payload, self._topic)
         except InputError as error:
@@ -100,16 +110,15 @@ class GapReplies:
                 log.warning("ignoring malformed gap request (further ones suppressed): %s", error)
             self._malformed_logged = True
             return
-        if len(self._pending) < PENDING_MAX:
-            self._pending[request] = None
+        self._pending[request] = None
 
     def clear(self) -> None:
         """Drop all requests after a lost connection; the clients repeat them."""
         self._pending.clear()
 
-    async def next(self) -> list[Message]:
-        """Return the answer to the next request, with at most `SLICE` events; [] if there is none."""
-        while self._pending:
+    async def next(self, now: float) -> list[Message]:
+        """Return the next answer that is due at the loop time `now`, with at most `SLICE` events; else []."""
+        while now >= self.due:
             request = next(iter(self._pending))
             del self._pending[request]
             try:
@@ -120,6 +129,7 @@ class GapReplies:
                 continue  # the numbers are not used yet
             before = pairwise([request.first - 1, *(entry.seq for entry in found), last + 1])
             missing = [(low + 1, high - 1) for low, high in before if high > low + 1]
+            self._earliest = now + PAUSE
             closing = GapAnswer(request.epoch, request.first, last, missing).encode()
             return [
                 *(

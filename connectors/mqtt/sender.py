@@ -177,7 +177,7 @@ class Sender:
         entries = await self._outbox.next(
             WINDOW, lambda finger: self._event_topic(finger) not in self._refused
         )
-        replies = await self._replies.next()
+        replies = await self._replies.next(now)
         outgoing: list[Outgoing] = [
             *((message, None) for message in self._changed.values() if message.topic not in self._refused),
             *((self._event(entry), entry) for entry in entries),
@@ -198,7 +198,7 @@ class Sender:
                 self._retain(message)
         if not outgoing and not self._closing:
             with suppress(TimeoutError):
-                async with asyncio.timeout_at(self._health_due):
+                async with asyncio.timeout_at(min(self._health_due, self._replies.due)):
                     await self._wake.wait()
         return bool(outgoing)
 

@@ -78,7 +78,8 @@ def _never_request(self: Any, link: object, rig: object) -> None:
     del self, link, rig
 
 
-async def _answer_missing(self: Any) -> list[Message]:
+async def _answer_missing(self: Any, now: float) -> list[Message]:
+    del now
     messages = list[Message]()
     for request in self._pending:
         first, last = request.first, request.last

@@ -1,6 +1,8 @@
 import json
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
+from itertools import count
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from tests.waiting import until
 RIG = "slip/v1/lab/ur10"
 REQUEST = GapRequest("ab", 3, 9, f"{RIG}/replay/me")
 DRAFT = Event("lab", "ur10", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+TIMES = count()  # s, longer apart than two answers
 
 
 def altered(document: GapRequest | GapAnswer, **values: Any) -> bytes:  # noqa: ANN401 - JSON
@@ -45,7 +48,7 @@ def request(replies: GapReplies, epoch: str, first: int, last: int, name: str = 
 
 async def answer(replies: GapReplies) -> tuple[str, list[int], Any]:
     """The topic of the next answer, the numbers of its events, and its closing document."""
-    messages = await replies.next()
+    messages = await replies.next(next(TIMES))
     assert not any(message.retain for message in messages)
     [topic] = {message.topic for message in messages}
     *events, closing = (message.payload for message in messages)
@@ -102,7 +105,7 @@ async def test_requests_are_answered_in_turn_with_one_slice_each(
             {"epoch": epoch, "from": 11, "to": 14, "missing": []},
         )
         assert await answer(replies) == ("b", [1, 2], {"epoch": epoch, "from": 1, "to": 2, "missing": []})
-        assert not await replies.next()
+        assert not await replies.next(next(TIMES))
 
 
 async def test_events_that_are_no_longer_kept_are_listed_but_not_those_that_cannot_be_read_now(
@@ -121,14 +124,25 @@ async def test_events_that_are_no_longer_kept_are_listed_but_not_those_that_cann
         request(replies, "unknown", 3, 9)
         assert (await answer(replies))[2]["missing"] == [[3, 9]]
         request(replies, outbox.epoch, 41, 50)  # not used yet
-        assert not await replies.next()
+        assert not await replies.next(next(TIMES))
 
         async def fail(*_: object) -> None:
             raise EndpointError("disk", "is stuck")
 
         monkeypatch.setattr(outbox, "between", fail)
         request(replies, outbox.epoch, 1, 3)
-        assert not await replies.next()
+        assert not await replies.next(next(TIMES))
+
+
+async def test_answers_have_a_pause_between_them(tmp_path: Path) -> None:
+    async with answering(tmp_path, 5) as (replies, outbox):
+        for name in "ab":
+            request(replies, outbox.epoch, 1, 1, name)
+        assert await replies.next(10.0)
+        assert not await replies.next(10.0)
+        assert replies.due == 10.0 + gap_replay.PAUSE
+        assert await replies.next(replies.due)
+        assert replies.due == inf
 
 
 async def test_pending_requests_are_bounded_and_unique_and_malformed_ones_logged_once(
@@ -141,7 +155,7 @@ async def test_pending_requests_are_bounded_and_unique_and_malformed_ones_logged
         for name in "aabcd":
             request(replies, outbox.epoch, 1, 1, name)
         assert [(await answer(replies))[0] for _ in range(3)] == ["a", "b", "c"]
-        assert not await replies.next()
+        assert not await replies.next(next(TIMES))
     [message] = caplog.messages
     assert message.startswith(
         f"ignoring malformed gap request (further ones suppressed): {RIG}/replay/request: "

@@ -9,7 +9,7 @@ import pytest
 
 from connectors.events import Event
 from connectors.mqtt import broker_link as module
-from connectors.mqtt import sender
+from connectors.mqtt import gap_replay, sender
 from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox import Outbox
@@ -231,7 +231,10 @@ async def test_a_refused_request_topic_is_logged_once_and_events_are_sent(
     assert sum("consumers cannot request missed events" in message for message in caplog.messages) == 1
 
 
-async def test_events_and_replies_get_a_share_of_each_turn(tmp_path: Path, peer: Peer) -> None:
+async def test_events_and_replies_get_a_share_of_each_turn(
+    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gap_replay, "PAUSE", 0.0)
     async with opened(tmp_path) as (sending, outbox):
         await sending.start("me", WILL, ONLINE)
         await outbox.append([DRAFT] * 20)

@@ -40,7 +40,7 @@ def felt(out: str = "out", broker: str = "", spoilt: bool = False, least: float 
     slips.to(dataset)
     slips.to(Console())
     if broker:
-        slips.to(Mqtt(broker))
+        slips.to(Mqtt(broker, rig="rig"))
     if spoilt:
         slips.to(TestSink(failures=[ValueError("no number")] * 2))
     return flow
