@@ -78,7 +78,9 @@ def messages(broker: TestBroker, run: Run) -> list[Received]:
         for _ in range(2):
             await asyncio.to_thread(events.next, f"{RIG}/replay/logger-1")
 
-    sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2)
+    sink = Mqtt(
+        broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2
+    )
     use(sink, run, body)
     return everything.rest()
 
