@@ -110,6 +110,7 @@ def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
     values = dict(each.removeprefix("--set=").split("=", 1) for each in settings if each.startswith("--set="))
     values["broker"] = re.sub(r"\$\{\w+:-(.*)\}", r"\1", values["broker"])  # without the variable
     assert accepts(values)
+    assert accepts({})
     assert {"--metrics=0.0.0.0:9464", "--log=json"} <= {*settings}
 
 

@@ -8,22 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from flows.graph.loading import load
-from flows.graph.validation import problems
 from operators import Slips, Touch
 from storage import Session
 from tests.deploy.shipped import DEPLOY, LEFT_OUT
 
 FLOW = str(DEPLOY / "fingertip.py")
 CHILD = DEPLOY.parent / "tests" / "benchmarks" / "edge_child.py"
-
-
-def test_the_default_scores_a_fingertip_on_the_bus_and_publishes_and_settings_make_it_record() -> None:
-    default, recording = load(FLOW).flow(), load(FLOW).flow({"out": "x", "broker": "none", "bus": "none"})
-    assert (problems(default), problems(recording)) == ([], [])
-    assert [type(node.part).__name__ for node in default.sources()] == ["TakkTile"]
-    assert {type(node.part).__name__ for node in default.sinks()} == {"Console", "Mqtt"}
-    assert {type(node.part).__name__ for node in recording.sinks()} == {"Console", "Dataset"}
 
 
 def test_without_its_broker_and_the_packages_missing_at_the_edge_it_records_and_keeps_the_events(

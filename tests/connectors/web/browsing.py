@@ -175,8 +175,8 @@ class ServedRecording(Served):
     def __enter__(self) -> Self:
         super().__enter__()
         self._server = page_server("127.0.0.1", 0)
-        page: SessionPage = self.do(self._recorded)
-        self.do(self._server.open(*page.routes))
+        self.page: SessionPage = self.do(self._recorded)
+        self.do(self._server.open(*self.page.routes))
         self.url = self._server.url
         return self
 

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from shutil import copytree
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from flows.cli.show import load
 from operators import Debounce
 from operators.batch import Labelled, Motion, Scores, Slips, Touch, Truth, Zeroed, concat, ms, s
 from operators.ports import Run
-from storage import LabelSpan, Session
+from storage import Session
 from tests.connectors.web.browsing import MOVE, ServedRecording, Watched, drag, shaking, sideways
 from tests.storage.made import record, write_pad
 
@@ -114,31 +113,21 @@ def test_a_drag_zooms_and_escape_shows_the_whole_session_again(
 
 
 def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
-    watched: Watched, session: Session
+    watched: Watched, served: ServedRecording
 ) -> None:
-    tab, pages = watched.tab, list[SessionPage]()
-
-    async def loaded() -> SessionPage:
-        pages.append(await load(session, "psd"))
-        return pages[0]
-
-    with ServedRecording(loaded()) as served:
-        tab.goto(served.url)
-        slider = tab.get_by_role("slider", name="Threshold")
-        counts = set[int]()
-        for threshold in (0.005, 0.5, 1.0):
-            slider.evaluate(SET, threshold)
-            found: list[Any] = pages[0].curves.detected(threshold)
-            onsets = [each for each in found if each["onset"]]
-            expect(tab.locator("#threshold-text")).to_have_text(f"{threshold:g}")
-            expect(tab.locator("#events-count")).to_have_text(
-                f"{len(onsets)} {'slip' if len(onsets) == 1 else 'slips'}"
-            )
-            counts.add(len(onsets))
-        assert len(counts) > 1
-        expect(tab.locator("#notice")).to_contain_text("found now at threshold 1.")
-        tab.get_by_role("button", name="Reset").click()
-        expect(tab.locator("#notice")).to_contain_text("Slip probability: computed now by detector psd.")
+    tab, counts = watched.tab, set[int]()
+    tab.goto(served.url)
+    for threshold in (0.005, 0.5, 1.0):
+        tab.get_by_role("slider", name="Threshold").evaluate(SET, threshold)
+        found: list[Any] = served.page.curves.detected(threshold)
+        onsets = sum(event["onset"] for event in found)
+        expect(tab.locator("#threshold-text")).to_have_text(f"{threshold:g}")
+        expect(tab.locator("#events-count")).to_have_text(f"{onsets} {'slip' if onsets == 1 else 'slips'}")
+        counts.add(onsets)
+    assert len(counts) > 1
+    expect(tab.locator("#notice")).to_contain_text("found now at threshold 1.")
+    tab.get_by_role("button", name="Reset").click()
+    expect(tab.locator("#notice")).to_contain_text("Slip probability: computed now by detector psd.")
     assert watched.complaints == []
 
 
@@ -219,21 +208,6 @@ def test_spans_are_marked_corrected_undone_and_saved_as_versions(
     tab.reload()
     expect(state).to_have_text("2 spans, saved as version 2")
     assert watched.complaints == []
-
-
-def test_a_page_that_is_not_up_to_date_does_not_overwrite_labels(
-    watched: Watched, served: ServedRecording, session: Session
-) -> None:
-    tab = watched.tab
-    tab.goto(served.url)
-    expect(tab.locator("#label-state")).to_have_text("No labels by hand yet")
-    session.write_hand_labels([LabelSpan(START, START + 10 * ms, 0, "static")], based_on=0)
-    drag(tab, tab.locator("#bands"), 0.25, 0.5)
-    tab.keyboard.press("s")
-    tab.get_by_role("button", name="Save").click()
-    expect(tab.locator("#label-state")).to_contain_text("Not saved: ")
-    expect(tab.locator("#label-state")).to_contain_text("has version 1 of hand labels, not 0")
-    assert len(session.hand_labels().spans) == 1
 
 
 def test_thinned_curves_keep_the_figures_of_the_recording(

@@ -13,7 +13,7 @@ from aiohttp import ClientSession, WSServerHandshakeError
 from connectors import Page
 from connectors.web.access import TOKEN
 from operators.batch import Touch, Zeroed, ms, s
-from operators.errors import EndpointError, ParameterError
+from operators.errors import ParameterError
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import listening, slip, touched
 from tests.waiting import PATIENCE
@@ -132,19 +132,6 @@ async def test_listening_needs_the_token_and_the_origin_of_the_page(
             await socket.send_str("")
             assert (await socket.receive_json())["run"]["session"] == "run1"
     await page.close()
-
-
-async def test_a_busy_default_port_is_replaced_but_a_given_one_is_an_error(run: Run) -> None:
-    urls = list[str]()
-    pages = [Page(opened=urls.append) for _ in range(2)]
-    for page in pages:
-        await page.open(run)
-    assert len(set(urls)) == 2
-    port = int(urls[0].rpartition(":")[2])
-    with pytest.raises(EndpointError, match=f"http://127.0.0.1:{port}: cannot serve the page"):
-        await Page(port).open(run)
-    for page in pages:
-        await page.close()
 
 
 @pytest.mark.parametrize("wrong", [{"port": 70_000}, {"port": -1}, {"threshold": 1.5}])

@@ -133,7 +133,11 @@ async def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
             f"http://127.0.0.1:{port}: cannot serve numbers: Address already in use; choose another port"
         )
         server = numbers(port=port, any_port=True)
-        async with served(server):
+        async with (
+            served(server),
+            served(page_server("127.0.0.1", None)),
+            served(page_server("127.0.0.1", None)),
+        ):
             assert server.url != f"http://127.0.0.1:{port}"
 
 
