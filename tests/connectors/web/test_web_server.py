@@ -133,11 +133,8 @@ async def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
             f"http://127.0.0.1:{port}: cannot serve numbers: Address already in use; choose another port"
         )
         server = numbers(port=port, any_port=True)
-        async with (
-            served(server),
-            served(page_server("127.0.0.1", None)),
-            served(page_server("127.0.0.1", None)),
-        ):
+        one, other = (page_server("127.0.0.1", None) for _ in range(2))  # both would like the default port
+        async with served(server), served(one), served(other):
             assert server.url != f"http://127.0.0.1:{port}"
 
 
