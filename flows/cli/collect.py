@@ -1,9 +1,6 @@
 """The command `slipflow collect`."""
 
 import asyncio
-import os
-import signal
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,12 +41,11 @@ def collect(
 ) -> None:
     """Drive an arm through a collection plan and record it.
 
-    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth,
-    workspace, limits and seed. Unless it gives the pose of the surface, start with the fingertip just
-    touching it. Each stroke moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then
-    commits the recording; SIGUSR1 pauses and resumes. The collection ends, with the arm stopped, if the
-    controller stops, a limit of the plan is exceeded, or a fingertip gives no samples or measures no
-    contact. A robot needs the ur extra, except with --dry-run.
+    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth, workspace, limits
+    and seed. Unless it gives the pose of the surface, start with the fingertip just touching it. Each stroke
+    moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then commits the recording. The
+    collection ends, with the arm stopped, if the controller stops, a limit of the plan is exceeded, or a
+    fingertip gives no samples or measures no contact. A robot needs the ur extra, except with --dry-run.
 
     Examples:
       slipflow collect tiny --virtual --out lab
@@ -65,8 +61,6 @@ def collect(
         return
     if robot is None and not virtual and not dry_run:
         raise typer.BadParameter("give --robot HOST, or --virtual for the simulated arm, or --dry-run")
-    with suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # else it ends the process before and after the strokes
     begin_log()
     chosen = load_plan(plan)
     if dry_run:
@@ -115,7 +109,6 @@ async def _collect(
         limits, touch = plan.limits, TakkTile(int(bus) if bus.isdigit() else bus, rows)
         arm = UrArm(robot, path.bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
         collector = Collector(path, arm, touch, UrMotion(robot), out, clock, note)
-    note(f"to pause and to resume: kill -USR1 {os.getpid()}")
     await collect(collector)
     return collector
 

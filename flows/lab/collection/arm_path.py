@@ -131,16 +131,3 @@ class Extent:
 def spin_velocity(pose: Pose, spin: float) -> Pose:
     """Return the velocity in the base frame of a rotation about a pose's own z (rad/s)."""
     return 0.0, 0.0, 0.0, *rotate((0.0, 0.0, spin), quaternion((pose[3], pose[4], pose[5])))
-
-
-def raise_pose(pose: Pose, surface: Pose, clearance: float) -> Pose:
-    """Return a pose, raised if it is less than `clearance` (m) above the plane through a surface's pose.
-
-    >>> up = raise_pose((0.1, 0, -0.001, math.pi, 0, 0), (0, 0, 0, math.pi, 0, 0), 0.01)
-    >>> [round(each, 6) for each in up[:3]]
-    [0.1, 0.0, 0.01]
-    """
-    x, y, z = rotate((0.0, 0.0, 1.0), quaternion((surface[3], surface[4], surface[5])))
-    depth = x * (pose[0] - surface[0]) + y * (pose[1] - surface[1]) + z * (pose[2] - surface[2])
-    lift = max(0.0, depth + clearance)
-    return pose[0] - lift * x, pose[1] - lift * y, pose[2] - lift * z, *pose[3:]

@@ -25,7 +25,7 @@ def path_text(path: PlannedPath) -> str:
             f"{'total':28} {strokes:7} {minutes:>8}   {_spans(whole.low, whole.high)}".rstrip(),
             f"{'workspace':47} {_spans(path.low, path.high)}".rstrip(),
             f"{'in contact':28} {contact:>16}; the rest is baselines and moves through the air",
-            f"pressed {1000 * path.plan.press.depth:g} mm after first contact",
+            f"pressed {1000 * path.plan.path.depth:g} mm after first contact",
         ]
     )
 

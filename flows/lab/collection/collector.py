@@ -1,7 +1,6 @@
 """Execution of a collection plan: a flow records each series of strokes while the arm makes them."""
 
 import asyncio
-import signal
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_driver import Arm, StrokeDriver
 from flows.lab.collection.stroke_plan import Limits, PlannedPath, StrokeSeries
 from flows.run.live_runner import LiveRunner
-from flows.run.supervision import signal_handlers
+from flows.run.supervision import signals_to
 from operators import (
     Align,
     DeviceClock,
@@ -42,7 +41,7 @@ _POLL: Final = 0.05  # s
 
 
 async def collect(collector: "Collector") -> None:
-    """Execute a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
+    """Execute a plan and record it; SIGINT and SIGTERM stop the arm first.
 
     Args:
         collector: Recorder of the strokes; its `error` says why the arm was stopped.
@@ -54,9 +53,7 @@ async def collect(collector: "Collector") -> None:
     await _check_sampling(collector.touch, collector.clock)
     await asyncio.to_thread(arrow.load)
     await asyncio.to_thread(collector.compile_operators)
-    stop = collector.interrupt
-    actions = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: collector.pause_or_resume}
-    with signal_handlers(actions):
+    with signals_to(collector.interrupt):
         try:
             async with collector.arm:
                 await collector.collect()
@@ -136,15 +133,6 @@ class Collector:
     def compile_operators(self) -> None:
         """Compile the operators of a session; once the arm is commanded, this would delay the commands."""
         CompiledFlow(self._declare(self.path.series[0].surface.middle, ContactMonitor()))
-
-    def pause_or_resume(self) -> None:
-        """Pause, or resume if paused."""
-        if self.driver.paused:
-            self.log("resuming")
-            self.driver.resume()
-        else:
-            self.log("paused: the arm stands still until the next SIGUSR1")
-            self.driver.pause()
 
     def interrupt(self) -> None:
         """Stop the arm and end the collection; a second call also stops the writing of the session."""

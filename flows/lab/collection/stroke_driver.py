@@ -8,7 +8,7 @@ from typing import Final, Protocol, Self
 import numpy as np
 
 from connectors.ur.ur_state import ArmState, Point, Pose
-from flows.lab.collection.arm_path import Line, Slide, Step, Trace, Wait, raise_pose
+from flows.lab.collection.arm_path import Line, Slide, Step, Trace, Wait
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import Stroke, StrokeSeries
 from operators.batch import MOTIONS, SURFACES, Episodes
@@ -40,10 +40,7 @@ class Arm(Protocol):
 
 
 class StrokeDriver(Source[Episodes]):
-    """Driver of an arm along a planned path, which can be paused; source of the episodes, each at its end.
-
-    A pause stops the arm where it is. On resuming it moves straight up and repeats the interrupted stroke;
-    the interrupted part stays in the recording, as a shorter episode.
+    """Driver of an arm along a planned path; source of the episodes, each at its end.
 
     Args:
         arm: The arm.
@@ -62,7 +59,6 @@ class StrokeDriver(Source[Episodes]):
         self.strokes = 0
         self._episodes = asyncio.Queue[Episodes]()
         self._arm, self._clock, self._require_contact = arm, clock, require_contact
-        self._pause = asyncio.Event()
 
     @property
     def kind(self) -> type[Episodes]:
@@ -78,19 +74,6 @@ class StrokeDriver(Source[Episodes]):
         """Return the description of the session."""
         return self.about
 
-    @property
-    def paused(self) -> bool:
-        """True while the driver is paused."""
-        return self._pause.is_set()
-
-    def pause(self) -> None:
-        """Stop until `resume`."""
-        self._pause.set()
-
-    def resume(self) -> None:
-        """Continue."""
-        self._pause.clear()
-
     async def make_strokes(self, series: StrokeSeries, monitor: ContactMonitor) -> None:
         """Stay in the air for the baseline, then make each stroke.
 
@@ -105,11 +88,7 @@ class StrokeDriver(Source[Episodes]):
         await self._follow_as_episode(series, None, [series.baseline])
         monitor.set_baseline()
         for stroke in series.strokes:
-            await self._wait_until_resumed()
-            while not await self._make_unless_paused(series, stroke, monitor):
-                await self._wait_until_resumed()
-                up = raise_pose(self._arm.state.pose, series.surface.middle, series.plan.path.clearance)
-                await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
+            await self._make(series, stroke, monitor)
             self.strokes += 1
 
     async def follow(self, steps: Sequence[Step]) -> None:
@@ -129,30 +108,6 @@ class StrokeDriver(Source[Episodes]):
                     await self._arm.trace(points, speed, acceleration, seconds)
                 case Wait(time):
                     await self._arm.wait(time)
-
-    async def _wait_until_resumed(self) -> None:
-        """Wait while paused; raise if the arm has to be stopped meanwhile."""
-        while self.paused:
-            await self._arm.wait(_POLL)
-
-    async def _make_unless_paused(
-        self, series: StrokeSeries, stroke: Stroke, monitor: ContactMonitor
-    ) -> bool:
-        """Make a stroke; return False if it was interrupted by a pause, with the arm at rest."""
-        work = asyncio.create_task(self._make(series, stroke, monitor))
-        pause = asyncio.create_task(self._pause.wait())
-        try:
-            await asyncio.wait({work, pause}, return_when=asyncio.FIRST_COMPLETED)
-            if work.done():
-                await work
-                return True
-        finally:
-            pause.cancel()
-            if not work.done():
-                work.cancel()
-                await asyncio.gather(work, return_exceptions=True)
-                await self._arm.stop()
-        return False
 
     async def _make(self, series: StrokeSeries, stroke: Stroke, monitor: ContactMonitor) -> None:
         await self.follow(stroke.approach)
@@ -188,7 +143,7 @@ def _episode(series: StrokeSeries, stroke: Stroke | None, start: int, end: int) 
         stroke.direction if stroke else 0.0,
         0.0 if rotates else speed,
         speed if rotates else 0.0,
-        series.plan.press.depth if stroke else math.nan,
+        series.plan.path.depth if stroke else math.nan,
         math.nan,  # the force is not measured
     )
     return Episodes(

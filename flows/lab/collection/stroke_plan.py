@@ -36,27 +36,14 @@ _DIRECTIONS: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
-    """Settings for pressing the fingertip onto a surface; the keys of [press] in a plan file.
-
-    Raises:
-        ParameterError: if a value is out of range.
-    """
-
-    depth: Length = 0.0015
-
-    def __post_init__(self) -> None:
-        check_between("Press", "depth", self.depth, 0, MAX_DEPTH, unit="m")
-
-
-@dataclass(frozen=True, slots=True)
 class PathSettings:
-    """Times, speeds and heights of the path; the keys of [path] in a plan file.
+    """Depth, times, speeds and heights of the path; the keys of [path] in a plan file.
 
     Raises:
         ParameterError: if a value is out of range.
     """
 
+    depth: Length = 0.0015  # of a press after first contact
     slide_time: Seconds = 0.6
     rotation_time: Seconds = 1.2
     rotation_speed: float = 1.0  # rad/s; paper
@@ -70,9 +57,10 @@ class PathSettings:
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
-            if name != "rest":
+            if name not in ("rest", "depth"):
                 check_above("PathSettings", name, getattr(self, name), 0)
         check_at_least("PathSettings", "rest", self.rest, 0, "s")
+        check_between("PathSettings", "depth", self.depth, 0, MAX_DEPTH, unit="m")
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +132,7 @@ class StrokeSeries:
             "radius": None if surface.shape == "plane" else surface.radius,
             "place": list(surface.middle),
             "speed": self.speed,
-            "depth": self.plan.press.depth,
+            "depth": self.plan.path.depth,
             "strokes": len(self.strokes),
             "split": self.split,
         }
@@ -170,7 +158,6 @@ class CollectionPlan:
     seed: int = 0
     label_delay: Duration = 0
     surfaces: tuple[Surface, ...] = (Surface(),)
-    press: Press = Press()
     path: PathSettings = PathSettings()
     limits: Limits = Limits()
 
@@ -248,7 +235,7 @@ class CollectionPlan:
     def _translation(self, surface: Surface, direction: float, speed: float) -> Stroke:
         half = speed * self.path.slide_time / 2
         x, y = half * math.cos(direction), half * math.sin(direction)
-        poses = [surface.at(part * x, part * y, self.press.depth) for part in surface.waypoints(x, y)]
+        poses = [surface.at(part * x, part * y, self.path.depth) for part in surface.waypoints(x, y)]
         slide: Step
         if len(poses) > 1:
             slide = Trace(tuple(pose[:3] for pose in poses), speed, self.path.acceleration)
@@ -265,7 +252,7 @@ class CollectionPlan:
 
     def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:
         """Return the steps through the air to above an offset (m) from the middle, and down onto it."""
-        down = Line(surface.at(x, y, self.press.depth), self.path.press_speed, self.path.acceleration)
+        down = Line(surface.at(x, y, self.path.depth), self.path.press_speed, self.path.acceleration)
         return self._through_air(surface, x, y), down
 
     def _retreat(self, surface: Surface, x: float, y: float) -> Line:

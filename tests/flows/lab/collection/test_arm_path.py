@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Extent, Line, Slide, Wait, raise_pose, spin_velocity
+from flows.lab.collection.arm_path import Extent, Line, Slide, Wait, spin_velocity
 from operators.rotation import rotation_difference
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
@@ -47,8 +47,3 @@ def test_an_offset_is_in_the_frame_of_the_pose(pose: Pose) -> None:
     assert math.dist(pose[:3], offset_pose(pose, (0.01, -0.02, 0.03))[:3]) == pytest.approx(
         0.0374166, abs=1e-6
     )
-
-
-def test_a_pose_in_the_air_is_not_raised() -> None:
-    assert raise_pose((0.4, 0.1, 0.25, math.pi, 0, 0), START, 0.01) == (0.4, 0.1, 0.25, math.pi, 0, 0)
-    np.testing.assert_allclose(raise_pose((0.5, 0.1, 0.19, math.pi, 0, 0), START, 0.01)[:3], (0.5, 0.1, 0.21))

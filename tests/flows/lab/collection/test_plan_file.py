@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from flows.lab.collection.plan_file import SHIPPED, load_plan
-from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, Press
+from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings
 from flows.lab.collection.surfaces import Surface
 from operators import InputError, ParameterError
 from operators.errors import SlipflowError
@@ -16,9 +16,8 @@ label_delay = "70ms"
 shape = "sphere"
 radius = "6cm"
 pose = [0.4, 0, 0.1, 3.1416, 0.0, 0.0]
-[press]
-depth = "2mm"
 [path]
+depth = "2mm"
 acceleration = 1
 [limits]
 workspace = [0.3, -0.1, 0.0, 0.5, 0.1, 0.2]
@@ -41,11 +40,11 @@ def test_the_shipped_plans_can_be_read() -> None:
 def test_the_papers_plan_shows_the_defaults_of_all_keys() -> None:
     assert load_plan("paper") == CollectionPlan()
     text = SHIPPED["paper"].read_text()
-    for settings in (CollectionPlan, Surface, Press, PathSettings, Limits):
+    for settings in (CollectionPlan, Surface, PathSettings, Limits):
         missing = [
             key for key in settings.__slots__ if f"\n{key} =" not in text and f"\n# {key} =" not in text
         ]
-        assert not set(missing) - {"surfaces", "press", "path", "limits"}
+        assert not set(missing) - {"surfaces", "path", "limits"}
 
 
 def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
@@ -55,8 +54,7 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         repeats=2,
         label_delay=70_000_000,
         surfaces=(Surface("sphere", 0.06, (0.4, 0.0, 0.1, 3.1416, 0.0, 0.0)),),
-        press=Press(depth=0.002),
-        path=PathSettings(acceleration=1.0),
+        path=PathSettings(depth=0.002, acceleration=1.0),
         limits=Limits(workspace=(0.3, -0.1, 0.0, 0.5, 0.1, 0.2), require_contact=False),
     )
 
@@ -65,7 +63,7 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
     ("text", "reason"),
     [
         ("speds = []", "unknown key speds; did you mean 'speeds'?"),
-        ("[press]\nforce = '2N'", "unknown key press.force; known keys: depth"),
+        ("[path]\nforce = '2N'", "unknown key path.force; known keys: depth"),
         ("[limits]\nxyz = 1", "unknown key limits.xyz; known keys: force, workspace, margin"),
         ("speeds = ['fast']", "speeds[0] is 'fast', must be a speed with its unit"),
         ("speeds = [0.1]", "speeds[0] is 0.1, must be text with a unit"),
@@ -73,8 +71,8 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("speeds = '50mm/s'", "speeds is '50mm/s', must be a list"),
         ("repeats = 1.5", "repeats is 1.5, must be a whole number"),
         ("repeats = true", "repeats is True, must be a whole number"),
-        ("press = 3", "press is 3, must be a table, [press]"),
-        ("[press]\ndepth = '2m'", "press.depth is 2.0, must be from 0 to 0.006 m"),
+        ("path = 3", "path is 3, must be a table, [path]"),
+        ("[path]\ndepth = '2m'", "path.depth is 2.0, must be from 0 to 0.006 m"),
         ("[path]\nrest = '-1s'", "path.rest is '-1s', must be a time with its unit"),
         ("[limits]\nsensor_timeout = '20ms'", "limits.sensor_timeout is 0.02, must be at least 0.05 s"),
         ("[limits]\nworkspace = [1, 2]", "limits.workspace is [1, 2], must be a list of 6 values"),

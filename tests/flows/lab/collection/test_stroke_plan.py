@@ -14,7 +14,6 @@ from flows.lab.collection.stroke_plan import (
     Limits,
     PathSettings,
     PlannedPath,
-    Press,
     StrokeSeries,
 )
 from flows.lab.collection.surfaces import Surface
@@ -58,7 +57,7 @@ def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) ->
         assert slide.speed == 0.1
         assert math.dist(down[:3], slide.pose[:3]) == pytest.approx(0.06)
         middle = [(a + b) / 2 for a, b in zip(down[:3], slide.pose[:3], strict=True)]
-        np.testing.assert_allclose(middle, offset_pose(place, (0, 0, STROKES.press.depth))[:3], atol=1e-12)
+        np.testing.assert_allclose(middle, offset_pose(place, (0, 0, STROKES.path.depth))[:3], atol=1e-12)
         forward = offset_pose(
             (0, 0, 0, *place[3:]),
             (math.cos(stroke.direction), math.sin(stroke.direction), 0),
@@ -78,7 +77,7 @@ def test_rotations_alternate_at_their_rate_in_place() -> None:
 
 def test_the_bounds_and_the_duration_of_a_plan_are_those_of_its_path() -> None:
     reach = PlannedPath.of(STROKES, PLACE).extent
-    np.testing.assert_allclose(reach.low, (0.37, -0.03, 0.1 - STROKES.press.depth), atol=1e-12)
+    np.testing.assert_allclose(reach.low, (0.37, -0.03, 0.1 - STROKES.path.depth), atol=1e-12)
     np.testing.assert_allclose(reach.high, (0.43, 0.03, 0.1 + STROKES.path.clearance), atol=1e-12)
     contact = 16 * (2 * STROKES.path.rest + 0.6 + 0.1 / 0.5)
     vertical = 16 * 2 * (0.0115 / 0.02 + 0.02 / 0.5)
@@ -113,15 +112,15 @@ def test_an_invalid_plan_is_refused(change: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("settings", "change"),
     [
-        (Press(), {"depth": -0.001}),
-        (Press(), {"depth": 0.0061}),
+        (PathSettings(), {"depth": -0.001}),
+        (PathSettings(), {"depth": 0.0061}),
         (PathSettings(), {"clearance": 0.0}),
         (Limits(), {"force": 0.0}),
         (Limits(), {"sensor_timeout": 0.04}),
         (Limits(), {"watchdog": 0.0}),
     ],
 )
-def test_invalid_settings_are_refused(settings: Press, change: dict[str, Any]) -> None:
+def test_invalid_settings_are_refused(settings: PathSettings, change: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=next(iter(change))):
         replace(settings, **change)
 
@@ -130,7 +129,7 @@ def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
     for stroke in only(STROKES, Surface("sphere")).strokes:
         down = stroke.approach[-1].end(PLACE)
         (trace,) = [step for step in stroke.contact if isinstance(step, Trace)]
-        centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.press.depth)
+        centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.path.depth)
         for point in (down[:3], *trace.points):
             assert math.dist(point, centre) == pytest.approx(0.06)
         assert trace.speed == 0.1
