@@ -20,10 +20,9 @@ class Extra(NamedTuple):
 
 EXTRAS: Final[Mapping[str, Extra]] = MappingProxyType(
     {
-        "train": Extra(
-            "training, evaluation and ONNX export of detectors",
-            {"onnx": "onnx", "onnxruntime": "onnxruntime", "scikit-learn": "sklearn", "torch": "torch"},
-        ),
+        "train": Extra("training of detectors", {"torch": "torch"}),
+        "baselines": Extra("comparison with gradient boosting and regression", {"scikit-learn": "sklearn"}),
+        "onnx": Extra("export of a detector to ONNX", {"onnx": "onnx"}),
         "ur": Extra("driving a UR arm, on x86_64 with Python 3.11 or 3.12 only", {"ur-rtde": "rtde_control"}),
         "gripper": Extra("Robotiq grippers", {"pymodbus": "pymodbus"}),
         "report": Extra("figures in reports", {"matplotlib": "matplotlib"}),

@@ -16,10 +16,10 @@ from playwright.sync_api import Browser, Page, ViewportSize, expect
 from flows.cli.show import load
 from flows.lab.simulation import simulate
 from storage import Session
-from tests.benchmarks.bench_page import WARM, demo
-from tests.benchmarks.machine import real_time_priority
+from tests.benchmarks.bench_start import served_demo
 from tests.connectors.web.browsing import LATE, MOVE, ServedRecording, chromium, drag
 
+WARM: Final = 8.0  # s until the physics is compiled and the baseline is learned
 SESSION: Final = "plane-050-01"
 SELECTED: Final = 8300  # ms, in a slip of this session
 Scheme: TypeAlias = Literal["light", "dark"]
@@ -88,7 +88,7 @@ def main(folder: Path) -> None:
         dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0).out
         with chromium() as browser:  # no other event loop can run in this thread
             show_picture(browser, dataset, folder)
-            with real_time_priority(), demo() as (_, url):
+            with served_demo() as (_, url):
                 live_pictures(browser, url, folder)
 
 

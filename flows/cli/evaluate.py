@@ -57,7 +57,8 @@ def evaluate(
 
     Prints Tables I and III next to the paper's results, false alarms, missed slips and delay, with intervals
     over recordings. Baselines are fitted to the train split; recordings that are judged do not count. Writes
-    a report as evaluation.html, .md, .json and figures. Needs the train extra.
+    a report as evaluation.html, .md, .json and figures. Baselines need the baselines extra, --train the
+    train extra.
 
     With --hold-out, detectors are judged on surfaces or objects; --train shows what training on the others
     gives. With --stress, the scene is simulated from nominal to extreme conditions.

@@ -49,7 +49,7 @@ def export(
     /slip/FINGER and /faults; one file per session. Requires the extra `mcap`.
 
     onnx: a tcn for other runtimes, from windows of zeroed counts to the calibrated probability of slip.
-    Requires the extra `train`.
+    Requires the extra `onnx`.
 
     Examples:
       slipflow export recordings lerobot --to lerobot --rate 50
@@ -125,10 +125,8 @@ def _onnx(model: str, out: Path) -> tuple[dict[str, Any], str]:
     from flows.learn.training.onnx_export import export_onnx
     from operators.detectors import Tcn
     from operators.errors import InputError
-    from operators.extras import require_extra
     from storage import load_detector
 
-    require_extra("train", "--to onnx")
     detector = load_detector(model)
     if not isinstance(detector, Tcn):
         raise InputError(model, "is not a tcn; only a tcn can be exported: give tcn or a file of its weights")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Cluster, Delay, Jobs, Seed
+from flows.cli.options import AsJson, Cluster, Jobs, Seed
 from flows.cli.terminal import progress_bar
 
 
@@ -21,7 +21,6 @@ def simulate(
         ),
     ] = "paper",
     seed: Seed = 0,
-    delay: Delay = "0s",
     jobs: Jobs = None,
     cluster: Cluster = None,
     as_json: AsJson = False,
@@ -32,13 +31,11 @@ def simulate(
 
     Examples:
       slipflow simulate recordings --plan tiny --seed 1
-      slipflow simulate late --delay 70ms --jobs 2
+      slipflow simulate recordings --jobs 2
     """
-    from flows.graph.quantity import parse_time
     from flows.lab import simulation
     from flows.run.executor import workers
 
-    lag = parse_time("simulate", "--delay", delay)
     with workers(jobs, cluster) as executor, progress_bar(f"simulating {plan}") as update:
-        done = simulation.simulate(out, plan, seed, delay=lag, executor=executor, progress=update)
+        done = simulation.simulate(out, plan, seed, executor=executor, progress=update)
     typer.echo(json.dumps(done.json()) if as_json else done.text())

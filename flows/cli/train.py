@@ -53,15 +53,6 @@ def train(
     filters: Annotated[
         int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
     ] = 16,
-    stretch: Annotated[
-        int,
-        typer.Option(
-            min=1,
-            max=4,
-            metavar="FACTOR",
-            help="Augment with slower strokes (about FACTOR times as long) and random gains.",
-        ),
-    ] = 1,
     steps: Annotated[
         int | None,
         typer.Option(min=1, help="Number of training steps of a tcn (default: 6000; with --from 300)."),
@@ -80,19 +71,18 @@ def train(
 
     Examples:
       slipflow train recordings -o mine.safetensors
-      slipflow train simulated --stretch 2 -o wide.safetensors
       slipflow train --from tcn_wide two-minutes -o mine.safetensors
     """
     from flows.learn.training.recipe import PAPER_NETWORKS, Recipe, paper_recipe
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
 
-    if (parent or method != "tcn") and (filters, stretch) != (16, 1):
-        raise typer.BadParameter("--filters and --stretch are for a new tcn")
+    if (parent or method != "tcn") and filters != 16:  # noqa: PLR2004 - the default
+        raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")
     usual = Recipe().steps if parent is None else FURTHER_STEPS
-    recipe = Recipe(filters=filters, steps=steps or usual, seed=seed).stretched_by(stretch)
+    recipe = Recipe(filters=filters, steps=steps or usual, seed=seed)
     with progress_bar(f"training {parent or method}") as update:
 
         def progress(done: int, total: int, check: "Check | None") -> None:

@@ -78,29 +78,19 @@ class SimulatedDataset:
     splits: Mapping[str, Counter[str]]  # sessions, samples, and those that are static and slip
     seconds: float  # to simulate it
 
-    @property
-    def all(self) -> Counter[str]:
-        """Size of all splits together."""
-        return sum(self.splits.values(), Counter[str]())
-
     def json(self) -> dict[str, Any]:
         """Return plan, seed and sizes as JSON data."""
         about = {"dataset": str(self.out), "plan": self.plan, "seed": self.seed, "seconds": self.seconds}
-        splits = {split: _sizes(counts) for split, counts in self.splits.items()}
-        return {**about, **_sizes(self.all), "splits": splits}
+        return {**about, "splits": {split: dict(counts) for split, counts in self.splits.items()}}
 
     def text(self) -> str:
         """Return the sizes as text."""
-        row = "{:10} {sessions:4} sessions {samples:8,} samples  {static_share:.0%} static"
-        parts = {**self.splits, "all": self.all}.items()
-        rows = [row.format(split, **_sizes(counts)) for split, counts in parts]
+        rows = [
+            f"{split:10} {size['sessions']:4} sessions {size['samples']:8,} samples "
+            f" {size['static'] / max(size['static'] + size['slip'], 1):.0%} static"
+            for split, size in {**self.splits, "all": sum(self.splits.values(), Counter())}.items()
+        ]
         return "\n".join([*rows, f"simulated in {self.seconds:.1f} s; dataset in {self.out}"])
-
-
-def _sizes(counts: Counter[str]) -> dict[str, float]:
-    """Return all counts of a split, and the share of static in the labelled samples."""
-    sizes = {name: counts[name] for name in ("sessions", "samples", "static", "slip")}
-    return {**sizes, "static_share": counts["static"] / max(counts["static"] + counts["slip"], 1)}
 
 
 def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
@@ -159,7 +149,6 @@ def simulate(
     plan: str = "paper",
     seed: int = 0,
     *,
-    delay: int = 0,
     executor: Executor | None = None,
     progress: Callable[[int, int], object] = lambda _done, _total: None,
 ) -> SimulatedDataset:
@@ -169,7 +158,6 @@ def simulate(
         out: Folder of the dataset, new or empty.
         plan: One of `PLANS`.
         seed: Random seed.
-        delay: Delay of the arm's velocity behind the barometers, ns; see `Label`.
         executor: Executor of `flows.run.executor.workers`; None: this process. An error ends local processes.
         progress: Called with the number of recordings done and their total.
 
@@ -183,24 +171,24 @@ def simulate(
     splits: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
     with partial_folder(out.resolve()) as root:
         describe_dataset(root)
-        work = partial(_record, root, delay)
+        work = partial(_record, root)
         for split, counts in map_tasks(work, planned, executor, progress=progress):
             splits[split].update(counts)
         remove_partial(root, (each.session for each in planned))
     return SimulatedDataset(out, plan, seed, splits, perf_counter() - began)
 
 
-def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, dict[str, int]]:
+def _record(root: Path, planned: PlannedRecording) -> tuple[str, dict[str, int]]:
     """Record one session of a dataset."""
     with new_session(root, planned.session) as scratch:
-        asyncio.run(_run(scratch, delay, planned))
+        asyncio.run(_run(scratch, planned))
     session = Session.open(session_folder(root, planned.session))
     label = np.concatenate([batch.label for batch in session.read(Labelled, 0)])  # (n,)
     static, slip = int((label == STATIC).sum()), int((label == SLIP).sum())
     return planned.split, {"sessions": 1, "samples": len(label), "static": static, "slip": slip}
 
 
-async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
+async def _run(root: Path, planned: PlannedRecording) -> None:
     """Replay what was simulated through a flow that records it; describe it as a live run would."""
     flow, dataset = Flow("simulate"), Dataset(root, part_span=_PART_SPAN, host="simulated")
     sources: dict[str, dict[str, Any]]
@@ -215,9 +203,7 @@ async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
             for start, move in planned.scene.moves(planned.seed)
         ]
         streams = [*_shifted(simulate_scene(rig.scene, rig.seed), planned.start), concat(Episodes, episodes)]
-        declare_recording(
-            flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset
-        )  # m/s, rad/s; paper
+        declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), dataset)  # m/s, rad/s; paper
         fingertip = rig.touch.fingertip
         sources = {"touch": dict(rig.touch.describe()), "motion": dict(rig.motion.describe())}
     finished = _FinishedScene(planned.session, streams, fingertip)

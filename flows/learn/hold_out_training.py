@@ -11,6 +11,7 @@ from flows.learn.evaluation.methods import Candidate, Method, fitted_baseline
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from operators.detectors import Tcn
 from operators.errors import InputError
+from operators.extras import require_extra
 
 TRAINED: Final = "tcn, trained"
 SHORT: Final = Recipe(steps=400, augmentation=REAL_TOUCH)
@@ -34,6 +35,7 @@ def learners(names: Collection[str] = (), recipe: Recipe = SHORT) -> list[Candid
 
 def _trained_tcn(recipe: Recipe, fold: Fold) -> Method:
     """Train our network; crops are as short as the shortest recording."""
+    require_extra("train", TRAINED)
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
 
     if not any(each.slip.any() for each in fold.train):

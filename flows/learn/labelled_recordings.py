@@ -14,6 +14,7 @@ from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.learn.datasets import SPLITS, TURNS
 from flows.learn.sampling import Sampling
+from flows.report.table import counted
 from operators import Align, Label, Resample, SlidingMotion, Zero, ms
 from operators.batch import (
     EVERY,
@@ -42,7 +43,6 @@ from storage.layout import SESSION, may_exist, session_folder, session_names
 
 Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
 TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
-_NAMED: Final = 5  # recordings named in a line
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
@@ -57,14 +57,6 @@ class Strokes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HandLabelled:
-    """The samples of a recording that a person labelled."""
-
-    rows: Flags  # (n,)
-    version: int  # of the hand labels
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class LabelledRecording:
     """Samples of one fingertip at a constant rate, with their labels."""
 
@@ -73,7 +65,7 @@ class LabelledRecording:
     valid: Flags | None = None  # (n, cells) False where a cell has no reading; None: all valid
     sliding: Codes | None = None  # (n,) label by true sliding of the contact in simulation
     strokes: Strokes | None = None  # None: unknown
-    by_hand: HandLabelled | None = None
+    by_hand: int = 0  # samples that a person labelled
     name: str = ""
     split: str = ""  # train, validation or test
     group: str = ""  # surface or object, by which recordings can be split; empty: unknown
@@ -102,16 +94,12 @@ class LabelledRecording:
             valid=None if self.valid is None else self.valid[rows],
             sliding=None if self.sliding is None else self.sliding[rows],
             strokes=None,
-            by_hand=None,
+            by_hand=0,
         )
 
-    def evaluated(self, hop: int) -> NDArray[np.intp]:
-        """Return the indices of every `hop`-th sample after the warm-up."""
-        return np.arange(self.sampling.warm_up, len(self), hop)
-
     def known(self, hop: int) -> NDArray[np.intp]:
-        """Return those of `evaluated` with a known label."""
-        at = self.evaluated(hop)
+        """Return the indices of every `hop`-th sample after the warm-up that has a label."""
+        at = np.arange(self.sampling.warm_up, len(self), hop)
         known: NDArray[np.intp] = at[self.label[at] != UNKNOWN]
         return known
 
@@ -188,13 +176,11 @@ def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
 
 def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
     """Return a line with the labels by hand in recordings; empty if there are none."""
-    found = [(each, each.by_hand) for each in recordings if each.by_hand is not None]
-    if not found:
+    recordings = [each for each in recordings if each.by_hand]
+    if not recordings:
         return ""
-    samples, total = sum(int(hand.rows.sum()) for _, hand in found), sum(len(each) for each, _ in found)
-    versions = dict.fromkeys(f"{each.name} version {hand.version}" for each, hand in found)
-    where = ", ".join([*list(versions)[:_NAMED], *(["..."] if len(versions) > _NAMED else [])])
-    return f"labels by hand: {samples:,} of {total:,} samples of {where}"
+    samples, total = sum(each.by_hand for each in recordings), sum(map(len, recordings))
+    return f"labels by hand: {samples:,} of {total:,} samples of {counted(len(recordings), 'recording')}"
 
 
 def session_folders(path: Path) -> list[Path]:
@@ -207,11 +193,6 @@ def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[Labelled
     """Group recordings by split, in the order of `SPLITS`; omit recordings without a split."""
     recordings = list(recordings)
     return {split: [each for each in recordings if each.split == split] for split in SPLITS}
-
-
-def targets(recordings: Iterable[LabelledRecording]) -> tuple[Target, ...]:
-    """Return the targets that all recordings have labels for."""
-    return TARGETS if all(recording.sliding is not None for recording in recordings) else TARGETS[:1]
 
 
 def labelled_by(
@@ -230,9 +211,7 @@ def labelled_by(
     recordings = list(recordings)
     if target == "arm-speed":
         return recordings
-    found = [
-        replace(each, label=each.sliding, by_hand=None) for each in recordings if each.sliding is not None
-    ]
+    found = [replace(each, label=each.sliding, by_hand=0) for each in recordings if each.sliding is not None]
     if len(found) < len(recordings):
         name = next(each.name for each in recordings if each.sliding is None)
         reason = "has no truth table to learn sliding from; `slipflow simulate` makes datasets that have one"
@@ -277,7 +256,7 @@ def _of_session(session: Session, finger: int, rate: float | None, hand: HandLab
         labelled.valid,
         sliding,
         _strokes(episodes, labelled.time),
-        HandLabelled(rows, hand.version) if rows.any() else None,
+        int(rows.sum()),
         session.name,
         str(session.about.get("split") or ""),
         str(session.about.get("group") or ""),

@@ -6,7 +6,6 @@ from functools import wraps
 from io import StringIO
 from typing import Any, Final, ParamSpec, TypeAlias
 
-from operators.errors import InputError
 from operators.extras import install_command, missing_packages
 
 Given = ParamSpec("Given")
@@ -70,26 +69,11 @@ def missing_matplotlib() -> str:
     return f"need {missing}: {install_command('report')}" if missing else ""
 
 
-def require() -> None:
-    """Check that matplotlib is installed.
-
-    Raises:
-        InputError: if matplotlib is not installed.
-    """
-    if reason := missing_matplotlib():
-        raise InputError("figures", reason)
-
-
 def styled(draw: Callable[Given, Figure]) -> Callable[Given, Figure]:
-    """Decorate a function that draws a figure so that it uses the project's style.
-
-    Raises:
-        InputError: when the function is called and matplotlib is not installed.
-    """
+    """Decorate a function that draws a figure so that it uses the project's style; it needs matplotlib."""
 
     @wraps(draw)
     def drawn(*args: Given.args, **kwargs: Given.kwargs) -> Figure:
-        require()
         with _style():
             return draw(*args, **kwargs)
 

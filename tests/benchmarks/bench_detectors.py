@@ -16,7 +16,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
 from operators import Debounce, Score, Touch, Zero, Zeroed, ms
@@ -25,7 +24,7 @@ from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.operator import Operator
 from tests.benchmarks.machine import commit, machine
-from tests.benchmarks.windowed_runtimes import OnnxWindowed, TorchEager
+from tests.benchmarks.windowed_runtimes import OnnxWindowed
 
 FILTERS = (4, 8, 12, 16, 24)
 FINGERS = (64, 1000)
@@ -99,10 +98,10 @@ def windowed(detector: Detector, counts: Counts, number: int) -> Run:
 def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
     """What is measured for one size."""
     tcn = network(filters, seed)
-    eager, runtime = TorchEager(tcn), OnnxWindowed(tcn)
+    runtime = OnnxWindowed(tcn)
     windows = sliding_window_view(counts, tcn.length, axis=0)[:50].swapaxes(1, 2)
     streamed = tcn.stream().push(counts[:, None])[tcn.length - 1 :][:50, 0]
-    for same in (tcn.score(windows), eager.score(windows), runtime.score(windows)):
+    for same in (tcn.score(windows), runtime.score(windows)):
         np.testing.assert_allclose(same, streamed, atol=1e-5)
     return {
         "streaming": streaming(tcn, counts, 1),
@@ -113,7 +112,6 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
         },
         "windowed, numpy": windowed(tcn, counts, 200),
         "windowed, onnxruntime": windowed(runtime, counts, 100),
-        "windowed, torch eager": windowed(eager, counts, 20),
     }
 
 
@@ -124,7 +122,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--filters", type=int, nargs="+", default=FILTERS)
     options = parser.parse_args()
-    torch.set_num_threads(1)
     rng = np.random.default_rng(options.seed)
     counts = (-250 + np.cumsum(rng.integers(-20, 21, (SAMPLES, 6)), axis=0) % 250).astype(np.int16)
     runs = {
@@ -143,17 +140,15 @@ def main() -> None:
                 cost[key].append((time.process_time() - began) / samples * 1e6)
         gc.collect()
     print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
-    versions = f"numpy {np.__version__}, torch {torch.__version__}"
-    print(f"{machine()}, {versions}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the end")
     print(f"{'us per sample, by filters':46}" + "".join(f"{filters:9}" for filters in options.filters))
     for name in dict.fromkeys(name for name, filters in cost if filters):
         medians = [statistics.median(cost[name, filters]) for filters in options.filters]
         print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
-    for name in ("windowed, onnxruntime", "windowed, torch eager"):
-        pairs = [(cost[name, filters], cost["streaming", filters]) for filters in options.filters]
-        ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
-        print(f"{f'{name} : streaming':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
+    pairs = [(cost["windowed, onnxruntime", each], cost["streaming", each]) for each in options.filters]
+    ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
+    print(f"{'windowed, onnxruntime : streaming':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
     print_live_path({key: statistics.median(found) for key, found in cost.items()}, options.filters)
 
 

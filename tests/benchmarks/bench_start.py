@@ -10,7 +10,8 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
@@ -29,22 +30,30 @@ def answered(*words: str) -> float:
     return after.children_user + after.children_system - before.children_user - before.children_system
 
 
-def page_served() -> float:
-    """CPU of the demo from its start until its page is served, s."""
+@contextmanager
+def served_demo() -> Generator[tuple[int, str]]:
+    """The demo in a process of its own, from when its page is served: the process and the page's address."""
     with tempfile.TemporaryDirectory() as folder:
-        words = ["demo", "--for", "1min", "--no-browser", "--out", f"{folder}/recordings"]
+        words = ["demo", "--for", "10min", "--no-browser", "--out", f"{folder}/recordings"]
         demo = subprocess.Popen(
             [*COMMAND, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         )
         try:
             assert demo.stderr
-            if not any(SERVED in line for line in demo.stderr):
+            served = next((line for line in demo.stderr if SERVED in line), None)
+            if served is None:
                 raise SystemExit("the demo ended before its page was served")
-            times = Path(f"/proc/{demo.pid}/stat").read_text().rpartition(")")[2].split()
-            return (int(times[11]) + int(times[12])) / TICKS  # utime and stime, see proc(5)
+            yield demo.pid, served.partition(SERVED)[2].split()[0]
         finally:
             demo.terminate()
             demo.communicate()
+
+
+def page_served() -> float:
+    """CPU of the demo from its start until its page is served, s."""
+    with served_demo() as (process, _):
+        times = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return (int(times[11]) + int(times[12])) / TICKS  # utime and stime, see proc(5)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""The default detector run by PyTorch and onnxruntime on whole windows, for comparison."""
+"""The default detector run by onnxruntime on whole windows, for comparison."""
 
 from importlib import import_module
 from pathlib import Path
@@ -6,29 +6,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-import torch
 
 from flows.learn.training.onnx_export import export_onnx
-from flows.learn.training.tcn_module import DenseTcn
 from operators.batch import Counts, Reals
 from operators.detectors.tcn import Tcn
-
-
-class TorchEager:
-    """`Tcn` run by PyTorch in eager mode."""
-
-    name = "torch_eager_windowed"
-
-    def __init__(self, tcn: Tcn) -> None:
-        self.length = tcn.length
-        self._network = DenseTcn.of_detector(tcn)
-
-    def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, length, 6) of zeroed counts; (n,)."""
-        with torch.inference_mode():
-            counts = torch.as_tensor(windows.astype(np.float32, order="C")).transpose(1, 2)
-            probability: Reals = torch.sigmoid(self._network(counts)[:, -1]).numpy().astype(np.float64)
-        return probability
 
 
 class OnnxWindowed:

@@ -9,10 +9,10 @@ from connectors.sim.objects import named
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
 from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials, axes_of
+from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials
 from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
 from flows.learn.onsets import runs
-from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, WIDTH, Axes, Figure, grid, styled
+from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from flows.report.report_page import Report, Section
 from flows.report.results import Statistic, estimate_table, estimates, median, rate
 from flows.report.table import Table, Value
@@ -67,7 +67,6 @@ _TEXT: Final = (
     "Simulated trials, the same for all methods; the paper used real objects. "
     "docs/explanations/experiments.md defines success and lists the assumptions."
 )
-_PANELS: Final = 3  # in a row of the figure
 
 
 def experiment_report(
@@ -99,7 +98,7 @@ def experiment_report(
         Section("failures", "Failed trials by ending", "", [_endings(nominal)]),
     ]
     if len(results) > len(nominal):
-        sections.append(_breaking_points(experiment, results, methods))
+        sections.append(_breaking_points(results))
     facts = {
         "experiment": experiment,
         "trials": trials.count,
@@ -138,7 +137,7 @@ def _endings(nominal: pl.DataFrame) -> Table:
     return Table(["method", *names], [list(row) for row in wide.select("method", *names).rows()])
 
 
-def _breaking_points(experiment: str, results: pl.DataFrame, methods: Sequence[Method]) -> Section:
+def _breaking_points(results: pl.DataFrame) -> Section:
     """Return the section about the conditions that differ from the nominal one."""
     found = estimates(results, RATES, by=("condition", "method"))
     tables = [
@@ -148,42 +147,7 @@ def _breaking_points(experiment: str, results: pl.DataFrame, methods: Sequence[M
     note = (
         "One setting differs from nominal: factors of friction, mass, contact and pad stiffness; added delay."
     )
-    return Section(
-        "stress", "Where each method breaks", note, tables, lambda: stress_figure(experiment, found, methods)
-    )
-
-
-@styled
-def stress_figure(experiment: str, found: pl.DataFrame, methods: Sequence[Method]) -> Figure:
-    """Draw success and false slips along each axis: a line for each method.
-
-    Args:
-        experiment: ``tap`` or ``lift``.
-        found: Estimates of `RATES` by condition and method.
-        methods: Methods to draw.
-    """
-    axes = axes_of(experiment)
-    rows = -(-len(axes) // _PANELS)
-    drawing, panels = grid(2 * rows, _PANELS, (WIDTH, 4.4 * rows), sharey=True)
-    for panel in panels:
-        panel.set_axis_off()
-    values = {(row["condition"], row["method"], row["statistic"]): row["value"] for row in found.to_dicts()}
-    for number, (axis, conditions) in enumerate(axes.items()):
-        first = number // _PANELS * 2 * _PANELS + number % _PANELS
-        for panel, statistic in ((panels[first], SUCCESS), (panels[first + _PANELS], FALSE_FIRM)):
-            for method, color in zip(methods, CELLS, strict=False):
-                heights = [
-                    values[NOMINAL if each == Conditions() else f"{axis} {name}", str(method), statistic]
-                    for name, each in conditions.items()
-                ]
-                panel.plot(
-                    list(conditions), heights, color=color, marker="o", markersize=3.5, label=str(method)
-                )
-            panel.set_axis_on()
-            panel.yaxis.grid(visible=True)
-            panel.set(ylim=(-4, 104), title=f"{axis}: {statistic}")
-    drawing.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left", ncols=len(methods))
-    return drawing
+    return Section("stress", "Where each method breaks", note, tables)
 
 
 @styled

@@ -1,23 +1,32 @@
 """Baselines on simple features, fitted by scikit-learn, for comparison with the networks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
+from scipy.special import expit
 
 from flows.learn.sampling import USUAL, Sampling
 from operators.batch import Counts, Flags, Reals
+from operators.extras import require_extra
 
 _STEPS: Final = 16  # number of newest steps that are separate features
 _SPANS: Final = (5, 10, 20, 40)  # samples at 100 Hz
 _LAGS: Final = (3, 8, 20, 50)  # samples at 100 Hz
+_DECAY: Final = 1e-3  # L2 penalty of logistic regression
 _BINS: Final = 255  # of a feature, most that scikit-learn takes
 
 
 def sklearn(module: str) -> Any:  # noqa: ANN401 - scikit-learn has no type annotations
-    """Import a module of scikit-learn, which is an extra and takes a second the first time."""
+    """Import a module of scikit-learn, which is an extra and takes a second the first time.
+
+    Raises:
+        InputError: if it is not installed.
+    """
+    require_extra("baselines", "baselines")
     return import_module(f"sklearn.{module}")
 
 
@@ -93,16 +102,16 @@ ACTIVITY_AND_STEPS: Final = Features(40, activity_and_steps)
 STROKES: Final = Features(50, strokes)
 
 
-@dataclass(frozen=True, eq=False)
-class Logistic:
-    """Logistic regression on features of windows."""
+Answer: TypeAlias = Callable[[Reals], Reals]  # features (n, k) to the probability of slip (n,)
 
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """Model on features of windows; fitting weights both classes equally."""
+
+    name: str
     features: Features
-    weights: Reals  # (k,) of the standardised features
-    bias: float
-    mean: Reals  # (k,)
-    std: Reals  # (k,)
-    name = "logistic"
+    answer: Answer
 
     @property
     def length(self) -> int:
@@ -110,62 +119,54 @@ class Logistic:
         return self.features.length
 
     @classmethod
-    def fitted(cls, windows: Counts, slip: Flags, features: Features = ACTIVITY, decay: float = 1e-3) -> Self:
-        """Fit to windows (n, length, cells), both classes weighted equally; `decay` is the L2 penalty."""
-        x = features.of(windows)
-        mean, std = x.mean(axis=0), x.std(axis=0) + 1e-9
-        model = sklearn("linear_model").LogisticRegression(
-            C=1 / (decay * len(x)), class_weight="balanced", tol=1e-6, max_iter=1000
-        )
-        model.fit((x - mean) / std, slip)
-        return cls(features, model.coef_[0], float(model.intercept_[0]), mean, std)
+    def fitted(cls, name: str, windows: Counts, slip: Flags, features: Features) -> Self:
+        """Fit logistic regression or gradient boosting (`FITS`) to windows (n, length, cells)."""
+        return cls(name, features, FITS[name](features.of(windows), slip))
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""
-        logit = (self.features.of(windows) - self.mean) / self.std @ self.weights + self.bias
-        probability: Reals = 1 / (1 + np.exp(-np.clip(logit, -500, 500)))
-        return probability
+        return self.answer(self.features.of(windows))
 
 
-@dataclass(frozen=True, eq=False)
-class GradientBoosting:
-    """Histogram gradient boosting on features of windows."""
+def _fit_logistic(features: Reals, slip: Flags) -> Answer:
+    mean, std = features.mean(axis=0), features.std(axis=0) + 1e-9
+    model = sklearn("linear_model").LogisticRegression(
+        C=1 / (_DECAY * len(features)), class_weight="balanced", tol=1e-6, max_iter=1000
+    )
+    model.fit((features - mean) / std, slip)
+    return partial(_logistic, mean, std, model.coef_[0], float(model.intercept_[0]))
 
-    features: Features
-    edges: Reals  # (bins - 1, features) quantiles of the windows of the fit
-    model: Any  # a HistGradientBoostingClassifier, fitted to the bins between the edges
-    name = "gradient_boosting"
 
-    @property
-    def length(self) -> int:
-        """Length of a window, samples."""
-        return self.features.length
+def _logistic(mean: Reals, std: Reals, weights: Reals, bias: float, features: Reals) -> Reals:
+    probability: Reals = expit((features - mean) / std @ weights + bias)
+    return probability
 
-    @classmethod
-    def fitted(
-        cls, windows: Counts, slip: Flags, features: Features = ACTIVITY_AND_STEPS, seed: int = 0
-    ) -> Self:
-        """Fit to windows (n, length, cells), both classes weighted equally."""
-        model = sklearn("ensemble").HistGradientBoostingClassifier(
-            max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,
-            class_weight="balanced", early_stopping=False, random_state=seed,
-        )  # fmt: skip
-        x = features.of(windows)
-        # scikit-learn 1.9 finds these bins with weights, one by one: several times the time of the fit
-        edges = np.quantile(x, np.arange(1, _BINS) / _BINS, axis=0)
-        model.fit(_binned(x, edges), slip)
-        return cls(features, edges, model)
 
-    def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, length, cells); (n,)."""
-        binned = _binned(self.features.of(windows), self.edges)
-        probability: Reals = self.model.predict_proba(binned)[:, 1]
-        return probability
+def _fit_boosting(features: Reals, slip: Flags) -> Answer:
+    model = sklearn("ensemble").HistGradientBoostingClassifier(
+        max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,
+        class_weight="balanced", early_stopping=False, random_state=0,
+    )  # fmt: skip
+    # scikit-learn 1.9 finds these bins with weights, one by one: several times the time of the fit
+    edges = np.quantile(features, np.arange(1, _BINS) / _BINS, axis=0)  # (bins - 1, k)
+    model.fit(_binned(features, edges), slip)
+    return partial(_boosted, edges, model)
+
+
+def _boosted(edges: Reals, model: Any, features: Reals) -> Reals:  # noqa: ANN401 - of scikit-learn
+    probability: Reals = model.predict_proba(_binned(features, edges))[:, 1]
+    return probability
 
 
 def _binned(features: Reals, edges: Reals) -> Reals:
-    """Return the number of the bin of each feature (n, features)."""
+    """Return the number of the bin of each feature (n, k)."""
     bins = np.empty(features.shape)
     for column, edge in enumerate(edges.T):
         bins[:, column] = np.searchsorted(edge, features[:, column])
     return bins
+
+
+FITS: Final[Mapping[str, Callable[[Reals, Flags], Answer]]] = {
+    "gradient_boosting": _fit_boosting,
+    "logistic": _fit_logistic,
+}

@@ -21,7 +21,6 @@ THRESHOLDS: Final = tuple(np.round(1 / (1 + np.exp(-np.arange(-1.5, 6.1, 0.25)))
 CONSECUTIVE: Final = (1, 2, 3, 4, 5)  # decisions at 100 Hz
 RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions at 100 Hz
 _MENU: Final = tuple(Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE, RELEASE))
-_GAP: Final = max(RELEASE), 20  # decisions at 100 Hz between recordings: static ones, and without a score
 
 
 def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector, budget: float = BUDGET) -> Debounce:
@@ -50,10 +49,10 @@ def tuned(
         missed: Most slips without an onset, %.
         repeated: Most onsets of a slip after its first, % of the slips.
     """
-    probability, true = joined(scores, slips)
+    sampling = slips[0].sampling if slips else Sampling()
     best, chosen = (np.inf, np.inf, np.inf), Debounce()
-    for rule in map(true.sampling.rule, _MENU):
-        found = EventMetrics.of([probability], [true], rule)
+    for rule in map(sampling.rule, _MENU):
+        found = EventMetrics.of(scores, slips, rule)
         alarms = found.false_alarms + 1 + np.sqrt(found.false_alarms + 0.75)
         over, excess, delay = max(alarms - budget * found.minutes, 0), 100 - missed, np.inf
         if len(found.delays):
@@ -62,24 +61,3 @@ def tuned(
         if (over, excess, delay) < best:
             best, chosen = (over, excess, delay), rule
     return chosen
-
-
-def joined(scores: Sequence[Reals], slips: Sequence[Slips]) -> tuple[Reals, Slips]:
-    """Join recordings into one, so that a setting is evaluated on all at once.
-
-    Before each recording, static samples end any slip, and samples without a score separate the onsets.
-    The result has the rate of the first recording, which the others have within the tolerance of detectors.
-    """
-    values, found, tolerated = [np.empty(0)], [np.empty((0, 2), np.int64)], [np.empty((0, 2), np.int64)]
-    sampling = slips[0].sampling if slips else Sampling()
-    gap = np.repeat([0, np.nan], [sampling.scaled(each) for each in _GAP])
-    at = 0  # samples, start of the recording
-    for probability, true in zip(scores, slips, strict=True):
-        at, warm_up = at + len(gap), true.sampling.warm_up
-        found.append((at + true.found // true.sampling.period) * sampling.period)
-        tolerated.append((at + true.tolerated // true.sampling.period) * sampling.period)
-        values += [gap, np.full(min(warm_up, len(probability)), np.nan), probability[warm_up:]]
-        at += len(probability)
-    static = sum(true.static for true in slips)
-    joint = Slips(np.concatenate(found), np.concatenate(tolerated), static, sampling)
-    return np.concatenate(values), joint

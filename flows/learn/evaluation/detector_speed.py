@@ -18,24 +18,21 @@ from flows.run.executor import one_thread
 from operators.batch import Counts
 from operators.detectors.detector import Detector, Streaming
 
-MANY: Final = 64  # fingertips
 SPEED: Final[Mapping[str, Statistic]] = {
     "us/sample": share("us/sample", "timings"),
-    "64 fingertips, % of a core": share("% of a core", "timings"),
 }
 SPEED_DECIMALS: Final[Mapping[str, int | None]] = dict.fromkeys(SPEED)
 
 _LEAST: Final = 1_000  # ns, resolution
 _WINDOWS: Final = 100  # number of different windows in a cycle
 _TIMED: Final = 500  # samples of a recording that the timing repeats
-_ROUNDS: Final = 15, 5  # of timing: one fingertip, many
 Step = Callable[[int], object]
 
 
 def speed_results(
     detectors: Mapping[str, Detector], recordings: Sequence[LabelledRecording], *, span: float
 ) -> pl.DataFrame:
-    """Time detectors on a recording, for one fingertip and for many, on one thread.
+    """Time detectors on a recording of one fingertip, on one thread.
 
     Args:
         detectors: Detectors by name.
@@ -43,21 +40,15 @@ def speed_results(
         span: Approximate CPU time of each turn of timing, s.
 
     Returns:
-        Rows of the results table: CPU time of a sample, and the share of one core that many fingertips take.
+        Rows of the results table: CPU time of a sample.
     """
     longest = max(recordings, key=len)
     counts = longest.counts[-_TIMED:]
     with one_thread():
-        one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
-        many = costs(detectors, counts, fingers=MANY, rounds=_ROUNDS[1], span=span)
-    load = {name: 100 * us * 1e-6 * longest.sampling.rate for name, us in many.items()}
+        found = costs(detectors, counts, span=span)
     return joined(
-        result_rows(
-            {"us/sample": one[name], "% of a core": load[name], "timings": 1},
-            method=name,
-            recording=longest.name,
-        )
-        for name in detectors
+        result_rows({"us/sample": us, "timings": 1}, method=name, recording=longest.name)
+        for name, us in found.items()
     )
 
 
@@ -65,22 +56,20 @@ def costs(
     detectors: Mapping[str, Detector],
     counts: Counts,
     *,
-    fingers: int = 1,
     rounds: int = 15,
     span: float = 0.02,
 ) -> dict[str, float]:
-    """Return the CPU time of one sample of `fingers` fingertips by detector, us.
+    """Return the CPU time of one sample by detector, us.
 
     As in a live run, streaming detectors process one sample at a time, others one window per sample.
 
     Args:
         detectors: Detectors by name.
         counts: (n, 6) zeroed counts of a recording, longer than the longest window; they are repeated.
-        fingers: Fingertips that are sampled together, with the same counts.
         rounds: Turns of each detector.
         span: Approximate CPU time of one turn, s.
     """
-    steps = {name: _step(detector, counts, fingers) for name, detector in detectors.items()}
+    steps = {name: _step(detector, counts) for name, detector in detectors.items()}
     turns = {name: _turn(step, span) for name, step in steps.items()}
     found: dict[str, list[float]] = {name: [] for name in steps}
     for _ in range(rounds):
@@ -89,16 +78,16 @@ def costs(
     return {name: median(times) for name, times in found.items()}
 
 
-def _step(detector: Detector, counts: Counts, fingers: int) -> Step:
+def _step(detector: Detector, counts: Counts) -> Step:
     """Return a function that makes a detector process its next samples."""
     take: Callable[[Counts], object]
     if isinstance(detector, Streaming):
-        take = detector.stream(fingers).push
-        given = [row[None, None].repeat(fingers, axis=1) for row in counts]  # (1, fingers, 6)
+        take = detector.stream().push
+        given = [row[None, None] for row in counts]  # (1, 1, cells)
     else:
         take, length = detector.score, detector.length
         begins = range(0, len(counts) - length + 1, max(1, (len(counts) - length) // _WINDOWS))
-        given = [counts[None, at : at + length].repeat(fingers, axis=0) for at in begins]
+        given = [counts[None, at : at + length] for at in begins]
     samples = cycle(given)
 
     def step(number: int) -> None:

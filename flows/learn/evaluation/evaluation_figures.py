@@ -7,7 +7,6 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.measures import BALANCED, EVENTS
 from flows.learn.evaluation.published import TABLE_1
 from flows.learn.evaluation.stress_fields import FIELDS
 from flows.learn.evaluation.stress_study import condition_name
@@ -19,60 +18,17 @@ from flows.report.figures import (
     MORE,
     SOFT,
     WIDTH,
-    Axes,
     Figure,
     grid,
     name_points,
     styled,
 )
-from flows.report.results import estimates
 
 _ROW: Final = 0.24  # inches
 _COLUMNS: Final = 4  # panels in a row
 _MARKS: Final = "osD^vP*X"
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
 _ALARMS: Final = (0, 0.5, 1, 2, 5, 10, 20, 50, 100)  # false alarms per static minute
-
-
-@styled
-def overview(results: pl.DataFrame) -> Figure:
-    """Draw balanced accuracy with its interval, and delay against false alarms, of each method."""
-    found = list(estimates(results, BALANCED).iter_rows(named=True))[::-1]
-    groups = estimates(results, BALANCED, ("method", "fold"), draws=0)
-    figure, (axis, cost) = grid(1, 2, (WIDTH, max(3.6, 1.2 + _ROW * len(found))), widths=[1.3, 1])
-    for place, row in enumerate(found):
-        own = groups.filter(method=row["method"])["value"].drop_nulls().to_list()
-        if len(own) > 1:
-            axis.plot(own, np.full(len(own), place), "|", color=MAIN, markersize=7, alpha=0.7)
-        if row["low"] is not None:
-            axis.plot([row["low"], row["high"]], [place, place], color=MAIN, linewidth=3, alpha=0.35)
-        if row["value"] is not None:
-            axis.plot(row["value"], place, "o", color=MAIN, markersize=5)
-    axis.set_yticks(range(len(found)), [row["method"] for row in found])
-    label = "%, with its interval; ticks: groups held out"
-    axis.set(title="Balanced accuracy", xlabel=label, xlim=(None, 100))
-    axis.xaxis.grid(visible=True)
-    _events(cost, results)
-    return figure
-
-
-def _events(axis: Axes, results: pl.DataFrame) -> None:
-    events = estimates(results, EVENTS, draws=0).pivot("statistic", index="method", values="value")
-    points = events.select("method", "false/min", "delay ms").drop_nulls().rows()
-    for _, alarms, delay in points:
-        axis.plot(alarms, delay, "o", color=MAIN, markersize=5)
-    axis.set_xscale("symlog", linthresh=1)
-    axis.set_xticks(_ALARMS, [f"{tick:g}" for tick in _ALARMS])
-    axis.minorticks_off()
-    most = max([1.0, *(alarms for _, alarms, _ in points)])
-    axis.set(
-        title="Delay against false alarms",
-        xlabel="false alarms per static minute; logarithmic above 1",
-        ylabel="median delay, ms",
-        xlim=(-0.15, 4 * most),
-    )
-    axis.yaxis.grid(visible=True)
-    name_points(axis, points, (4.0, 3.2))
 
 
 def pareto_front(points: pl.DataFrame) -> list[str]:
@@ -101,8 +57,7 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
     figure, (axis,) = grid(1, 1, (WIDTH, 5.6))
     rows = points.select("method", "us/sample", "accuracy %").drop_nulls().rows()
     low, high = min(us for _, us, _ in rows) / 2, max(us for _, us, _ in rows) * 8
-    paper = {name: row[0] for name, row in TABLE_1.items()}
-    values = [*paper.values(), *(accuracy for *_, accuracy in rows)]
+    values = [*TABLE_1.values(), *(accuracy for *_, accuracy in rows)]
     bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter("{x:g}")
@@ -118,7 +73,7 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
     best = [(us, accuracy) for name, us, accuracy in rows if name in front]
     steps = [*best, (high, best[-1][1])]
     axis.plot(*zip(*steps, strict=True), color=MAIN, drawstyle="steps-post", alpha=0.5, label="Pareto front")
-    for name, accuracy in paper.items():
+    for name, accuracy in TABLE_1.items():
         axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
         axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=SOFT,
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip

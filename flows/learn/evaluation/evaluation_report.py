@@ -113,7 +113,7 @@ def _samples(of: Evaluation) -> Section:
     found = estimates(of.results, {**SHARES, **SAMPLES})
     table = estimate_table(found, DECIMALS, intervals=[*BALANCED])
     rows: list[list[Value]] = [
-        [name, accuracy, TABLE_1[PAPER_ROWS[name]][0] if name in PAPER_ROWS else None, *rest]
+        [name, accuracy, TABLE_1[PAPER_ROWS[name]] if name in PAPER_ROWS else None, *rest]
         for name, accuracy, *rest in table.rows
         if isinstance(name, str)
     ]
@@ -123,7 +123,6 @@ def _samples(of: Evaluation) -> Section:
         "Samples: Table I",
         SAMPLES_TEXT,
         [Table(head, rows, decimals=table.decimals)],
-        lambda: figures.overview(of.results),
     )
 
 

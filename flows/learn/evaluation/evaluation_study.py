@@ -29,7 +29,6 @@ from flows.learn.labelled_recordings import (
     common_fingertip,
     hand_label_summary,
     load,
-    targets,
 )
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
@@ -37,7 +36,6 @@ from flows.run.executor import map_tasks, one_thread
 from operators import Debounce
 from operators.batch import SLIP, UNKNOWN, Reals
 from operators.errors import InputError, SlipflowError
-from operators.extras import require_extra
 
 LABEL: Final = "the label"  # as a method, against true sliding
 DEFAULT: Final = "tcn"
@@ -98,12 +96,10 @@ def evaluate(
         log: Receives progress messages.
 
     Raises:
-        InputError: if the train extra is missing, or the dataset, split, group, method or model does not
-            exist, or no method can be judged.
+        InputError: if the dataset, split, group, method or model does not exist, or no method can be judged.
         FingertipError: if the recordings have different fingertips.
         SlipflowError: if a worker died.
     """
-    require_extra("train", "evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
     recordings = _distinct(load(dataset, rate=_RATE if hold_out else None))
@@ -129,7 +125,8 @@ def evaluate(
         log("timing the detectors in turns")
         detectors = {name: method.detector for name, method in found.methods.items()}
         found = replace(found, speeds=speed_results(detectors, chosen, span=speed))
-    label = joined(map(_label_results, chosen)) if len(targets(chosen)) > 1 else joined()
+    true = all(each.sliding is not None for each in chosen)
+    label = joined(map(_label_results, chosen) if true else ())
     return replace(found, notes=notes, label=label)
 
 

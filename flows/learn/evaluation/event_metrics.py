@@ -118,11 +118,6 @@ class EventMetrics:
         return len(self.delays) + self.missed_slips
 
     @property
-    def false_alarms_per_min(self) -> float:
-        """Onsets without a slip per static minute."""
-        return self.false_alarms / self.minutes if self.minutes else float("nan")
-
-    @property
     def missed(self) -> float:
         """Slips without an onset, %."""
         return percent(self.missed_slips, self.slips)

@@ -1,6 +1,7 @@
 """What an evaluation writes down about each recording, and the statistics of its tables."""
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -17,7 +18,7 @@ from flows.learn.evaluation.sample_metrics import (
     f1,
     precision,
 )
-from flows.learn.labelled_recordings import LabelledRecording, labelled_by, targets
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.onsets import match_onsets
 from flows.report.results import (
     Statistic,
@@ -84,8 +85,8 @@ def judged(
         far = known & (distance(recording.label, recording.sampling) >= FAR)
         found |= _confusion(recording, predicted, far, _FAR)
         found |= _distribution(probability[known], recording.slip[known])
-    for target in targets([recording])[1:]:
-        [other] = labelled_by(target, [recording])
+    if recording.sliding is not None:
+        other = replace(recording, label=recording.sliding)
         found |= _confusion(other, predicted, _known(other, probability), SLIDING)
         found |= _events(other, raised, SLIDING)
     return joined([*rows, result_rows(found, condition=condition, **key)])

@@ -8,13 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import (
-    ACTIVITY,
-    ACTIVITY_AND_STEPS,
-    Features,
-    GradientBoosting,
-    Logistic,
-)
+from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, Baseline, Features
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.folds import Fold
 from flows.learn.labelled_recordings import TARGETS
@@ -31,10 +25,7 @@ SHIPPED: Final = "ships"  # origin
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
 _HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
 _PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
-_FITTED: Final[Mapping[str, tuple[type[Logistic | GradientBoosting], Features]]] = {
-    "gradient_boosting": (GradientBoosting, ACTIVITY_AND_STEPS),
-    "logistic": (Logistic, ACTIVITY),
-}
+_FITTED: Final = {"gradient_boosting": ACTIVITY_AND_STEPS, "logistic": ACTIVITY}
 BASELINES: Final = (*_FITTED, *_PSD)
 
 
@@ -140,9 +131,8 @@ def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, 
         psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
         detector = psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
     else:
-        model, usual = _FITTED[name]
-        own = (features or usual).at(sampling)
-        detector = model.fitted(seen(own.length), slip, own)
+        own = (features or _FITTED[name]).at(sampling)
+        detector = Baseline.fitted(name, seen(own.length), slip, own)
     return Method(name, detector, f"fitted to {len(slip)} windows")
 
 

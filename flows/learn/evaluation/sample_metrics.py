@@ -63,12 +63,6 @@ def calibration_gaps(probability: Reals, truth: Flags) -> Reals:
     return np.bincount(bins, probability - truth, BINS).astype(np.float64)
 
 
-def calibration_error(probability: Reals, truth: Flags) -> float:
-    """Compute the mean distance between the probability and the share of slip in ten bins, by samples; %."""
-    gaps = calibration_gaps(probability, truth)
-    return percent(float(np.abs(gaps).sum()), len(probability))
-
-
 def distance(label: Codes, sampling: Sampling) -> Reals:
     """Return the distance of each sample (n,) from the nearest change of the label; (n,) ms.
 

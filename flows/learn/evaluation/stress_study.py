@@ -22,7 +22,6 @@ from flows.learn.evaluation.stress_fields import FIELDS, plan_of, stressed
 from flows.learn.labelled_recordings import simulated_recordings
 from flows.report.results import joined
 from flows.run.executor import map_tasks, one_thread
-from operators.extras import require_extra
 
 NOMINAL: Final = "nominal"  # condition
 PLAN: Final = Plan(repeats=1, rotations=1)  # 16 recordings, 5 minutes
@@ -57,10 +56,9 @@ def stress(
         log: Receives progress messages.
 
     Raises:
-        InputError: if the train extra is missing, or a method or model does not exist.
+        InputError: if a method or model does not exist.
         SlipflowError: if a worker died.
     """
-    require_extra("train", "evaluate --stress")
     candidates = [*ready(trained_methods(models, names)), *baselines(names)]
     log("simulating the recordings to fit to")
     train, validation = (simulated_recordings(training, seed + more) for more in (_FITTING, _TUNING))

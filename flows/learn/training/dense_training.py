@@ -16,11 +16,12 @@ from torch.nn import functional, utils
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP
-from flows.learn.training.augmentation import augmented, stretches
+from flows.learn.training.augmentation import augmented
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn
+from flows.learn.training.trained_model import Progress
 from flows.learn.training.training_crops import Crops
-from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, set_seed, training_device
+from flows.learn.training.training_loop import Trained, TrainingTask, fit, set_seed, training_device
 from flows.run.executor import one_thread
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.detectors import Tcn
@@ -110,9 +111,8 @@ class _DenseTask(TrainingTask):
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.rate * _relative_rate(step, recipe)
         chosen = torch.randint(len(self._first), (recipe.batch,), generator=generator, device=self._device)
-        factor, gain = stretches(recipe.batch, recipe.stretch, generator)  # (b,) each
-        counts, rows = self._crops.stretched(self._first[chosen], factor)
-        counts = counts * gain[:, None, None]
+        rows = self._crops.rows(self._first[chosen])  # (b, n)
+        counts = self._crops.counts[rows].to(torch.float32).transpose(1, 2)  # (b, cells, n)
         counts = augmented(counts, recipe.augmentation, generator, self._fingertip)
         logit = self.network(counts)[:, self._warm_up :]
         evaluated = rows[:, self._warm_up :]

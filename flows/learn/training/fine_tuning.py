@@ -14,8 +14,7 @@ import numpy as np
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.recipe import LONGEST, REAL_TOUCH, Recipe
-from flows.learn.training.trained_model import Check, label_scores
-from flows.learn.training.training_loop import Progress
+from flows.learn.training.trained_model import Check, Progress, label_scores
 from operators.batch import SLIP, STATIC, UNKNOWN, Counts, Reals
 from operators.detectors import Tcn
 from operators.errors import InputError
@@ -115,7 +114,6 @@ def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:
         crop=crop,
         rate=2e-3,
         checks=1,
-        stretch=1,
         augmentation=REAL_TOUCH,
     )
 

@@ -9,22 +9,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.training.augmentation import MIRROR_X, MIRROR_Y
+from flows.learn.training.augmentation import augmented
 from flows.learn.training.paper_networks import paper_network
-from flows.learn.training.recipe import PaperRecipe
+from flows.learn.training.recipe import PAPER_TOUCH, PaperRecipe
+from flows.learn.training.trained_model import Progress
 from flows.learn.training.training_crops import Crops
-from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, training_device
-from operators.batch import BAROMETERS, SLIP, UNKNOWN, Flags, Reals
+from flows.learn.training.training_loop import Trained, TrainingTask, fit, training_device
+from operators.batch import SLIP, UNKNOWN, Flags, Reals
 from operators.errors import InputError
 
 LENGTH: Final = 100  # samples of a window
-# source of each cell's counts, for each symmetry of the pad
-MIRRORED: Final = (
-    MIRROR_X,
-    MIRROR_Y,
-    tuple(MIRROR_X[cell] for cell in MIRROR_Y),  # turned by 180 degrees
-    tuple(range(BAROMETERS)),  # unchanged
-)
 _BLOCK: Final = 1024  # windows evaluated at once
 _ADAM_EPSILON: Final = 1e-7  # Keras's
 
@@ -101,6 +95,7 @@ class _WindowedTask(TrainingTask):
         self._recipe, self._device = recipe, training_device()
         self._windows, self._unseen = Windows(train, self._device), Windows(validation, self._device)
         self._rng = np.random.default_rng(recipe.seed)
+        self._generator = torch.Generator(self._device).manual_seed(recipe.seed)
         self._picked = np.empty(0, np.intp)  # windows of the epoch
         slip = int(self._windows.slip.sum())
         balanced = 2 * min(slip, len(self._windows) - slip)
@@ -116,9 +111,9 @@ class _WindowedTask(TrainingTask):
         if number == 0:
             self._picked = self._windows.balanced(self._rng)
         picked = self._picked[number * recipe.batch : (number + 1) * recipe.batch]
-        counts = varied(self._windows.take(picked), recipe, self._rng)
+        counts = augmented(self._windows.take(picked).transpose(1, 2), PAPER_TOUCH, self._generator)
         slip = torch.as_tensor(self._windows.slip[picked].astype(np.int64)).to(self._device)
-        return torch.nn.functional.cross_entropy(self.network(counts), slip)
+        return torch.nn.functional.cross_entropy(self.network(counts.transpose(1, 2)), slip)
 
     def clip(self) -> None:
         """Limit the norm of the gradient of each array by itself, as Keras does."""
@@ -129,12 +124,3 @@ class _WindowedTask(TrainingTask):
         blocks = np.split(np.arange(len(self._unseen)), range(_BLOCK, len(self._unseen), _BLOCK))
         predicted = torch.cat([self.network(self._unseen.take(block)).argmax(1) for block in blocks])
         return predicted.cpu().numpy() == 1, self._unseen.slip
-
-
-def varied(windows: Tensor, recipe: PaperRecipe, rng: np.random.Generator) -> Tensor:
-    """Mirror or turn some of the windows (k, 100, 6), and add noise to all."""
-    chances = [recipe.mirror] * 3
-    symmetries = rng.choice(len(MIRRORED), len(windows), p=[*chances, 1 - sum(chances)])
-    order = torch.as_tensor(np.array(MIRRORED)[symmetries]).to(windows.device)  # (k, 6)
-    mirrored = windows.gather(2, order[:, None].expand(windows.shape))
-    return mirrored + recipe.noise * torch.randn(windows.shape, device=windows.device)

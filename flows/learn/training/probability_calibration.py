@@ -1,13 +1,12 @@
 """Calibration of a trained network's probability, folded into its output layer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import expit, logit
 
-from flows.learn.evaluation.sample_metrics import calibration_error
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import Arrays
@@ -53,11 +52,6 @@ class Calibration:
         )
         return cls(1 / float(best.x[0]), float(best.x[1]))
 
-    def apply(self, probability: Reals) -> Reals:
-        """Return the calibrated probabilities (k,)."""
-        calibrated: Reals = expit(_logits(probability) / self.temperature + self.bias)
-        return calibrated
-
     def fold(self, arrays: Arrays) -> Arrays:
         """Return weights whose output layer contains the calibration.
 
@@ -70,33 +64,12 @@ class Calibration:
         return {**arrays, **{name: each.astype(arrays[name].dtype) for name, each in changed.items()}}
 
 
-def calibration_of(
-    detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]
-) -> tuple[Calibration, dict[str, Any]]:
-    """Fit the calibration of a detector on validation.
-
-    Returns:
-        The calibration, and its description for the card: expected calibration errors before and after, %.
-    """
-    judged = {split: _judged(detector, parts[split]) for split in ("validation", "test") if parts[split]}
-    found = Calibration.fitted(*judged["validation"])
-    errors = {
-        split: {
-            "before": calibration_error(probability, slip),
-            "after": calibration_error(found.apply(probability), slip),
-        }
-        for split, (probability, slip) in judged.items()
-        if slip.size
-    }
-    return found, {"temperature": found.temperature, "bias": found.bias, "error": errors}
-
-
-def _judged(detector: Detector, recordings: Sequence[LabelledRecording]) -> tuple[Reals, Flags]:
-    """Return probability and truth of all labelled samples that have a probability."""
-    probability = np.concatenate([probabilities(detector, each) for each in recordings])
-    label = np.concatenate([each.label for each in recordings])
+def calibration_of(detector: Detector, validation: Sequence[LabelledRecording]) -> Calibration:
+    """Fit the calibration of a detector to all labelled samples that have a probability."""
+    probability = np.concatenate([probabilities(detector, each) for each in validation])
+    label = np.concatenate([each.label for each in validation])
     known = (label != UNKNOWN) & ~np.isnan(probability)
-    return probability[known], label[known] == SLIP
+    return Calibration.fitted(probability[known], label[known] == SLIP)
 
 
 def _logits(probability: Reals) -> Reals:

@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -36,6 +36,9 @@ class Check:
     loss: float  # mean since the last check, nats
     accuracy: float  # on the validation split, %
     balanced: float  # the same, mean of the two classes, %
+
+
+Progress: TypeAlias = Callable[[int, int, Check | None], object]  # steps done, all steps, new check
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,13 +84,13 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
     """Describe a dataset for the card of a model that was trained on it."""
-    by_hand = {each.name: each.by_hand.version for each in recordings if each.by_hand}
+    by_hand = sum(each.by_hand for each in recordings)
     return {
         "dataset": dataset.resolve().name,
         "sha256": dataset_digest(dataset),
         "recordings": dict(Counter(recording.split for recording in recordings)),
         "samples": sum(map(len, recordings)),
-        **({"hand_labels": by_hand} if by_hand else {}),  # versions by session
+        **({"hand_labels": by_hand} if by_hand else {}),  # samples
     }
 
 

@@ -18,7 +18,14 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe, paper_recipe
-from flows.learn.training.trained_model import Arrays, Check, Model, label_scores, provenance, write_model
+from flows.learn.training.trained_model import (
+    Arrays,
+    Model,
+    Progress,
+    label_scores,
+    provenance,
+    write_model,
+)
 from operators import Debounce
 from operators.batch import s
 from operators.checks import check_choice
@@ -33,7 +40,6 @@ from storage.models import identify_detector
 if TYPE_CHECKING:
     from flows.learn.training.training_loop import Trained
 
-Progress: TypeAlias = Callable[[int, int, Check | None], object]  # steps done, all steps, new check
 Parts: TypeAlias = Mapping[str, Sequence[LabelledRecording]]  # by split
 
 OURS: Final = "tcn"
@@ -106,31 +112,25 @@ def _from_random(
     datasets: Sequence[Path], method: str, parts: Parts, recipe: Recipe | PaperRecipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the weights of a network that was trained from random ones, and the entries for its card."""
-    from flows.learn.training.augmentation import stretched  # noqa: PLC0415 - imports torch
     from flows.learn.training.probability_calibration import calibration_of  # noqa: PLC0415 - imports torch
 
     for split in ("train", "validation"):
         if not parts[split]:
             raise _unusable(datasets, f"five recordings or more, or some with a {split} split")
-    factor = recipe.stretch if isinstance(recipe, Recipe) else 1
-    judged = {
-        split: [stretched(each, factor) for each in parts[split]]
-        for split in ("validation", "test")
-        if parts[split]
-    }
+    judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
     _check_judged(datasets, judged)
     fingertip = parts["train"][0].fingertip
     if method != OURS:
         TAKKTILE.check_fits(method, fingertip)
     trained = _trained(method, parts["train"], judged["validation"], recipe, progress)
-    calibration, about_it = calibration_of(_detector(method, trained.arrays, fingertip), judged)
+    calibration = calibration_of(_detector(method, trained.arrays, fingertip), judged["validation"])
     arrays = calibration.fold(trained.arrays)
     detector = _detector(method, arrays, fingertip)
     return arrays, {
         "recipe": asdict(recipe),
         "scores": {split: label_scores(detector, each) for split, each in judged.items()},
         "debounce": _settings(tuned_on(judged["validation"], detector)),
-        "calibration": about_it,
+        "calibration": asdict(calibration),
         "curve": [asdict(check) for check in trained.curve],
     }
 

@@ -37,18 +37,3 @@ class Crops:
     def rows(self, first: Tensor) -> Tensor:
         """Return the rows (k, length) of crops that begin at rows `first` (k,), on the device."""
         return first[:, None] + self._offsets
-
-    def stretched(self, first: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
-        """Return crops that last `factor` (k,) times as long, up to the same newest sample.
-
-        Returns:
-            Counts (k, cells, length), interpolated linearly, and the nearest row of each sample (k, length).
-        """
-        newest = len(self._offsets) - 1
-        place = newest - (newest - self._offsets) / factor[:, None]  # (k, length) samples from the first on
-        before = place.floor().to(torch.int64)
-        weight = (place - before)[..., None]
-        rows = first[:, None] + before
-        after = self.counts[rows + (weight[..., 0] > 0)].to(torch.float32)
-        counts = torch.lerp(self.counts[rows].to(torch.float32), after, weight)
-        return counts.transpose(1, 2), first[:, None] + place.round().to(torch.int64)

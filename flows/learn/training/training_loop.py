@@ -1,20 +1,18 @@
 """Training loop of all networks: steps of an optimiser, and regular checks on the validation split."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import Any, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from flows.learn.evaluation.sample_metrics import accuracy, balanced, confusion
-from flows.learn.training.trained_model import Arrays, Check
+from flows.learn.training.trained_model import Arrays, Check, Progress
 from operators.batch import Flags
-
-Progress: TypeAlias = Callable[[int, int, Check | None], object]  # steps done, all steps, new check
 
 
 class Network(nn.Module):

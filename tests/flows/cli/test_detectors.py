@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from shutil import copytree
@@ -130,4 +132,48 @@ def test_evaluate_and_train_use_labels_by_hand_and_print_how_many(tiny: Path, tm
     assert done.returncode == 0, done.stderr
     assert "labels by hand: 1,200 of" in done.stderr
     [data] = json.loads((tmp_path / "model.json").read_text())["data"]
-    assert data["hand_labels"] == dict.fromkeys(names, 1)
+    assert data["hand_labels"] == 1200
+
+
+BLOCKED = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Blocked(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {blocked}:
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Blocked())
+from importlib import util
+from operators import extras
+extras.find_spec = lambda name: None if name in {blocked} else util.find_spec(name)
+from flows.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "blocked", "error"),
+    [
+        (["evaluate", "DATA", "--method", "tcn", "--method", "paper_tcn"], {"torch", "onnx", "sklearn"}, ""),
+        (["evaluate", "DATA", "--method", "psd", "--method", "logistic"], {"torch", "onnx", "sklearn"},
+         "not evaluated: logistic: needs scikit-learn: in the clone, pip install -e '.[baselines]'"),
+        (["train", "DATA", "--filters", "2", "--steps", "1"], {"onnx", "sklearn"}, ""),
+        (["train", "DATA"], {"torch"}, "train: needs torch: in the clone, pip install -e '.[train]'"),
+        (["export", "tcn", "tcn.onnx", "--to", "onnx"], {"torch", "sklearn"}, ""),
+        (["export", "tcn", "tcn.onnx", "--to", "onnx"], {"onnx"},
+         "ONNX export: needs onnx: in the clone, pip install -e '.[onnx]'"),
+    ],
+)  # fmt: skip
+def test_a_command_needs_only_the_packages_that_it_uses(
+    tiny: Path, tmp_path: Path, arguments: list[str], blocked: set[str], error: str
+) -> None:
+    code = BLOCKED.replace("{blocked}", repr({*blocked, "onnxruntime"}))
+    given = [str(tiny) if each == "DATA" else each for each in arguments]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *given], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert error in done.stderr
+    left_out = error.startswith("not evaluated")
+    assert (done.returncode == 0) == (not error or left_out), done.stderr

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.alarms.alarm_calibration import PATH, try_settings
-from flows.learn.evaluation.debounce_tuning import joined, tuned
+from flows.learn.evaluation.debounce_tuning import tuned
 from flows.learn.evaluation.event_metrics import Slips
 from flows.learn.evaluation.measures import judged
 from flows.learn.labelled_recordings import LabelledRecording
@@ -88,16 +88,6 @@ def test_the_chosen_settings_take_as_long_at_another_rate(times: int) -> None:
     assert trials[1].rules == tuple(map(Sampling(100.0 * times).rule, PATH))
     np.testing.assert_array_equal(trials[1].alarms, trials[0].alarms)
     np.testing.assert_allclose(trials[1].minutes, trials[0].minutes, atol=1e-3)
-
-
-def test_recordings_are_joined_sample_by_sample_where_their_rates_differ_a_little() -> None:
-    recordings = [scored(seed) for seed in range(3)]
-    fast = [(replace(each, fingertip=replace(TAKKTILE, rate=105.0)), score) for each, score in recordings]
-    mixed = [recordings[0], *fast[1:]]
-    _, alike = joined([score for _, score in recordings], [Slips.labelled(each) for each, _ in recordings])
-    _, found = joined([score for _, score in mixed], [Slips.labelled(each) for each, _ in mixed])
-    np.testing.assert_array_equal(found.found, alike.found)
-    np.testing.assert_array_equal(found.tolerated, alike.tolerated)
 
 
 def test_the_warm_up_is_a_second_or_a_hundred_samples() -> None:

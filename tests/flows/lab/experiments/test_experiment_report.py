@@ -90,10 +90,9 @@ def test_the_json_has_every_estimate(report: Report) -> None:
     assert 90 < first["high"] < 100
 
 
-def test_a_stress_test_has_a_row_for_each_condition_and_a_line_for_each_method() -> None:
+def test_a_stress_test_has_a_row_for_each_condition() -> None:
     conditions = list(conditions_of("lift", stress=True))
     report = experiment_report("lift", lifts(conditions), [OURS, NONE], TRIALS, "command")
     table = rows(report, "stress")
     assert [row["condition"] for row in table] == conditions
     assert table[1] == {"condition": conditions[1], "psd, ours": 75, "psd, none": 0}
-    assert report.sections[-1].svg.count("friction: success %") == 1

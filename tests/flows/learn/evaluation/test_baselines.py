@@ -1,10 +1,11 @@
 import numpy as np
+import pytest
 
 from flows.learn.evaluation.baselines import (
     ACTIVITY,
+    FITS,
     STROKES,
-    GradientBoosting,
-    Logistic,
+    Baseline,
     activity,
     activity_and_steps,
 )
@@ -22,15 +23,10 @@ def shaking(seed: int) -> tuple[Counts, Flags]:
     return windows.astype(np.int16), slip
 
 
-def test_gradient_boosting_detects_shaking() -> None:
+@pytest.mark.parametrize("name", FITS)
+def test_a_baseline_detects_shaking_of_any_cell(name: str) -> None:
     with one_thread():  # as in evaluations; busy cores slow several threads down
-        fitted = GradientBoosting.fitted(*shaking(0))
-    other, truth = shaking(1)
-    assert ((fitted.score(other) > 0.5) == truth).mean() > 0.95
-
-
-def test_logistic_regression_detects_shaking_of_any_cell() -> None:
-    fitted = Logistic.fitted(*shaking(0))
+        fitted = Baseline.fitted(name, *shaking(0), ACTIVITY)
     other, truth = shaking(1)
     assert ((fitted.score(other[:, :, ::-1]) > 0.5) == truth).mean() > 0.95
 

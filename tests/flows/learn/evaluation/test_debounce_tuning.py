@@ -1,11 +1,8 @@
 from dataclasses import astuple
 
 import numpy as np
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from flows.learn.evaluation import debounce_tuning as tuning
-from flows.learn.evaluation.debounce_tuning import joined, tuned
+from flows.learn.evaluation.debounce_tuning import tuned
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
@@ -27,31 +24,8 @@ def recordings(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Rea
     return found, slips
 
 
-@settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 1000),
-    threshold=st.sampled_from(tuning.THRESHOLDS),
-    consecutive=st.integers(1, 5),
-    release=st.integers(1, 12),
-)
-def test_recordings_give_the_same_events_joined_as_one_by_one(
-    seed: int, threshold: float, consecutive: int, release: int
-) -> None:
-    found, slips = recordings(seed)
-    probability, true = joined(found, slips)
-    rule = Debounce(threshold, consecutive, release)
-    quick, events = EventMetrics.of([probability], [true], rule), EventMetrics.of(found, slips, rule)
-    assert (quick.false_alarms, quick.missed_slips, quick.repeats, quick.minutes) == (
-        events.false_alarms,
-        events.missed_slips,
-        events.repeats,
-        events.minutes,
-    )
-    np.testing.assert_array_equal(quick.delays, events.delays)
-
-
 def test_a_larger_budget_is_kept_with_a_margin_for_chance_and_spent_on_less_delay() -> None:
-    found, slips = recordings(2, number=10)
+    found, slips = recordings(2, number=6)
     delays = list[float]()
     for budget in (4.0, 20.0, 80.0):
         events = EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
@@ -63,7 +37,7 @@ def test_a_larger_budget_is_kept_with_a_margin_for_chance_and_spent_on_less_dela
 def test_missed_and_repeated_slips_are_kept_within_their_limits_where_that_can_be() -> None:
     found, slips = recordings(3, noise=0.3)
     events = EventMetrics.of(found, slips, tuned(found, slips))
-    assert events.false_alarms_per_min < 2
+    assert events.false_alarms < 2 * events.minutes
     assert events.missed <= 2
     assert events.repeated <= 2
 

@@ -26,7 +26,7 @@ class Streamed(Windowed):
     pushed: list[Counts | Reals] = field(default_factory=list[Counts | Reals])
 
     def stream(self, fingers: int = 1) -> "Streamed":
-        assert fingers == 3
+        assert fingers == 1
         return self
 
     def push(self, counts: Counts | Reals) -> Reals:
@@ -36,13 +36,13 @@ class Streamed(Windowed):
 
 def test_each_is_given_samples_as_they_come_live() -> None:
     windowed, streamed = Windowed(), Streamed()
-    found = costs({"one": windowed, "other": streamed}, COUNTS, fingers=3, rounds=2, span=1e-4)
+    found = costs({"one": windowed, "other": streamed}, COUNTS, rounds=2, span=1e-4)
     assert found.keys() == {"one", "other"}
     assert all(cost > 0 for cost in found.values())
-    assert {window.shape for window in windowed.seen} == {(3, 20, 6)}
-    np.testing.assert_array_equal(windowed.seen[0][1], COUNTS[:20])
+    assert {window.shape for window in windowed.seen} == {(1, 20, 6)}
+    np.testing.assert_array_equal(windowed.seen[0][0], COUNTS[:20])
     assert not streamed.seen
-    assert {sample.shape for sample in streamed.pushed} == {(1, 3, 6)}
+    assert {sample.shape for sample in streamed.pushed} == {(1, 1, 6)}
     np.testing.assert_array_equal(np.concatenate(streamed.pushed)[:300, 0], COUNTS[: len(streamed.pushed)])
 
 

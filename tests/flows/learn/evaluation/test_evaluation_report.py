@@ -32,10 +32,7 @@ def rows(report: Report, section: str, table: int = 0) -> dict[Value, dict[str, 
 
 def test_sections_tables_and_figures_are_written(report: Report, tmp_path: Path) -> None:
     paths = report.write(tmp_path, "evaluation")
-    assert [path.name for path in paths if path.suffix == ".svg"] == [
-        "evaluation-samples.svg",
-        "evaluation-chart.svg",
-    ]
+    assert [path.name for path in paths if path.suffix == ".svg"] == ["evaluation-chart.svg"]
     names = [section.name for section in report.sections]
     assert names == ["samples", "events", "chart", "sliding", "motions"]
     assert COMMAND in paths[1].read_text()

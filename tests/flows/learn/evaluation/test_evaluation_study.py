@@ -7,7 +7,7 @@ import pytest
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
 from flows.learn.evaluation.measures import BALANCED
 from flows.learn.hold_out_training import learners
-from flows.learn.labelled_recordings import HandLabelled, LabelledRecording, load
+from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trainer import train
@@ -165,6 +165,6 @@ def test_fingertips_of_a_session_are_recordings_of_their_own(
 
 
 def test_labels_by_hand_are_noted(surfaces: list[LabelledRecording], having: Having) -> None:
-    by_hand = replace(surfaces[0], split="test", by_hand=HandLabelled(np.arange(700) < 5, 2))
+    by_hand = replace(surfaces[0], split="test", by_hand=5)
     [note] = evaluate(having([by_hand]), names=["tcn"]).notes
-    assert note == "labels by hand: 5 of 700 samples of steel-0 version 2"
+    assert note == "labels by hand: 5 of 700 samples of 1 recording"

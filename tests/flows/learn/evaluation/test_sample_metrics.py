@@ -7,7 +7,6 @@ from flows.learn.evaluation.baselines import sklearn
 from flows.learn.evaluation.sample_metrics import (
     accuracy,
     balanced,
-    calibration_error,
     confusion,
     distance,
     f1,
@@ -38,7 +37,6 @@ def test_known_predictions_have_the_known_scores() -> None:
 def test_no_samples_have_no_score() -> None:
     found = confusion(np.empty(0, np.bool_), np.empty(0, np.bool_))
     assert all(np.isnan(compute(found)) for compute in (accuracy, balanced, precision, f1))
-    assert np.isnan(calibration_error(np.empty(0), np.empty(0, np.bool_)))
     assert np.isnan(percent(0, 0))
 
 
@@ -53,14 +51,6 @@ def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[int, bool]]
     assert accuracy(found) == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
     if truth.any() and not truth.all():
         assert balanced(found) == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
-
-
-def test_a_calibrated_detector_has_no_error_and_an_overconfident_one_has() -> None:
-    truth = np.arange(100) % 4 == 0
-    assert calibration_error(np.full(100, 0.25), truth) == pytest.approx(0)
-    sure = np.append(np.full(50, 0.05), np.full(50, 1.0))
-    expected = 100 * (0.5 * (13 / 50 - 0.05) + 0.5 * (1 - 12 / 50))
-    assert calibration_error(sure, truth) == pytest.approx(expected)
 
 
 def test_the_nearest_change_counts_whether_before_or_after() -> None:

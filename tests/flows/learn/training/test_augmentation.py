@@ -1,21 +1,10 @@
 from typing import Any, cast
 
 import numpy as np
-import pytest
 import torch
 
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.training.augmentation import (
-    GAIN,
-    MIRROR_X,
-    MIRROR_Y,
-    SPREAD,
-    augmented,
-    stretched,
-    stretches,
-)
-from flows.learn.training.recipe import Augmentation
-from flows.learn.training.training_crops import Crops
+from flows.learn.training.augmentation import augmented
+from flows.learn.training.recipe import PAPER_TOUCH, Augmentation
 
 NOTHING = Augmentation(flip=0.0, gain=0.0, load=0.0, noise=0.0, dead=0.0)
 COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)
@@ -29,12 +18,6 @@ def _augmented(how: Augmentation, counts: torch.Tensor = COUNTS) -> torch.Tensor
 
 def _only(**chances: float) -> Augmentation:
     return Augmentation(**{"flip": 0.0, "gain": 0.0, "load": 0.0, "noise": 0.0, "dead": 0.0} | chances)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("mirror", [MIRROR_X, MIRROR_Y])
-def test_a_mirror_undoes_itself_and_keeps_the_middle_cells_in_place(mirror: tuple[int, ...]) -> None:
-    assert [mirror[cell] for cell in mirror] == list(range(6))
-    assert {mirror[1], mirror[4]} == {1, 4}
 
 
 def test_flips_of_all_crops_turn_the_pad_by_half() -> None:
@@ -76,32 +59,12 @@ def test_counts_stay_whole() -> None:
     assert torch.equal(varied, varied.round())
 
 
-@pytest.fixture
-def ramp() -> LabelledRecording:
-    counts = np.arange(100, dtype=np.int16)[:, None] * np.ones(6, np.int16)
-    return LabelledRecording(counts, (np.arange(100) >= 50).astype(np.int8))
-
-
-def test_a_stretched_recording_is_longer_with_its_labels_in_place(ramp: LabelledRecording) -> None:
-    found = stretched(ramp, 2)
-    assert len(found) == len(found.counts) == 199
-    gain = (GAIN[0] * GAIN[1]) ** 0.5
-    np.testing.assert_allclose(found.counts[:, 0], np.arange(199) / 2 * gain, atol=0.51)
-    assert abs(int(found.label.argmax()) - 100) <= 1
-
-
-def test_crops_end_at_the_same_sample_whatever_their_stretch(ramp: LabelledRecording) -> None:
-    crops = Crops([ramp, ramp], 41, torch.device("cpu"))
-    counts, rows = crops.stretched(torch.tensor([10, 10]), torch.tensor([1.0, 2.0]))
-    np.testing.assert_array_equal(counts[0, 3].numpy(), np.arange(10, 51))
-    np.testing.assert_array_equal(rows[0].numpy(), np.arange(10, 51))
-    np.testing.assert_array_equal(counts[1, 3].numpy(), 30 + np.arange(41) / 2)
-    assert rows[1, 40] == 50
-
-
-def test_stretches_and_gains_stay_in_their_ranges() -> None:
-    factor, gain = stretches(1000, 2, torch.Generator())
-    assert 2 / SPREAD <= factor.min() < 1.6
-    assert 2.5 < factor.max() <= 2 * SPREAD
-    assert GAIN[0] <= gain.min() < gain.max() <= GAIN[1]
-    assert (stretches(3, 1, torch.Generator())[0] == 1).all()
+def test_the_papers_networks_see_each_symmetry_of_the_pad_equally_often_with_noise() -> None:
+    cells = 100 * torch.arange(6).expand(4000, 100, 6).float().transpose(1, 2)
+    counts = _augmented(PAPER_TOUCH, cells).numpy()
+    cell = np.rint(counts / 100)
+    assert (cell == cell[:, :, :1]).all()  # a window moves as a whole
+    pad = np.array([[5, 4, 3], [0, 1, 2]])  # as it lies
+    for symmetry in (pad, pad[:, ::-1], pad[::-1], pad[::-1, ::-1]):
+        assert 0.22 < (cell[:, pad.ravel(), 0] == symmetry.ravel()).all(axis=1).mean() < 0.28
+    assert 0.49 < (counts - 100 * cell).std() < 0.51  # counts

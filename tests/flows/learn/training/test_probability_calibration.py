@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import expit
+from scipy.special import expit, logit
 
-from flows.learn.evaluation.sample_metrics import calibration_error
-from flows.learn.labelled_recordings import by_split, labelled_by, load
+from flows.learn.labelled_recordings import by_split, load
 from flows.learn.training.probability_calibration import Calibration, calibration_of
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trainer import train
@@ -25,7 +24,6 @@ def test_a_known_temperature_and_bias_are_found_again(temperature: float, bias: 
     found = Calibration.fitted(expit(logits), slip)
     assert found.temperature == pytest.approx(temperature, rel=0.15)
     assert found.bias == pytest.approx(bias, abs=0.15)
-    assert calibration_error(found.apply(expit(logits)), slip) < 2
 
 
 @pytest.mark.parametrize(
@@ -38,7 +36,7 @@ def test_folded_weights_give_the_calibrated_probability(name: str, kind: type[Tc
     calibration = Calibration(1.7, -0.4)
     before, after = kind(weights), kind(calibration.fold(weights))
     windows = np.random.default_rng(0).normal(0, 30, (50, before.length, 6)).round().astype(np.int16)
-    expected = calibration.apply(before.score(windows))
+    expected = expit(logit(before.score(windows)) / 1.7 - 0.4)
     np.testing.assert_allclose(after.score(windows), expected, atol=1e-5)
     assert np.ptp(expected) > 0.001
 
@@ -59,12 +57,7 @@ def test_the_card_states_the_calibration_that_the_weights_contain(tiny: Path, tm
 
     out = tmp_path / "model.safetensors"
     train([tiny], out, recipe=replace(Recipe(), filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2))
-    stated = load_card(out)["calibration"]
-    assert stated["temperature"] != 1
-    assert stated["error"]["validation"]["after"] <= stated["error"]["validation"]["before"] + 1
-    parts = by_split(labelled_by("arm-speed", load(tiny), "tiny"))
-    again, measured = calibration_of(load_detector(out), parts)
+    assert load_card(out)["calibration"]["temperature"] != 1
+    again = calibration_of(load_detector(out), by_split(load(tiny))["validation"])
     assert again.temperature == pytest.approx(1, abs=0.02)
     assert again.bias == pytest.approx(0, abs=0.02)
-    for split, errors in stated["error"].items():
-        assert measured["error"][split]["before"] == pytest.approx(errors["after"], abs=0.05)

@@ -36,18 +36,6 @@ def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
 
 
-def test_a_stretched_model_has_a_longer_window(tiny: Path, tmp_path: Path) -> None:
-    out = tmp_path / "model.safetensors"
-    model = train([tiny], out, recipe=replace(SMALL, steps=6).stretched_by(2))
-    tcn = load_detector(out)
-    assert isinstance(tcn, Tcn)
-    assert tcn.length == 198
-    assert model.card["recipe"]["stretch"] == 2
-    unstretched = [recording for recording in load(tiny) if recording.split == "test"]
-    assert model.card["scores"]["test"] != label_scores(tcn, unstretched)
-    assert SMALL.stretched_by(1) is SMALL
-
-
 def test_a_network_of_the_paper_is_trained_by_its_recipe(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
