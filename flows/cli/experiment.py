@@ -73,7 +73,7 @@ def experiment(
     with workers(jobs, cluster) as executor:
         if tune:
             with progress_bar("tuning") as update:
-                methods = list(tuned(methods, tune, executor=executor, progress=update))
+                methods = tuned(methods, tune, executor=executor, progress=update)
         with progress_bar(name) as update:
             results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
     command = command_line()

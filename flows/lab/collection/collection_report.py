@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from flows.lab.collection.arm_path import Extent
 from flows.lab.collection.collector import Collector
-from flows.lab.collection.stroke_plan import PlannedPath, StrokeSeries
+from flows.lab.collection.stroke_plan import PlannedPath
 
 
 def path_text(path: PlannedPath) -> str:
@@ -17,14 +17,12 @@ def path_text(path: PlannedPath) -> str:
         rows.append(f"{size}   {_spans(extent.low, extent.high)} {each.split}")
     whole, strokes = path.extent, sum(len(each.strokes) for each in path.series)
     minutes = f"{whole.seconds / 60:.1f} min"
-    contact = f"{sum(map(_contact_seconds, path.series)) / 60:.1f} min"
     return "\n".join(
         [
             head,
             *rows,
             f"{'total':28} {strokes:7} {minutes:>8}   {_spans(whole.low, whole.high)}".rstrip(),
             f"{'workspace':47} {_spans(path.low, path.high)}".rstrip(),
-            f"{'in contact':28} {contact:>16}; the rest is baselines and moves through the air",
             f"pressed {1000 * path.plan.path.depth:g} mm after first contact",
         ]
     )
@@ -42,13 +40,6 @@ def result_text(result: Collector) -> str:
         rows.append(f"{run.session:40} {counts}{''.join(notes)}")
     many = "session" if len(rows) == 1 else "sessions"
     return "\n".join([*rows, f"{result.driver.strokes} strokes in {len(rows)} {many}"])
-
-
-def _contact_seconds(series: StrokeSeries) -> float:
-    """Return the time for which the strokes of a series touch the surface, s."""
-    begin = series.begin.pose
-    downs = [(stroke, Extent.of(stroke.approach, begin).end) for stroke in series.strokes]
-    return sum(Extent.of(stroke.contact, down).seconds for stroke, down in downs)
 
 
 def _spans(low: Sequence[float], high: Sequence[float]) -> str:

@@ -79,33 +79,19 @@ async def _check_sampling(touch: Source[Touch], clock: Clock) -> None:
 
 @dataclass
 class Collector:
-    """Recorder of series of strokes, one session each.
-
-    Attributes:
-        path: Path of the plan.
-        arm: Arm that makes the strokes; `collect` opens and closes it.
-        touch: Source of the fingertips.
-        motion: Source of the arm's motion.
-        out: Folder of the dataset.
-        clock: Clock of all sessions.
-        log: Called with progress messages.
-        driver: Driver of the arm.
-        runs: One run for each series so far.
-        error: Reason why the arm was stopped; empty: it was not.
-        interrupted: True after `interrupt`.
-    """
+    """Recorder of series of strokes, one session each."""
 
     path: PlannedPath
-    arm: Arm
+    arm: Arm  # makes the strokes; `collect` opens and closes it
     touch: Source[Touch]
     motion: Source[Motion]
-    out: Path
-    clock: Clock
+    out: Path  # folder of the dataset
+    clock: Clock  # of all sessions
     log: Callable[[str], None] = lambda _: None
     driver: StrokeDriver = field(init=False)
-    runs: list[Run] = field(default_factory=list[Run], init=False)
-    error: str = field(default="", init=False)
-    interrupted: bool = field(default=False, init=False)
+    runs: list[Run] = field(default_factory=list[Run], init=False)  # one for each series so far
+    error: str = field(default="", init=False)  # why the arm was stopped; empty: it was not
+    interrupted: bool = field(default=False, init=False)  # True after `interrupt`
     _runner: LiveRunner | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:

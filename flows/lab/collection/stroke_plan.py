@@ -267,19 +267,12 @@ class CollectionPlan:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPath:
-    """Path of a plan and its workspace.
-
-    Attributes:
-        plan: The plan.
-        series: All series of strokes.
-        extent: Extent of the path, from the arm's pose if it is known.
-        low, high: Lowest and highest corner of the workspace, m: as planned, or the path with its margin.
-    """
+    """Path of a plan and its workspace, as planned, or the path with its margin."""
 
     plan: CollectionPlan
     series: tuple[StrokeSeries, ...]
-    extent: Extent
-    low: Point
+    extent: Extent  # from the arm's pose if it is known
+    low: Point  # corner of the workspace, m
     high: Point
 
     @classmethod

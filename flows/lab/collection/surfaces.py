@@ -22,19 +22,15 @@ _SPACING: Final = 0.002  # m, between the points along an arc
 class Surface:
     """A surface; a table [[surfaces]] of a plan file.
 
-    Attributes:
-        shape: One of plane, sphere, cylinder_x, cylinder_y (axis along the fingertip's x or y).
-        radius: Radius of a curved surface, m.
-        pose: TCP pose at which the fingertip just touches the middle of the surface, its highest point; None:
-            the arm's pose at the start, see `located`.
+    In its pose the fingertip just touches the middle of the surface, its highest point.
 
     Raises:
         ParameterError: on an unknown shape, or a radius out of range.
     """
 
-    shape: Curvature = "plane"
-    radius: Length = RADIUS
-    pose: Pose | None = None
+    shape: Curvature = "plane"  # cylinder_x and cylinder_y: axis along the fingertip's x or y
+    radius: Length = RADIUS  # of a curved surface
+    pose: Pose | None = None  # of the TCP; None: the arm's pose at the start, see `located`
 
     def __post_init__(self) -> None:
         check_choice("Surface", "shape", self.shape, get_args(Curvature))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -17,15 +17,6 @@ from operators.detectors import Detector
 
 SEED: Final = 800_000  # far from the seeds of training and test
 THRESHOLDS: Final = 1 / (1 + np.exp(-np.arange(-4, 8.01, 0.25)))  # tried
-
-
-@dataclass(frozen=True, slots=True)
-class Tuned:
-    """A threshold and what it reaches on the validation trials."""
-
-    threshold: float  # of the probability
-    success: float  # %
-    false_slip_firm: float  # %
 
 
 def validation_trial(seed: int) -> Trial:
@@ -47,7 +38,7 @@ def tuned(
     seed: int = SEED,
     executor: Executor | None = None,
     progress: Callable[[int, int], object] = lambda _done, _total: None,
-) -> dict[Method, Tuned]:
+) -> list[Method]:
     """Tune the threshold of each method on the same tap trials.
 
     Args:
@@ -58,24 +49,21 @@ def tuned(
         progress: Called with the number of trials, and their total.
 
     Returns:
-        What each method reaches; the keys have the tuned thresholds.
+        The methods with their tuned thresholds.
     """
     traces = list(map_tasks(_trace, range(seed, seed + count), executor, progress=progress))
-    found = [best_threshold(load_rival(method.detector), traces) for method in methods]
-    return {
-        replace(method, threshold=each.threshold): each for method, each in zip(methods, found, strict=True)
-    }
+    return [
+        replace(method, threshold=best_threshold(load_rival(method.detector), traces)) for method in methods
+    ]
 
 
-def best_threshold(detector: Detector, traces: Sequence[Trace]) -> Tuned:
+def best_threshold(detector: Detector, traces: Sequence[Trace]) -> float:
     """Return the threshold of highest success in tap trials, the middle one of equally good ones."""
     scored = [trace.scored(detector) for trace in traces]
     outcomes = [[judge_tap(each, StepGrip(threshold=t)) for each in scored] for t in THRESHOLDS.tolist()]
     success = np.array([[outcome.success for outcome in row] for row in outcomes]).mean(axis=1)
     best = np.flatnonzero(success == success.max())
-    chosen = int(best[len(best) // 2])
-    false = float(np.mean([outcome.false_firm for outcome in outcomes[chosen]]))
-    return Tuned(float(THRESHOLDS[chosen]), 100 * float(success[chosen]), 100 * false)
+    return float(THRESHOLDS[best[len(best) // 2]])
 
 
 def _trace(seed: int) -> Trace:

@@ -1,7 +1,6 @@
 """Models whose card has debounce settings for a rate of false alarms."""
 
 import hashlib
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 
 from flows.learn.alarms.alarm_calibration import Calibrated, calibrated, try_settings
 from flows.learn.datasets import learned_from
+from flows.learn.evaluation.folds import repeated
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import provenance
@@ -89,7 +89,8 @@ def calibrate_model(
         raise InputError(
             "calibrate", "no recordings are left: give recordings that the model has not learned from"
         )
-    _check_distinct(recordings)
+    if twice := repeated(recordings, [f"recording {number}" for number in range(1, len(recordings) + 1)]):
+        raise InputError("calibrate", f"{twice[0]}: give each recording once")
     log(f"scoring {counted(len(recordings), 'recording')}")
     trials = try_settings(recordings, [probabilities(detector, one) for one in recordings])
     found = calibrated(trials, rate, confidence)
@@ -118,19 +119,6 @@ def _unseen(
     left_out = counted(len(recordings) - len(kept), "recording")
     log(f"left out {left_out} of {path}: {model} has learned from them")
     return kept
-
-
-def _check_distinct(recordings: Sequence[LabelledRecording]) -> None:
-    """Check that no recording is given twice, which would show a rate with more confidence than there is.
-
-    Raises:
-        InputError: if two recordings have the same samples.
-    """
-    digests = [hashlib.sha256(each.counts.tobytes()).digest() for each in recordings]
-    twice = {digest for digest, count in Counter(digests).items() if count > 1}
-    names = [each.name for each, digest in zip(recordings, digests, strict=True) if digest in twice]
-    if names:
-        raise InputError("calibrate", f"{' and '.join(names[:2])} are the same: give each recording once")
 
 
 def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -1,11 +1,10 @@
 """Figures of an evaluation: accuracy and events of all methods, speed against accuracy, and stress."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import Final
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from flows.learn.evaluation.published import TABLE_1
 from flows.learn.evaluation.stress_fields import FIELDS
@@ -24,11 +23,9 @@ from flows.report.figures import (
     styled,
 )
 
-_ROW: Final = 0.24  # inches
 _COLUMNS: Final = 4  # panels in a row
 _MARKS: Final = "osD^vP*X"
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
-_ALARMS: Final = (0, 0.5, 1, 2, 5, 10, 20, 50, 100)  # false alarms per static minute
 
 
 def pareto_front(points: pl.DataFrame) -> list[str]:
@@ -55,33 +52,34 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
         front: Methods on the Pareto front.
     """
     figure, (axis,) = grid(1, 1, (WIDTH, 5.6))
-    rows = points.select("method", "us/sample", "accuracy %").drop_nulls().rows()
+    errors = points.select("method", "us/sample", 100 - pl.col("accuracy %")).drop_nulls()
+    rows = errors.rows()
     low, high = min(us for _, us, _ in rows) / 2, max(us for _, us, _ in rows) * 8
-    values = [*TABLE_1.values(), *(accuracy for *_, accuracy in rows)]
-    bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
+    shown = [*(100 - each for each in TABLE_1.values()), *(error for *_, error in rows)]  # errors, %
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter("{x:g}")
-    axis.set_yscale("function", functions=(_stretch, _shrink))
-    axis.set_yticks([tick for tick in _TICKS if bottom <= _stretch([tick])[0] <= top])
+    axis.set_yscale("log")
+    axis.set_yticks([100 - tick for tick in _TICKS], _TICKS)
+    axis.yaxis.minorticks_off()
     axis.set(
         xlim=(low, high),
-        ylim=_shrink([bottom, top]),
+        ylim=(max(shown) + 4, max(min(shown) - 1, 0.5)),
         xlabel="CPU us per sample, batch 1, one core",
         ylabel="accuracy, % (logarithmic scale of the error)",
         title="Speed against accuracy",
     )
-    best = [(us, accuracy) for name, us, accuracy in rows if name in front]
+    best = [(us, error) for name, us, error in rows if name in front]
     steps = [*best, (high, best[-1][1])]
     axis.plot(*zip(*steps, strict=True), color=MAIN, drawstyle="steps-post", alpha=0.5, label="Pareto front")
     for name, accuracy in TABLE_1.items():
-        axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
-        axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=SOFT,
+        axis.axhline(100 - accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
+        axis.annotate(f"paper's {name}, {accuracy:g} %", (1, 100 - accuracy), (-2, 2), color=SOFT,
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
     axis.grid(visible=True)
     axis.set_axisbelow(True)
-    for name, us, accuracy in rows:
+    for name, us, error in rows:
         colour = MAIN if name in front else INK
-        axis.plot(us, accuracy, "o", color=colour, markerfacecolor=colour if name in front else GROUND)
+        axis.plot(us, error, "o", color=colour, markerfacecolor=colour if name in front else GROUND)
     name_points(axis, rows, (10.0, 4.6))
     axis.legend(loc="lower right")
     return figure
@@ -121,13 +119,3 @@ def stress_panels(balanced: pl.DataFrame) -> Figure:
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=min(len(names), 6))
     figure.supylabel("balanced accuracy, %")
     return figure
-
-
-def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert accuracy, %, to minus the logarithm of the error, %."""
-    return -np.log(np.maximum(100 - np.asarray(accuracy, np.float64), 0.1))
-
-
-def _shrink(stretched: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert back to accuracy, %; the inverse of `_stretch`."""
-    return 100 - np.exp(-np.asarray(stretched, np.float64))

@@ -59,16 +59,14 @@ def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) ->
     Raises:
         InputError: if a file does not hold the weights of a detector, or a name is unknown.
     """
-    found = {method.name: method for method in map(_shipped, shipped_names())}
-    given: list[str] = []
+    known = (*shipped_names(), *BASELINES)
+    if unknown := sorted({*names} - {*known, *TRAINED}):
+        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join(known)}")
+    judged = [name for name in known if not names or name in names]
+    found = [_shipped(name) for name in judged if name not in BASELINES]
     for path in models:
-        method = _of_file(path, found)
-        found[method.name] = method
-        given.append(method.name)
-    unknown = sorted({*names} - {*found, *BASELINES, *TRAINED})
-    if unknown:
-        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join([*found, *BASELINES])}")
-    return [method for name, method in found.items() if not names or name in {*names, *given}]
+        found.append(_of_file(path, {*judged, *(each.name for each in found)}))
+    return found
 
 
 def ready(methods: Sequence[Method]) -> list[Candidate]:
@@ -148,9 +146,7 @@ def _shipped(name: str) -> Method:
 
 
 def _of_file(path: Path, taken: Collection[str]) -> Method:
-    """Load a model under the name of its detector, or of its file if that name is taken."""
-    detector = load_detector(path)
-    names = (detector.name, path.stem, *(f"{path.stem}_{number}" for number in range(2, 100)))
-    name = next(name for name in names if name not in {*taken, *BASELINES})
+    """Load a model under the name of its file, or its path as given if that name is taken."""
+    name = str(path) if path.stem in taken else path.stem
     card = load_card(path)
-    return Method(name, detector, path.name, load_debounce(path), card.get("target"), card)
+    return Method(name, load_detector(path), path.name, load_debounce(path), card.get("target"), card)

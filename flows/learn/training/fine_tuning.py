@@ -14,7 +14,7 @@ import numpy as np
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.recipe import LONGEST, REAL_TOUCH, Recipe
-from flows.learn.training.trained_model import Check, Progress, label_scores
+from flows.learn.training.trained_model import Check, Progress
 from operators.batch import SLIP, STATIC, UNKNOWN, Counts, Reals
 from operators.detectors import Tcn
 from operators.errors import InputError
@@ -37,13 +37,12 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True)
 class FineTuned:
-    """Network that was trained further, compared with the network that it comes from."""
+    """Network that was trained further."""
 
     tcn: Tcn
     alignment: Alignment
     curve: Sequence[Check]
-    before: dict[str, float]  # `label_scores` of the old network on the held-out part
-    after: dict[str, float]  # the same of the new one
+    held_out: Sequence[LabelledRecording]  # for the comparison of both networks
 
 
 def fine_tune(
@@ -91,8 +90,7 @@ def fine_tune(
     trained = train_dense(learned, held_out, further(start, recipe, [*map(len, learned)]), progress, start)
     result = type(tcn)(trained.arrays)
     result.fingertip = tcn.fingertip
-    before, after = (label_scores(each, held_out) for each in (tcn, result))
-    return FineTuned(result, alignment, trained.curve, before, after)
+    return FineTuned(result, alignment, trained.curve, held_out)
 
 
 def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:

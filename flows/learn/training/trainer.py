@@ -146,10 +146,11 @@ def _from_model(
     if not learned:
         raise InputError("train", "all recordings are in the test split: give some to learn from")
     found = fine_tune(parent, learned, held_out, recipe, progress)
+    compared = {"before": parent, "after": found.tcn}
     return found.tcn.weights, {
         "recipe": asdict(recipe),
         "alignment": asdict(found.alignment),
-        "scores": {"before": found.before, "after": found.after},
+        "scores": {name: label_scores(each, found.held_out) for name, each in compared.items()},
         "debounce": _settings(tuned_on(learned, found.tcn)),
         "curve": [asdict(check) for check in found.curve],
     }

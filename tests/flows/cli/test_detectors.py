@@ -28,10 +28,10 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     rows = found["sections"]["samples"]["tables"][0]["rows"]
-    assert {row["method"] for row in rows} == {"psd", "tcn_2"}
+    assert {row["method"] for row in rows} == {"psd", "tcn"}
     assert all(50 < row["accuracy %"] < 100 for row in rows)
     names = {path.name for path in (tmp_path / "evaluation").iterdir()}
-    assert names == {"evaluation.html", "evaluation.json", "evaluation.md", "evaluation-samples.svg"}
+    assert names == {"evaluation.html", "evaluation.json", "evaluation.md"}
     markdown = (tmp_path / "evaluation" / "evaluation.md").read_text()
     assert markdown.endswith(f"    slipflow evaluate {tiny} --method psd --method {model} --json\n")
     assert "| rotation" in markdown

@@ -222,4 +222,4 @@ def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:
     assert piece.counts.tolist() == whole.counts[100:300].tolist()
     assert (piece.sliding is None) == (whole.sliding is None)
     assert piece.strokes is None
-    assert piece.by_hand is None
+    assert not piece.by_hand

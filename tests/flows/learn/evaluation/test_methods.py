@@ -89,13 +89,13 @@ def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[La
     assert choose_debounce(psd, replace(fold, validation=[])) == (PAPER_RULE, "the paper")
 
 
-def test_a_model_is_named_as_its_detector_and_the_next_of_its_kind_as_its_file(tmp_path: Path) -> None:
+def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path: Path) -> None:
     files = [model(tmp_path / f"{name}.safetensors") for name in ("one", "two")]
     folder = tmp_path / "again"
     folder.mkdir()
-    files.append(model(folder / "two.safetensors"))
+    files += [model(folder / f"{name}.safetensors") for name in ("two", "tcn")]  # tcn ships
     names = [method.name for method in trained_methods(files)]
-    assert names == [*shipped_names(), "one", "two", "two_2"]  # the paper's network ships: its name is taken
+    assert names == [*shipped_names(), "one", "two", str(files[2]), str(files[3])]
 
 
 def test_an_unknown_method_is_refused() -> None:

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
@@ -14,7 +13,6 @@ from flows.learn.evaluation.stress_study import NOMINAL, condition_name, every_c
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
-from flows.run.executor import workers
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
 SEED = 7
@@ -63,22 +61,6 @@ def test_the_numbers_are_those_of_the_stressed_recordings(found: Evaluation) -> 
         for each in recordings
     )
     assert under(found, "friction", 0.3).equals(expected)
-
-
-def test_two_processes_find_what_one_finds(found: Evaluation, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stress_study, "FIELDS", {"dead": replace(FIELDS["dead"], values=(0, 1))})
-    done = list[tuple[int, int]]()
-    with workers(2) as executor:
-        again = stress(
-            names=["psd"],
-            seed=SEED,
-            plan=TINY,
-            training=TINY,
-            executor=executor,
-            progress=lambda number, of: done.append((number, of)),
-        )
-    assert done == [(number, 2) for number in range(3)]
-    assert again.results.equals(pl.concat([under(found, "dead", 0), under(found, "dead", 1)]))
 
 
 def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,22 +34,6 @@ def test_the_same_seed_gives_the_same_weights_and_another_gives_others(
     assert not np.array_equal(first["conv0/kernel"], other["conv0/kernel"])
 
 
-def test_training_takes_one_thread_and_restores_their_number(recordings: list[LabelledRecording]) -> None:
-    had, seen = torch.get_num_threads(), list[int]()
-
-    def count_threads(_done: int, _all: int, _check: object) -> None:
-        seen.append(torch.get_num_threads())
-
-    torch.set_num_threads(3)
-    try:
-        recipe = replace(SMALL, steps=3)
-        train_dense(recordings[:4], recordings[4:], recipe, count_threads)
-        assert set(seen) == {1}
-        assert torch.get_num_threads() == 3
-    finally:
-        torch.set_num_threads(had)
-
-
 def test_training_ends_when_validation_does_not_improve(recordings: list[LabelledRecording]) -> None:
     recipe = replace(SMALL, steps=400, checks=100, patience=3)
     curve = train_dense(recordings[:4], recordings[4:], recipe).curve

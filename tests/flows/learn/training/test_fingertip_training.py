@@ -2,7 +2,6 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from flows.learn.evaluation.evaluation_study import evaluate
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.learn.training import trainer
-from flows.learn.training.onnx_export import export_onnx
 from flows.learn.training.recipe import Recipe
 from operators import Score, Zeroed, ms
 from operators.detectors import Psd, Tcn
@@ -64,17 +62,6 @@ def test_a_model_of_16_cells_states_its_fingertip_and_streams_as_it_scores_windo
     assert scores.probability == pytest.approx(detector.score(windows), abs=1e-5)
     with pytest.raises(FingertipError, match=r"pad\S* needs 16 cells, .*; the data has 6 cells"):
         probabilities(detector, recordings(TAKKTILE)[3])
-
-
-def test_a_model_of_16_cells_is_exported_as_onnx(trained: Path, tmp_path: Path) -> None:
-    runtime: Any = pytest.importorskip("onnxruntime")
-    detector = load_detector(trained)
-    assert isinstance(detector, Tcn)
-    export_onnx(detector, tmp_path / "pad.onnx")
-    windows = recordings(PAD)[0].counts[: 3 * detector.length].reshape(3, detector.length, 16)
-    session = runtime.InferenceSession(str(tmp_path / "pad.onnx"))
-    [probability] = session.run(None, {"counts": windows.astype(np.float32)})
-    assert probability == pytest.approx(detector.score(windows), abs=1e-4)
 
 
 def test_recordings_of_different_rates_are_not_trained_on_together(
