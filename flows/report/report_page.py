@@ -29,6 +29,7 @@ class Section:
     text: str  # how it was measured
     tables: Sequence[Table] = ()
     draw: Callable[[], Figure] | None = None  # called at most once, and only if matplotlib is installed
+    folded: bool = False  # in HTML, until a reader opens it
 
     @cached_property
     def svg(self) -> str:
@@ -36,9 +37,9 @@ class Section:
         return "" if self.draw is None or missing_matplotlib() else svg(self.draw())
 
     def markdown(self, figure: str) -> str:
-        """Return the section as Markdown; the file `figure` holds its figure."""
+        """Return the section without its heading as Markdown; `figure` is the address of its figure."""
         shown = [f"![{self.finding}]({figure})"] if self.svg else []
-        return "\n\n".join([f"## {self.finding}", self.text, *shown, *(t.markdown() for t in self.tables)])
+        return "\n\n".join(filter(None, [self.text, *shown, *(t.markdown() for t in self.tables)]))
 
 
 @dataclass(frozen=True)
@@ -53,20 +54,22 @@ class Report:
 
     def markdown(self, name: str) -> str:
         """Return the page as Markdown; figures are files next to NAME.md."""
-        parts = [section.markdown(_figure_file(name, section)) for section in self.sections]
+        parts = [f"## {each.finding}\n\n{each.markdown(_figure_file(name, each))}" for each in self.sections]
         head = filter(None, [f"# {self.title}", self.text])
         return "\n\n".join([*head, *parts, "Printed by:", f"    {self.command}"]) + "\n"
 
     def html(self) -> str:
         """Return one self-contained HTML page; its figures are images in the page."""
-        body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.markdown("report"))
+        markdown, parts = (
+            MarkdownIt("commonmark", {"html": False}).enable("table"),
+            list[tuple[Section, str]](),
+        )
         for section in self.sections:
-            if section.svg:
-                image = b64encode(section.svg.encode()).decode()
-                source = f'src="{_figure_file("report", section)}"'
-                body = body.replace(source, f'src="data:image/svg+xml;base64,{image}"')
+            image = b64encode(section.svg.encode()).decode()
+            body = markdown.render(section.markdown("figure"))
+            parts.append((section, body.replace('src="figure"', f'src="data:image/svg+xml;base64,{image}"')))
         page = Environment(autoescape=True).from_string(_TEMPLATE.read_text(encoding="utf-8"))
-        return page.render(title=self.title, body=body)
+        return page.render(title=self.title, text=self.text, parts=parts, command=self.command)
 
     def json(self) -> dict[str, Any]:
         """Return facts and tables as JSON data; unknown values are null."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from math import isfinite
 from typing import Any, Final, TypeAlias
 
@@ -32,19 +33,21 @@ class Table:
     decimals: Mapping[str, int | None] = field(default_factory=dict[str, int | None])  # by column
 
     def markdown(self) -> str:
-        """Return a padded Markdown table, which also reads as plain text."""
-        head, *texts = ([cell.replace("|", r"\|") for cell in line] for line in (self.head, *self._texts()))
+        """Return a padded Markdown table, which also reads as plain text, without empty columns."""
+        known = [not n or any(show(row[n]) != UNKNOWN for row in self.rows) for n in range(len(self.head))]
+        lines = [[*compress(line, known)] for line in (self.head, *self._texts())]
+        head, *texts = ([cell.replace("|", r"\|") for cell in line] for line in lines)
         widths = [max(3, *(len(line[column]) for line in [head, *texts])) for column in range(len(head))]
-        left = self._left()
+        left = [*compress(self._left(), known)]
         rule = ["-" * w if text else "-" * (w - 1) + ":" for w, text in zip(widths, left, strict=True)]
-        lines = [
+        rows = [
             " | ".join(
                 cell.ljust(w) if text else cell.rjust(w)
                 for cell, w, text in zip(line, widths, left, strict=True)
             )
             for line in (head, rule, *texts)
         ]
-        table = "\n".join(f"| {line} |" for line in lines)
+        table = "\n".join(f"| {row} |" for row in rows)
         return f"{self.caption}\n\n{table}" if self.caption else table
 
     def json(self) -> dict[str, Any]:

@@ -92,10 +92,16 @@ def experiment_report(
             "Success and false slips",
             _NOTES[experiment],
             [table],
-            lambda: trial_figure(experiment, methods[0], trials),
         ),
         Section("objects", "Success by object, %", "", [_objects(experiment, nominal, trials)]),
-        Section("failures", "Failed trials by ending", "", [_endings(nominal)]),
+        Section("failures", "Failed trials by ending", "", [_endings(nominal)], folded=True),
+        Section(
+            "trial",
+            "An example trial",
+            "",
+            draw=lambda: trial_figure(experiment, methods[0], trials),
+            folded=True,
+        ),
     ]
     if len(results) > len(nominal):
         sections.append(_breaking_points(results))
@@ -147,7 +153,7 @@ def _breaking_points(results: pl.DataFrame) -> Section:
     note = (
         "One setting differs from nominal: factors of friction, mass, contact and pad stiffness; added delay."
     )
-    return Section("stress", "Where each method breaks", note, tables)
+    return Section("stress", "Where each method breaks", note, tables, folded=True)
 
 
 @styled

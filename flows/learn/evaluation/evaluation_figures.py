@@ -81,7 +81,7 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
         colour = MAIN if name in front else INK
         axis.plot(us, error, "o", color=colour, markerfacecolor=colour if name in front else GROUND)
     name_points(axis, rows, (10.0, 4.6))
-    axis.legend(loc="lower right")
+    axis.legend(loc="lower left")
     return figure
 
 

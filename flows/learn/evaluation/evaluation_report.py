@@ -28,18 +28,21 @@ from flows.report.results import Statistic, estimate_table, estimates
 from flows.report.table import Table, Value, counted
 from operators import Debounce
 
+DETECTORS_TEXT: Final = (
+    "Balanced: mean of the shares of slip and of static samples that are recognised. False alarms per static "
+    "minute. Delay: median from the change of the label to the event. 95 %: interval over recordings."
+)
 SAMPLES_TEXT: Final = (
     "Accuracy, precision and F1 as in the paper's Table I: averages over both classes, weighted by their "
-    "share. Balanced: mean of the shares of slip and of static that are recognised; far: the same 100 ms "
-    "or more from any change of the label. Calibration error: mean distance between probability and share"
-    " of slip in ten bins. 95 %: interval over recordings."
+    "share. Far: balanced accuracy 100 ms or more from any change of the label. Calibration error: mean "
+    "distance between probability and share of slip in ten bins."
 )
 EVENTS_TEXT: Final = (
-    "An event from 50 ms before a slip to 150 ms after it detects the slip; others are false alarms, per "
-    "static minute. Delay: median from the change of the label. The debounce is that of the model card, "
-    "or has the least delay on the validation split within 2 false alarms per static minute and 2 % "
-    "missed slips."
+    "An event from 50 ms before a slip to 150 ms after it detects the slip; others are false alarms. The "
+    "debounce is that of the model card, or has the least delay on the validation split within 2 false "
+    "alarms per static minute and 2 % missed slips."
 )
+_EVENTS_MIN: Final = "events/min"
 MOTIONS_TEXT: Final = "F1, %, by motion and surface, as in the paper's Table III (cylinders by axis)."
 SLIDING_TEXT: Final = (
     "True sliding is the simulated sliding of the contact, faster than 3 mm/s, sticks of up to 150 ms "
@@ -61,11 +64,12 @@ STRESS_EVENTS_TEXT: Final = (
 
 def evaluation_report(of: Evaluation, command: str) -> Report:
     """Return the report of an evaluation of a dataset that `command` made."""
-    sections = [_samples(of), _events(of)]
+    sections = [_detectors(of)]
     if of.results["fold"].n_unique() > 1:
         sections.append(_groups(of))
     if not of.speeds.is_empty():
         sections.append(_speed(of))
+    sections += [_samples(of), _events(of)]
     if not of.label.is_empty():
         sections.append(_sliding(of))
     sections += _motions(of)
@@ -83,14 +87,15 @@ def stress_report(of: Evaluation, command: str) -> Report:
             "stress",
             "Balanced accuracy under stress",
             STRESS_TEXT,
-            [_by_level(balanced, "method")],
-            lambda: figures.stress_panels(balanced),
+            draw=lambda: figures.stress_panels(balanced),
         ),
+        Section("stress-levels", "Every level", "", [_by_level(balanced, "method")], folded=True),
         Section(
             "stress-events",
             f"Events of {of.leader} under stress",
             STRESS_EVENTS_TEXT,
             [_by_level(estimates(leader, chosen, ("condition",), draws=0), "statistic")],
+            folded=True,
         ),
     ]
     return Report("Slip detectors under stress", _notes(nominal), sections, command)
@@ -108,33 +113,35 @@ def _size(results: pl.DataFrame) -> str:
     return f"{counted(recordings, 'recording')}, {minutes:.1f} minutes after the warm-up"
 
 
+def _detectors(of: Evaluation) -> Section:
+    """Return the section that answers which detector is best."""
+    statistics = {**BALANCED, **{name: each for name, each in EVENTS.items() if name != _EVENTS_MIN}}
+    table = estimate_table(estimates(of.results, statistics), DECIMALS, intervals=[*statistics])
+    return Section("detectors", "Detectors", DETECTORS_TEXT, [table])
+
+
 def _samples(of: Evaluation) -> Section:
     """Return the section with Table I."""
-    found = estimates(of.results, {**SHARES, **SAMPLES})
-    table = estimate_table(found, DECIMALS, intervals=[*BALANCED])
-    rows: list[list[Value]] = [
-        [name, accuracy, TABLE_1[PAPER_ROWS[name]] if name in PAPER_ROWS else None, *rest]
-        for name, accuracy, *rest in table.rows
-        if isinstance(name, str)
-    ]
+    shown = {name: each for name, each in {**SHARES, **SAMPLES}.items() if name not in BALANCED}
+    table = estimate_table(estimates(of.results, shown, draws=0), DECIMALS)
+    paper = [TABLE_1.get(PAPER_ROWS.get(str(name), "")) for name, *_ in table.rows]
+    rows = [[*row[:2], theirs, *row[2:]] for row, theirs in zip(table.rows, paper, strict=True)]
     head = [*table.head[:2], "paper's %", *table.head[2:]]
-    return Section(
-        "samples",
-        "Samples: Table I",
-        SAMPLES_TEXT,
-        [Table(head, rows, decimals=table.decimals)],
-    )
+    tables = [Table(head, rows, decimals=table.decimals)]
+    return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables, folded=True)
 
 
 def _events(of: Evaluation) -> Section:
-    table = estimate_table(estimates(of.results, EVENTS), DECIMALS, intervals=[*EVENTS][1:])
+    """Return the section with the debounce of each method."""
+    rates = estimates(of.results, {_EVENTS_MIN: EVENTS[_EVENTS_MIN]}, draws=0)
     rows: list[list[Value]] = []
-    for row in table.rows:
-        name = str(row[0])
+    for name, rate in rates.select("method", "value").rows():
         rule = of.methods[name].debounce or Debounce()
-        rows.append([*row, f"{rule.threshold:g} / {rule.consecutive} / {rule.release}", of.chosen_on[name]])
-    head = [*table.head, "threshold / on / off", "from"]
-    return Section("events", "Events", EVENTS_TEXT, [Table(head, rows, decimals=table.decimals)])
+        rows.append([name, rate, rule.threshold, rule.consecutive, rule.release, of.chosen_on[name]])
+    head = ["method", _EVENTS_MIN, "threshold", "decisions on", "decisions off", "from"]
+    return Section(
+        "events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})], folded=True
+    )
 
 
 def _groups(of: Evaluation) -> Section:
@@ -174,6 +181,7 @@ def _sliding(of: Evaluation) -> Section:
         "True sliding",
         SLIDING_TEXT,
         [Table([head[0], "trained on", *head[1:]], rows, decimals=decimals)],
+        folded=True,
     )
 
 
@@ -189,7 +197,7 @@ def _motions(of: Evaluation) -> list[Section]:
     paper.append(["any", *TABLE_3_ANY, None])
     head = ["motion", *(surface.replace("_", " ") for surface in SURFACES), "all"]
     tables = [Table(head, rows, of.leader), Table(head, paper, "the paper's TCN, real recordings")]
-    return [Section("motions", "Motions and surfaces: Table III", MOTIONS_TEXT, tables)]
+    return [Section("motions", "Motions and surfaces: Table III", MOTIONS_TEXT, tables, folded=True)]
 
 
 def _f1(results: pl.DataFrame, motions: Sequence[tuple[str, float | None]]) -> list[Value]:

@@ -38,7 +38,7 @@ def test_a_tap_is_printed_as_json_and_written_as_a_page_that_names_the_command(t
     assert (found["experiment"], found["trials"]) == ("tap", 1)
     assert {row["method"] for row in found["results"]} == {"psd, none"}
     assert "slipflow experiment tap --method psd:none --object ball" in (tmp_path / "tap.md").read_text()
-    assert "least that holds" in (tmp_path / "tap.svg").read_text()
+    assert "least that holds" in (tmp_path / "tap-trial.svg").read_text()
 
 
 @pytest.mark.usefixtures("no_simulation")

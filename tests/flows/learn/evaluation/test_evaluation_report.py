@@ -34,7 +34,7 @@ def test_sections_tables_and_figures_are_written(report: Report, tmp_path: Path)
     paths = report.write(tmp_path, "evaluation")
     assert [path.name for path in paths if path.suffix == ".svg"] == ["evaluation-chart.svg"]
     names = [section.name for section in report.sections]
-    assert names == ["samples", "events", "chart", "sliding", "motions"]
+    assert names == ["detectors", "chart", "samples", "events", "sliding", "motions"]
     assert COMMAND in paths[1].read_text()
     assert json.loads(paths[2].read_text())["sections"].keys() == {*names}
 
@@ -48,9 +48,11 @@ def test_the_numbers_are_those_of_the_results_with_the_papers_beside_them(
     assert (samples["psd"]["paper's %"], samples["logistic"]["paper's %"]) == (57.4, None)
     events, rule = rows(report, "events"), found.methods["psd"].debounce
     assert rule
-    assert (
-        events["psd"]["threshold / on / off"] == f"{rule.threshold:g} / {rule.consecutive} / {rule.release}"
-    )
+    assert [events["psd"][name] for name in ("threshold", "decisions on", "decisions off")] == [
+        rule.threshold,
+        rule.consecutive,
+        rule.release,
+    ]
     assert (events["tcn"]["from"], events["psd"]["from"]) == ("its card", "validation")
 
 

@@ -96,6 +96,8 @@ def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path
     files += [model(folder / f"{name}.safetensors") for name in ("two", "tcn")]  # tcn ships
     names = [method.name for method in trained_methods(files)]
     assert names == [*shipped_names(), "one", "two", str(files[2]), str(files[3])]
+    [alone] = trained_methods(files[-1:], ["psd"])
+    assert alone.name == "tcn"  # the shipped one is not judged
 
 
 def test_an_unknown_method_is_refused() -> None:
