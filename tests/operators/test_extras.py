@@ -1,10 +1,13 @@
 import re
 import tomllib
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.version import Version
 
 from operators import InputError, extras
 from operators.extras import EXTRAS, install_command, missing_packages, require_extra
@@ -40,3 +43,15 @@ def test_missing_packages_are_named(hide_packages: Callable[..., None]) -> None:
     assert missing_packages("train") == ["torch"]
     with pytest.raises(InputError, match=r"^train: needs torch: .*pip install"):
         require_extra("train", "train")
+
+
+# first releases without the advisories that were published up to November 2026
+SAFE = {"aiohttp": "3.13.4", "jinja2": "3.1.6", "mkdocs-material": "9.5.32", "onnx": "1.21", "torch": "2.10"}
+
+
+def test_no_release_with_a_published_advisory_is_allowed() -> None:
+    every = [*PROJECT["dependencies"], *chain.from_iterable(PROJECT["optional-dependencies"].values())]
+    allowed = {found.name: found.specifier for found in map(Requirement, every)}
+    for package, release in SAFE.items():
+        assert Version(release) in allowed[package]
+        assert not any(Version(each) in allowed[package] for each in (f"{release}rc1", "1.0"))

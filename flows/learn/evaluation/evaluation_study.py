@@ -98,7 +98,6 @@ def evaluate(
     Raises:
         InputError: if the dataset, split, group, method or model does not exist, or no method can be judged.
         FingertipError: if the recordings have different fingertips.
-        SlipflowError: if a worker died.
     """
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
@@ -152,7 +151,7 @@ def judge_all(
 
     Args:
         subject: What is judged.
-        tasks: Candidates and folds; a candidate that fails on one of its folds has no results.
+        tasks: Candidates and folds; one that fails on a fold, or whose worker dies, has no results.
         judged_ones: Judged recordings of all folds, in the order of the dataset.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of tasks done, and of all.
@@ -160,11 +159,10 @@ def judge_all(
 
     Raises:
         InputError: if no method can be judged.
-        SlipflowError: if a worker died.
     """
     methods, chosen_on, missing = dict[str, Method](), dict[str, str](), dict[str, str]()
     results = dict[tuple[str, str], pl.DataFrame]()  # by method and recording
-    answers = map_tasks(_judge, tasks, executor, progress=progress)
+    answers = map_tasks(_judge, tasks, executor, progress=progress, lost=_lost)
     for (candidate, fold), answer in zip(tasks, answers, strict=True):
         if answer.method is None:
             missing[candidate.name] = answer.reason
@@ -199,6 +197,11 @@ def _judge(task: tuple[Candidate, Fold]) -> _Answer:
     except SlipflowError as error:  # such as a detector for another fingertip
         return _Answer(reason=error.reason if isinstance(error, InputError) else str(error))
     return _Answer(method, chosen_on, results)
+
+
+def _lost(_: object, reason: str) -> _Answer:
+    """Return the answer of a method whose worker died."""
+    return _Answer(reason=reason)
 
 
 def _distinct(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording]:

@@ -2,10 +2,13 @@ import errno
 import json
 import os
 from html.parser import HTMLParser
+from itertools import compress
 from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from flows.report.figures import Figure, grid, styled, svg
 from flows.report.report_page import Report, Section, check_output_folder, make_output_folder
@@ -47,7 +50,7 @@ class Tags(HTMLParser):
 
 def report() -> Report:
     sections = [Section(name, f"{name} & so <on>", "text", [TABLE], figure) for name in ("one", "two")]
-    sections.append(Section("three", "detail", "text", [TABLE]))
+    sections.append(Section("three", "detail", "text", [TABLE], folded=True))
     return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'", {"split": "test"})
 
 
@@ -55,7 +58,12 @@ def test_text_is_escaped_in_html() -> None:
     html = report().html()
     for text in ("<b>tcn", "<on>", "<h1>A <page>", "a<b>"):
         assert text not in html
-    for text in ("&lt;b&gt;tcn&lt;/b&gt;", "one &amp; so &lt;on&gt;", "A &lt;page&gt;", "'a&lt;b&gt;'"):
+    for text in (
+        "&lt;b&gt;tcn&lt;/b&gt;",
+        "one &amp; so &lt;on&gt;",
+        "A &lt;page&gt;",
+        "&#39;a&lt;b&gt;&#39;",
+    ):
         assert text in html
 
 
@@ -71,6 +79,21 @@ def test_the_page_is_well_formed() -> None:
     assert tags.seen.count("img") == 2
     assert tags.seen.count("table") == 3
     assert tags.seen.count("th") == 6
+
+
+def test_the_details_are_closed_until_a_reader_opens_them() -> None:
+    html = report().html()
+    assert html.count("<details><summary>detail</summary>") == html.count("<details") == 1
+    assert html.count("<h2>") == 2
+
+
+@given(
+    st.lists(st.lists(st.sampled_from([None, float("nan"), 1.0, "x"]), min_size=3, max_size=3), min_size=1)
+)
+def test_a_column_without_values_is_left_out(cells: list[list[float | str | None]]) -> None:
+    head = Table(["method", "a", "b", "c"], [["psd", *row] for row in cells]).markdown().splitlines()[0]
+    known = [any(row[n] in (1.0, "x") for row in cells) for n in range(3)]
+    assert head.replace("|", "").split() == ["method", *compress("abc", known)]
 
 
 def test_text_columns_are_aligned_left_and_numbers_right() -> None:

@@ -39,6 +39,22 @@ def test_sections_tables_and_figures_are_written(report: Report, tmp_path: Path)
     assert json.loads(paths[2].read_text())["sections"].keys() == {*names}
 
 
+def test_the_answer_comes_first_and_details_are_folded(report: Report) -> None:
+    assert [each.name for each in report.sections if not each.folded] == ["detectors", "chart"]
+    first, *_ = report.sections[0].tables
+    assert first.head == [
+        "method",
+        "balanced %",
+        "95 %",
+        "false/min",
+        "95 %",
+        "missed %",
+        "95 %",
+        "delay ms",
+        "95 %",
+    ]
+
+
 def test_the_numbers_are_those_of_the_results_with_the_papers_beside_them(
     report: Report, found: Evaluation
 ) -> None:

@@ -1,11 +1,14 @@
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
+from flows.learn.evaluation.evaluation_study import Evaluation, evaluate, judge_all
+from flows.learn.evaluation.folds import Fold
 from flows.learn.evaluation.measures import BALANCED
+from flows.learn.evaluation.methods import Candidate, Method, default_psd
 from flows.learn.hold_out_training import learners
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
@@ -167,3 +170,20 @@ def test_labels_by_hand_are_noted(surfaces: list[LabelledRecording], having: Hav
     by_hand = replace(surfaces[0], split="test", by_hand=5)
     [note] = evaluate(having([by_hand]), names=["tcn"]).notes
     assert note == "labels by hand: 5 of 700 samples of 1 recording"
+
+
+def die(_: Fold) -> Method:
+    os._exit(1)
+
+
+def test_a_method_whose_process_dies_is_missing(surfaces: list[LabelledRecording]) -> None:
+    fold = Fold("", (), (), surfaces[:1])
+    with workers(2) as executor:
+        found = judge_all(
+            "strokes",
+            [(each, fold) for each in (*default_psd(), Candidate("own", die))],
+            fold.judged,
+            executor=executor,
+        )
+    assert list(found.methods) == ["psd"]
+    assert found.missing == {"own": "its process died, perhaps for lack of memory: use fewer jobs"}
