@@ -153,7 +153,8 @@ main()
 @pytest.mark.parametrize(
     ("arguments", "hidden", "error"),
     [
-        (["evaluate", "DATA", *["--method", "tcn", "--method", "logistic", "--jobs", "1"]], {"torch", "onnx", "sklearn"},
+        (["evaluate", "DATA", "--method", "tcn", "--method", "logistic", "--jobs", "1"],
+         {"torch", "onnx", "sklearn"},
          "not evaluated: logistic: needs scikit-learn: in the clone, pip install -e '.[baselines]'"),
         (["train", "DATA", "--filters", "2", "--steps", "1"], {"onnx", "sklearn"}, ""),
         (["train", "DATA"], {"torch"}, "train: needs torch: in the clone, pip install -e '.[train]'"),
