@@ -13,18 +13,21 @@ log = logging.getLogger("slipflow.compilation")
 
 
 class _Announcer(event.Listener):
-    """Listener that logs when this process compiles for the first time; loading cached code is not logged."""
+    """Listener that logs the compilations of this process; loading cached code is not logged."""
 
-    announced = False
+    compiled = begun = 0  # functions
 
     def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
         """Log the first compilation."""
-        if not self.announced:
-            self.announced = True
-            log.info("compiling for this machine; this takes some seconds, and later runs load the result")
+        if not self.begun:
+            log.info("compiling for this machine: up to a minute, once; later runs load the result")
+        self.begun += 1
 
-    def on_end(self, event: object) -> None:
-        """Log nothing."""
+    def on_end(self, event: object) -> None:  # noqa: ARG002 - numba's signature
+        """Log every tenth compilation."""
+        self.compiled += 1
+        if self.compiled % 10 == 0:
+            log.info("compiling: %d functions are ready", self.compiled)
 
 
 cast("Any", event).register("numba:compile", _Announcer())

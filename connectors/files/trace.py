@@ -23,6 +23,7 @@ _DEFAULT: Final = ColumnMap()
 class Trace:
     """`Recording` of fingertips, and of the motion if there is one, loaded completely and checked.
 
+    The file is read at the first access of an attribute: a flow can declare a trace without reading it.
     Decimal times are converted exactly, then rounded to the nearest ns. Other columns are ignored.
     Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an offset. A
     missing reading is an invalid cell. Temperatures are 0 (unknown) and the arm's pose is NaN. A speed
@@ -64,6 +65,22 @@ class Trace:
         about: Description | None = None,
         part: int | None = None,
     ) -> None:
+        self.group, self._about, self._unread = group, about or {}, (source, columns, name, part)
+        if isinstance(source, str | Path):
+            self.name = str(source)
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - any attribute
+        """Read the recording, at the first access of one of its attributes."""
+        if name.startswith("__") or (unread := vars(self).pop("_unread", None)) is None:
+            raise AttributeError(name)
+        try:
+            self._read(*unread)
+        except BaseException:
+            self._unread = unread
+            raise
+        return getattr(self, name)
+
+    def _read(self, source: object, columns: ColumnMap, name: str, part: int | None) -> None:
         from connectors.files.decoding import described  # noqa: PLC0415 - slow to import
         from connectors.files.plausibility import gap_doubts, motion_doubts  # noqa: PLC0415 - slow to import
 
@@ -72,12 +89,7 @@ class Trace:
             reason = f"has {len(found.decoded)} episodes: slipflow import makes a session of each"
             raise InputError(found.table.file, reason)
         rows = found.decoded[part or 0]
-        self.name, self.sha256, self.group, self._about = (
-            found.table.file,
-            found.table.sha256,
-            group,
-            about or {},
-        )
+        self.name, self.sha256 = found.table.file, found.table.sha256
         self.columns, self.notes, self.stated = found.columns, found.notes, found.stated
         self.rate = found.axis.rate
         self._touch, self.motion, self.labels = rows.touch, rows.motion, rows.labels

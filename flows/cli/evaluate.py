@@ -8,7 +8,6 @@ import typer
 
 from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
 from flows.cli.terminal import command_line, note, prepare_report, progress_bar, write_report
-from operators.errors import InputError
 
 _WEIGHTS = {".safetensors", ".npz"}
 _TURN = 0.02  # s, CPU time of each turn of timing
@@ -74,6 +73,7 @@ def evaluate(
     from flows.learn.evaluation.stress_study import stress as run_stress
     from flows.learn.hold_out_training import learners
     from flows.run.executor import workers
+    from operators.errors import InputError
 
     if list_:
         _print_shipped(as_json=as_json)

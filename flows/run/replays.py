@@ -299,12 +299,13 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     if not path.name.endswith(ENDINGS):
         return Session.open(path)
 
+    trace = Trace(path)
     try:
-        trace = Trace(path)
+        warnings = trace.warnings
     except InputError as error:
         reason = f"{error.reason} (convert it with slipflow import --map, then replay the result)"
         raise InputError(error.where, reason) from error
-    for each in trace.warnings:
+    for each in warnings:
         warn(f"warning: {path}: {each} (slipflow import --map states units)")
     return trace
 

@@ -1,3 +1,4 @@
+import logging
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import pytest
 from numba.core import caching
 from numba.core.registry import CPUDispatcher
 
+from operators import compilation
 from operators.compilation import compile_function
 
 
@@ -40,3 +42,16 @@ def test_a_process_announces_that_it_compiles_and_the_next_one_loads_the_result(
     ]
     assert found[0].count("compiling for this machine") == 1
     assert found[1] == ""
+
+
+def test_progress_is_logged_once_at_the_start_and_with_every_tenth_function(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    announcer = vars(compilation)["_Announcer"]()
+    with caplog.at_level(logging.INFO, "slipflow.compilation"):
+        for _ in range(25):
+            announcer.on_start(None)
+            announcer.on_end(None)
+    first, *others = caplog.messages
+    assert first.startswith("compiling for this machine: up to a minute, once")
+    assert others == [f"compiling: {number} functions are ready" for number in (10, 20)]

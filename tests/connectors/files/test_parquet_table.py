@@ -44,7 +44,7 @@ def test_columns_of_any_type_are_read(path: Path) -> None:
     assert trace.speeds == pytest.approx([0, 0.1, 0.2, 0.3])
     assert trace.labels.tolist() == [1, 0, -1, 0]
     with pytest.raises(InputError, match="column raw cannot be used: its values are Binary"):
-        Trace(path, ColumnMap.parse("counts=raw"))
+        _ = Trace(path, ColumnMap.parse("counts=raw")).touch
 
 
 def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
@@ -54,7 +54,7 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
         InputError,
         match=r"2 problems: \(1\) row 3, column p0 is inf, .*; \(2\) row 3, column p1 is inf",
     ):
-        Trace(path)
+        _ = Trace(path).touch
     for times, row, must_be in (
         ([0.0, float("nan"), 2.0], 1, "a time in s"),
         ([0.0, None, 2.0], 1, "a time in s"),
@@ -63,7 +63,7 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
     ):
         put(path, t=times, p0=[1, 2, 3], p1=[1, 2, 3])
         with pytest.raises(InputError, match=rf"row {row}, column t: is \S+, must be {must_be}"):
-            Trace(path)
+            _ = Trace(path).touch
 
 
 def test_a_file_of_many_values_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,7 +104,7 @@ def test_a_given_resolution_is_kept_and_must_fit() -> None:
     with pytest.raises(
         InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a res"
     ):
-        Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4))
+        _ = Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4)).touch
 
 
 def described(text: str, cells: int = 4, base: float = 100) -> Fingertip:

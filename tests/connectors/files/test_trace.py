@@ -141,7 +141,7 @@ def test_blank_lines_are_ignored_but_counted(write: Write) -> None:
     assert Trace(path).touch.time.tolist() == [0, 1_000_000_000]
     path = write(HEADER, "0,1,2,3,4,5,6", "", "1,1,2,three,4,5,6")
     with pytest.raises(InputError, match="line 4, column s3: is 'three'"):
-        Trace(path)
+        _ = Trace(path).touch
 
 
 def test_an_unpaired_quotation_mark_is_refused(write: Write) -> None:
@@ -149,7 +149,7 @@ def test_an_unpaired_quotation_mark_is_refused(write: Write) -> None:
     with pytest.raises(
         InputError, match=r"line 3: has a quoted field that spans lines: close its quotation mark$"
     ):
-        Trace(write(f"{HEADER},note", *rows))
+        _ = Trace(write(f"{HEADER},note", *rows)).touch
 
 
 def test_quoted_fields_are_read(write: Write) -> None:
@@ -193,7 +193,7 @@ NUMBER = "must be a number or empty"
 def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, complaint: str) -> None:
     path = write(f"{HEADER},label", "0.5,1,2,3,4,5,6,0", row, "2,1,2,3,4,5,6,0")
     with pytest.raises(InputError) as caught:
-        Trace(path)
+        _ = Trace(path).touch
     assert str(caught.value) == f"{path}, {complaint}"
 
 
@@ -201,7 +201,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
 def test_a_time_in_ns_must_be_a_whole_number(write: Write, time: str) -> None:
     path = write(HEADER.replace("t,", "time_ns,"), f"{time},1,2,3,4,5,6")
     with pytest.raises(InputError, match=f"line 2, column time_ns: is '{time}', must be a whole number"):
-        Trace(path)
+        _ = Trace(path).touch
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_missing_columns_are_named_with_a_map_of_the_columns(
         *(",".join([f"{row}", *"1" * header.count(",")]) for row in ("2", "2" if "s" in header else "3")),
     )
     with pytest.raises(InputError) as caught:
-        Trace(path)
+        _ = Trace(path).touch
     assert str(caught.value) == f"{path}: {complaint}"
 
 
@@ -240,35 +240,35 @@ def test_a_column_that_occurs_twice_cannot_be_used(write: Write, header: str) ->
     path = write(header, "1,1,1,1,1,1,1,1")
     for columns in (ColumnMap(), ColumnMap.parse("counts=s1")):
         with pytest.raises(InputError, match=r"s1 cannot be used: it occurs twice"):
-            Trace(path, columns)
+            _ = Trace(path, columns).touch
     assert Trace(path, ColumnMap.parse("counts=s6")).touch.cells == 1
 
 
 def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
     path = write(HEADER, "0,1,2,3,4,5,6")
     with pytest.raises(InputError, match=r"csv: there is no column stamp; the columns are t s1 s2"):
-        Trace(path, ColumnMap({"time": ("stamp",)}))
+        _ = Trace(path, ColumnMap({"time": ("stamp",)})).touch
     with pytest.raises(InputError, match=r"csv: there is no column truth; the columns are t s1 s2"):
-        Trace(path, ColumnMap({"label": ("truth",)}))
+        _ = Trace(path, ColumnMap({"label": ("truth",)})).touch
 
 
 def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
-        Trace(tmp_path / "absent.csv")
+        _ = Trace(tmp_path / "absent.csv").touch
     with pytest.raises(
         InputError, match=r"cannot be read: Is a directory; a folder exists where a file is needed$"
     ):
-        Trace(tmp_path)
+        _ = Trace(tmp_path).touch
     (tmp_path / "empty.csv").touch()
     with pytest.raises(InputError, match=r"empty.csv: is empty: its first line must name the columns$"):
-        Trace(tmp_path / "empty.csv")
+        _ = Trace(tmp_path / "empty.csv").touch
     with pytest.raises(InputError, match=r"trace.csv: has no rows below line 1$"):
-        Trace(write(HEADER))
+        _ = Trace(write(HEADER)).touch
     (tmp_path / "binary.csv").write_bytes(b"t,s1\n\xff\0\xfe,1\n")
     with pytest.raises(
         InputError, match=r"binary.csv: is not a CSV file: it has bytes of zero, so it is no text$"
     ):
-        Trace(tmp_path / "binary.csv")
+        _ = Trace(tmp_path / "binary.csv").touch
 
 
 @given(st.data())
@@ -291,7 +291,7 @@ def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> Non
     assert trace.touch.counts[1].tolist() == [1, 0, 3, 4, 0, 6]
     assert trace.warnings[1] == "missing readings: 2, in 1 of 3 rows"
     with pytest.raises(InputError, match="column s2 has no readings"):
-        Trace(write(HEADER, "0,1,,3,4,5,6", "1,1,,3,4,5,6"))
+        _ = Trace(write(HEADER, "0,1,,3,4,5,6", "1,1,,3,4,5,6")).touch
 
 
 def test_a_gap_in_the_time_is_a_warning(write: Write) -> None:
@@ -334,7 +334,7 @@ def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) 
 def test_a_speed_that_is_no_number_is_named_by_line_and_column(write: Write, speed: str) -> None:
     path = write(f"{HEADER},v", "0,1,2,3,4,5,6,1", f"1,1,2,3,4,5,6,{speed}")
     with pytest.raises(InputError, match=rf"line 3, column v: is '{speed}', must be a number or empty$"):
-        Trace(path)
+        _ = Trace(path).touch
 
 
 @pytest.mark.parametrize(
@@ -364,7 +364,7 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
 def test_a_stated_rate_must_match_the_times(write: Write) -> None:
     path = write(HEADER, *(f"{k * 10},1,2,3,4,5,6" for k in range(9)))
     with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: is its time in another unit"):
-        Trace(path, ColumnMap(rate=100))
+        _ = Trace(path, ColumnMap(rate=100)).touch
     assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).rate == pytest.approx(100)
 
 
@@ -372,7 +372,7 @@ def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.M
     monkeypatch.setattr("connectors.files.container.LIMIT", 1 << 20)
     path = write(HEADER, "0,1,2,3,4,5,6", "\n" * (1 << 20))
     with pytest.raises(InputError, match=r"is larger than 1 MiB, the limit: split it into several files$"):
-        Trace(path)
+        _ = Trace(path).touch
 
 
 def test_the_real_trace_is_read_whole() -> None:
@@ -401,7 +401,7 @@ def test_labels_may_have_other_values(
     if "north" in labels:
         bad = write(f"{HEADER},state", "0,1,2,3,4,5,6,north", "1,1,2,3,4,5,6,west")
         with pytest.raises(InputError, match=r"line 3, column state: has 'west', neither slip nor"):
-            Trace(bad, columns)
+            _ = Trace(bad, columns).touch
 
 
 @pytest.mark.parametrize("kind", [dict, pl.DataFrame, pd.DataFrame])
@@ -419,8 +419,8 @@ def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None
     trace = Trace({"t": [0.0, 0.1], "cells": np.arange(6).reshape(2, 3)})
     assert trace.touch.counts.tolist() == [[0, 1, 2], [3, 4, 5]]
     with pytest.raises(InputError, match=r"pad: cannot become a DataFrame of polars: .*"):
-        Trace({"a": [1], "b": [1, 2]}, name="pad")
+        _ = Trace({"a": [1], "b": [1, 2]}, name="pad").touch
     with pytest.raises(InputError, match=r"column a cannot be used: its values are Object"):
-        Trace({"t": [0], "a": [object()]}, ColumnMap.parse("counts=a"))
+        _ = Trace({"t": [0], "a": [object()]}, ColumnMap.parse("counts=a")).touch
     with pytest.raises(InputError, match="table: has no rows"):
-        Trace({})
+        _ = Trace({}).touch

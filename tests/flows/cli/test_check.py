@@ -50,3 +50,21 @@ def test_check_finds_every_problem(tmp_path: Path) -> None:
 def test_a_folder_with_the_name_of_a_shipped_flow_does_not_hide_it(tmp_path: Path) -> None:
     (tmp_path / "record").mkdir()
     assert "record: OK" in slipflow("check", "record", cwd=tmp_path).stdout
+
+
+def test_a_trace_in_a_flow_is_read_by_a_run_of_it_only(tmp_path: Path) -> None:
+    (tmp_path / "grip.py").write_text(
+        "from connectors import Console, Replay, Trace\nfrom flows.graph import Flow\n"
+        "from operators import Debounce, Score, Touch, Zero\nfrom storage import load_detector\n"
+        "flow = Flow('grip')\n"
+        "touch = flow.source(Replay(Trace('grip.csv'), Touch))\n"
+        "(touch | Zero() | Score(load_detector('psd')) | Debounce()).to(Console())\n"
+    )
+    assert "touch = Replay(grip.csv, Touch)" in slipflow("check", "grip.py", cwd=tmp_path).stdout
+    rows = "".join(f"{k / 100},{','.join([str(k % 3)] * 6)}\n" for k in range(300))
+    (tmp_path / "other.csv").write_text(f"t,p0,p1,p2,p3,p4,p5\n{rows}")
+    done = slipflow("run", "grip.py", "--replay", "other.csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "grip.csv" in error("run", "grip.py", cwd=tmp_path)
+    (tmp_path / "other.csv").rename(tmp_path / "grip.csv")
+    assert slipflow("run", "grip.py", cwd=tmp_path).returncode == 0

@@ -28,7 +28,9 @@ def test_each_replay_has_a_summary_and_a_failed_one_an_error(tiny: Path, tmp_pat
     dataset = copytree(tiny, tmp_path / "dataset")
     first, second, third = [dataset / "sessions" / name for name in session_names(dataset)[:3]]
     (second / "touch/part-000000.parquet").unlink()
-    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, third, "--json")
+    done = slipflow(
+        "run", "live", "--set", "detector=psd", "--replay", first, second, third, "--json", "--jobs", "1"
+    )
     assert done.returncode == 1
     assert f"\nerror: {second}: " in done.stderr  # stderr also has the output
     found = json.loads(done.stdout)
@@ -51,7 +53,7 @@ def test_what_a_flow_file_prints_is_printed_once(tiny: Path, tmp_path: Path) -> 
 
 def test_output_is_printed_below_the_name_of_its_recording(tiny: Path) -> None:
     first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
-    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second)
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, "--jobs", "1")
     *lines, _total = done.stdout.splitlines()
     heads = [number for number, line in enumerate(lines) if not line.startswith("  ")]
     assert [lines[number].split(" -> ")[0] for number in heads] == [str(first), str(second)]
