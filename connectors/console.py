@@ -86,7 +86,7 @@ class Console(Sink[Slips | Faults]):
                 self._print_json(slip.time, batch.finger, name, {"p": slip.probability, **known})
                 continue
             text, style = ("slip onset", "bold red") if slip.onset else ("slip end  ", "green")
-            late = [] if latency is None else [f"{latency / ms:.1f} ms"]
+            late = [] if latency is None else [f"sensor to event {latency / ms:.1f} ms"]
             self._print(slip.time, batch.finger, "  ".join([text, f"p {slip.probability:.2f}", *late]), style)
 
     def _print_json(self, time: int, finger: int, event: str, details: Mapping[str, Json]) -> None:
@@ -108,6 +108,6 @@ class Console(Sink[Slips | Faults]):
         if self._out.isatty():
             from rich.console import Console as Terminal  # noqa: PLC0415 - for terminals only
 
-            Terminal(file=self._out).print(line, style=style, highlight=False, markup=False)
+            Terminal(file=self._out).print(line, style=style, highlight=False, markup=False, soft_wrap=True)
         else:
             print(line, file=self._out, flush=True)

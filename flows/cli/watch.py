@@ -39,8 +39,8 @@ def watch(
 ) -> None:
     """Print slip events from an MQTT broker, each once.
 
-    Fetches missed events from the rigs, and reports events that are lost. Each line of a live rig shows two
-    delays since the decisive sample: until the event was created, and until it arrived here by this
+    Fetches missed events from the rigs, and reports events that are lost. Each line of a live rig shows the
+    times from the decisive sample to the event, by the rig's clock, and to its arrival here, by this
     machine's clock, if it was within a day. Reconnects to a broker that it has reached once; exits 2 if it
     cannot reach it at the start. Stops at Ctrl-C.
 
@@ -77,9 +77,9 @@ def _line(event: "Event", now: int) -> str:
     probability = "" if event.probability is None else f"  p {event.probability:.2f}"
     quality = f"  {event.quality}: {event.reason}" if event.reason else ""
     when = timestamp(event.time)[:23].replace("T", " ")
-    delays = [] if event.latency is None else [f"{event.latency:.1f} ms"]
+    delays = [] if event.latency is None else [f"sensor to event {event.latency:.1f} ms"]
     if not is_replay(event.rig) and abs(now - event.time) < _DAY:
-        delays.append(f"here after {span(now - event.time)}")
+        delays.append(f"sensor to here {span(now - event.time)}")
     delay = f"  {', '.join(delays)}" if delays else ""
     return f"{when}  {where}  slip {event.state:5}{probability}{delay}{quality}"
 

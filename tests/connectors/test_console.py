@@ -54,8 +54,8 @@ def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:
 def test_each_slip_and_fault_is_one_line(run: Run) -> None:
     saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
     assert printed(io.StringIO(), run, slips(run.clock.now() - 12 * ms), FAULTS, saturated) == [
-        "1970-01-01 00:01:39.988  finger 0  slip onset  p 0.93  12.0 ms",
-        "1970-01-01 00:01:39.998  finger 0  slip end    p nan  2.0 ms",
+        "1970-01-01 00:01:39.988  finger 0  slip onset  p 0.93  sensor to event 12.0 ms",
+        "1970-01-01 00:01:39.998  finger 0  slip end    p nan  sensor to event 2.0 ms",
         "1970-01-01 00:00:01.000  finger 2  barometer 3 stuck begins",
         "1970-01-01 00:00:02.000  finger 2  barometer 3 stuck ends",
         "1970-01-01 00:00:01.000  finger 2  barometer 3 range limit begins",
