@@ -3,7 +3,6 @@
 Only `lock_position` and `load` do I/O. Times are in s, of any clock that never goes back.
 """
 
-from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from math import inf
@@ -37,7 +36,7 @@ class _Epoch:
     """Numbers of one epoch: all up to `done` are received or lost, and those in `ahead` are received."""
 
     done: int = 0
-    ahead: list[int] = field(default_factory=list[int])  # sorted
+    ahead: set[int] = field(default_factory=set[int])
     head: int = -1  # newest number announced by the rig; -1: the rig has not announced the epoch yet
     delivered: bool = False  # an event of it was received
     denied: float = inf  # time of the first answer that it is no longer kept, since it was announced
@@ -45,32 +44,30 @@ class _Epoch:
     @property
     def gap(self) -> Range | None:
         """The first range of missed numbers."""
-        last = self.ahead[0] - 1 if self.ahead else self.head
+        last = min(self.ahead) - 1 if self.ahead else self.head
         return (self.done + 1, last) if last > self.done else None
 
     def has(self, number: int) -> bool:
-        at = bisect_left(self.ahead, number)
-        return number <= self.done or self.ahead[at : at + 1] == [number]
+        return number <= self.done or number in self.ahead
 
     def add(self, number: int) -> None:
         if not self.has(number):
-            self.ahead.insert(bisect_left(self.ahead, number), number)
-            self._advance()
+            self.ahead.add(number)
+            self._advance(self.done)
 
     def give_up(self, last: int) -> list[Range]:
         """Count the missed numbers up to `last` as lost, and return them."""
         lost = list[Range]()
         while (gap := self.gap) and gap[0] <= last:
             lost.append((gap[0], min(last, gap[1])))
-            self.done = lost[-1][1]
-            self._advance()
+            self._advance(lost[-1][1])
         return lost
 
-    def _advance(self) -> None:
-        count = 0
-        while count < len(self.ahead) and self.ahead[count] == self.done + 1:
-            self.done, count = self.done + 1, count + 1
-        del self.ahead[:count]
+    def _advance(self, done: int) -> None:
+        while done + 1 in self.ahead:
+            self.ahead.remove(done + 1)
+            done += 1
+        self.done = done
 
 
 @dataclass
@@ -138,7 +135,7 @@ class Position:
         epoch.add(event.seq)
         epoch.delivered, epoch.denied = True, inf
         rig.wait = min(rig.wait, REQUEST_EVERY)
-        lost = epoch.give_up(epoch.ahead[0] - 1) if len(epoch.ahead) > AHEAD_MAX else []
+        lost = epoch.give_up(min(epoch.ahead) - 1) if len(epoch.ahead) > AHEAD_MAX else []
         why = "given up after too many gaps without an answer"
         return [*_lost(name, event.epoch, lost, why), *self._changed(rig, before)]
 
@@ -247,7 +244,7 @@ def _encode(rig: RigId, epoch: str, each: _Epoch) -> bytes:
             "epoch": epoch,
             "done": each.done,
             "head": each.head,
-            "ahead": each.ahead,
+            "ahead": sorted(each.ahead),
             "delivered": each.delivered,
         }
     )
