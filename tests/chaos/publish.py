@@ -9,7 +9,6 @@ import asyncio
 import os
 import sys
 import time
-from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,32 +17,11 @@ from connectors import Mqtt
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
-from operators import SLIP, STATIC, Clock, Clocks, Faults, Operator, Slips, Source, Touch, Zero, Zeroed, s
+from operators import SLIP, STATIC, Clocks, Faults, Operator, Slips, Touch, Zero, Zeroed
+from tests.chaos.numbered import Numbered, touch
 
 SITE, RIG = "chaos", "rig"
 RATE = 100.0  # events/s
-
-
-class Fingertip(Source[Touch]):
-    """Endless source of single rows, stamped when they are produced."""
-
-    @property
-    def kind(self) -> type[Touch]:
-        """Type of the batches."""
-        return Touch
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        """The fingertip."""
-        return (0,)
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Yield rows without end; after a pause of the process the missed ones are skipped."""
-        due, counts = clock.now(), np.full((1, 6), 510, np.int16)
-        while True:
-            due = max(due + round(s / RATE), clock.now() - s // 10)
-            await clock.sleep_until(due)
-            yield Touch(np.array([clock.now()]), counts, counts, counts > 0, finger=0)
 
 
 @dataclass
@@ -74,7 +52,7 @@ class ReportingMqtt(Mqtt):
 async def main(url: str, outbox: str) -> None:
     """Run the flow."""
     flow = Flow("chaos")
-    zeroed = flow.source(Fingertip(), "touch") | Zero(515)
+    zeroed = flow.source(Numbered(Touch, touch, RATE), "touch") | Zero(515)
     (zeroed | Alternating()).to(ReportingMqtt(url, SITE, RIG, outbox=outbox))
     runner = LiveRunner(flow, f"chaos-{time.time_ns()}")
     with signals_to(runner.stop):

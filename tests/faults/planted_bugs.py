@@ -1,6 +1,5 @@
 """Bugs that are planted on purpose, to prove that the simulation finds such bugs."""
 
-import asyncio
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from connectors.events import Event
 from connectors.mqtt import consumer, gap_replay, outbox, outbox_log, position
 from connectors.mqtt.broker import Message
 from storage import append_log, dataset, files, journal, writer
-from tests.faults.schedule import KINDS, LOST_PAGES
+from tests.faults.schedule import LOST_PAGES
 
 Plant = Callable[[ExitStack], object]
 
@@ -89,12 +88,6 @@ async def _answer_missing(self: Any, now: float) -> list[Message]:
     return messages
 
 
-async def _die(self: outbox.Outbox) -> None:
-    del self
-    await asyncio.sleep(0.05)
-    raise KeyError("planted")
-
-
 def _refuse_nothing(self: outbox.Outbox, count: int) -> None:
     del self, count
 
@@ -106,7 +99,6 @@ _PRUNE = outbox_log.OutboxLog.prune
 _PROCESS = vars(consumer.Consumer)["_process"]
 
 POWER = ("power loss",)
-ANY = tuple(KINDS)
 KILLS = ("kill rig", "kill rig at disk operation")
 
 PLANTED: Final[dict[str, Bug]] = {
@@ -143,8 +135,6 @@ PLANTED: Final[dict[str, Bug]] = {
     "gaps are answered as lost": Bug(
         _set(gap_replay.GapReplies, "next", _answer_missing), ("broker restart without memory",)
     ),
-    "the task that writes events dies": Bug(_set(outbox.Outbox, "_keep_writing", _die), ANY),
-    "the task that syncs events dies": Bug(_set(outbox.Outbox, "_keep_syncing", _die), ANY),
     "events fill the memory while the disk fails": Bug(
         _set(outbox.Outbox, "_make_room", _refuse_nothing), ("disk full", "disk error")
     ),

@@ -1,10 +1,8 @@
 """Search for schedules that violate an invariant, and replay of one of them."""
 
-from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from itertools import count, islice
+from functools import partial
+from itertools import count
 from multiprocessing import get_context
 from time import perf_counter
 
@@ -35,15 +33,16 @@ def replay(seed: int, bug: str | None) -> int:
 
 def search(first: int, limit: int | None, jobs: int, bug: str | None) -> int:
     """Simulate schedules until `limit` or an interrupt; print the rate and each violation."""
-    start, done, failed = perf_counter(), 0, 0
-    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        for seeds, found in _completed(pool, _chunks(first, limit), 2 * jobs, bug):
-            done += len(seeds)
-            failed += len(found)
-            for seed, texts in found.items():
-                print(f"\nseed {seed}: {texts[0]}\n  replay and shrink: {command(seed, bug)}", flush=True)
-            rate = done / (perf_counter() - start) * 60
-            print(f"\r{done} schedules, {failed} violations, {rate:.0f} per minute", end="", flush=True)
+    seeds = count(first) if limit is None else range(first, first + limit)
+    start, failed = perf_counter(), 0
+    with get_context("spawn").Pool(jobs) as pool:
+        for done, (seed, found) in enumerate(pool.imap(partial(_checked, bug=bug), seeds, CHUNK), 1):
+            if found:
+                failed += 1
+                print(f"\nseed {seed}: {found[0]}\n  replay and shrink: {command(seed, bug)}", flush=True)
+            if done % CHUNK == 0 or done == limit:
+                rate = done / (perf_counter() - start) * 60
+                print(f"\r{done} schedules, {failed} violations, {rate:.0f} per minute", end="", flush=True)
     print()
     return 1 if failed else 0
 
@@ -53,24 +52,8 @@ def command(seed: int, bug: str | None = None) -> str:
     return f".venv/bin/python -m tests.faults --seed {seed}" + (f" --bug '{bug}'" if bug else "")
 
 
-def _chunks(first: int, limit: int | None) -> Iterator[range]:
-    for start in count(first, CHUNK) if limit is None else range(first, first + limit, CHUNK):
-        yield range(start, start + CHUNK if limit is None else min(start + CHUNK, first + limit))
-
-
-def _completed(
-    pool: ProcessPoolExecutor, chunks: Iterator[range], ahead: int, bug: str | None
-) -> Iterator[tuple[range, dict[int, list[str]]]]:
-    """Yield the results of chunks in order, with `ahead` of them submitted."""
-    pending = deque(pool.submit(_chunk, seeds, bug) for seeds in islice(chunks, ahead))
-    while pending:
-        yield pending.popleft().result()
-        pending += [pool.submit(_chunk, seeds, bug) for seeds in islice(chunks, 1)]
-
-
-def _chunk(seeds: range, bug: str | None) -> tuple[range, dict[int, list[str]]]:
-    found = {seed: violations(draw(seed), bug) for seed in seeds}
-    return seeds, {seed: texts for seed, texts in found.items() if texts}
+def _checked(seed: int, bug: str | None) -> tuple[int, list[str]]:
+    return seed, violations(draw(seed), bug)
 
 
 def _plant_nothing(stack: ExitStack) -> None:

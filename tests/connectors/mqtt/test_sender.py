@@ -209,14 +209,6 @@ async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allo
     ]
 
 
-async def test_a_refusal_at_the_start_is_an_error_and_disconnects(tmp_path: Path, peer: Peer) -> None:
-    peer.refused.add(ONLINE.topic)
-    async with opened(tmp_path) as (sending, _):
-        with pytest.raises(EndpointError, match="refuses"):
-            await sending.start("me", WILL, ONLINE)
-        assert [each.disconnected for each in peer.connections] == [True]
-
-
 async def test_a_refused_request_topic_is_logged_once_and_events_are_sent(
     tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
