@@ -2,6 +2,7 @@
 
 from connectors.console import Console
 from connectors.events import Event
+from connectors.files.line_source import LineSource
 from connectors.files.trace import Trace
 from connectors.gripper.gripper_sink import Gripper
 from connectors.mqtt.consumer import Consumer
@@ -18,6 +19,7 @@ __all__ = [
     "Consumer",
     "Event",
     "Gripper",
+    "LineSource",
     "Metrics",
     "Mqtt",
     "Page",

@@ -25,6 +25,7 @@ EXTRAS: Final[Mapping[str, Extra]] = MappingProxyType(
         "onnx": Extra("export of a detector to ONNX", {"onnx": "onnx"}),
         "ur": Extra("driving a UR arm, on x86_64 with Python 3.11 or 3.12 only", {"ur-rtde": "rtde_control"}),
         "gripper": Extra("Robotiq grippers", {"pymodbus": "pymodbus"}),
+        "serial": Extra("loggers at a serial port", {"pyserial-asyncio-fast": "serial_asyncio_fast"}),
         "report": Extra("figures in reports", {"matplotlib": "matplotlib"}),
         "mcap": Extra("export to MCAP files", {"mcap": "mcap"}),
         "fetch": Extra("download of public datasets", {"pooch": "pooch"}),

@@ -19,13 +19,14 @@ from connectors.ur.rtde import (
     pack,
     text,
 )
-from operators.batch import Times
+from operators.batch import Times, s
 from operators.errors import EndpointError, os_error_reason
 from operators.ports import Clock
 
 T = TypeVar("T")
 Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.void]]"  # fields are outputs
 
+TEXTS: Final = 10  # messages that are logged per minute
 BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
 
 NO_ANSWER: Final = "does not answer within {} s: check its address and its power"
@@ -55,6 +56,7 @@ class RtdeClient(asyncio.Protocol):
     Attributes:
         endpoint: Address in error messages.
         controller: Software version; None before the controller has sent it.
+        texts: Messages that the controller sent.
     """
 
     def __init__(
@@ -67,6 +69,11 @@ class RtdeClient(asyncio.Protocol):
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
         self._row = np.dtype([("recipe", "u1"), *fields])
         self._packages, self._recipe = Packages(), 0
+        self.texts, self._logged, self._minute = (
+            0,
+            0,
+            clock.now(),
+        )  # `_logged` counts those since `_minute`, ns
         self._expected = Kind.PROTOCOL  # kind of the next answer; DATA once the controller sends
         self._received = deque[tuple[int, bytes]]()  # arrival (ns) and payload
         self._transport: asyncio.Transport | None = None
@@ -129,7 +136,7 @@ class RtdeClient(asyncio.Protocol):
     def _take(self, kind: int, payload: bytes, arrival: int) -> None:
         """Handle one package."""
         if kind == Kind.TEXT:
-            log.warning("controller: %s", text(payload))
+            self._count_text(payload, arrival)
         elif kind != self._expected:
             raise RtdeError(f"received package {chr(kind)!r}, expected {chr(self._expected)!r}")
         elif kind == Kind.DATA:
@@ -139,6 +146,19 @@ class RtdeClient(asyncio.Protocol):
             self._received.append((arrival, payload))
         else:
             self._answer(payload)
+
+    def _count_text(self, payload: bytes, arrival: int) -> None:
+        """Count a message, and log it unless `TEXTS` of this minute were logged."""
+        self.texts += 1
+        if arrival - self._minute > 60 * s:
+            self._minute, self._logged = arrival, 0
+        self._logged += 1
+        if self._logged <= TEXTS:
+            log.warning("controller: %s", text(payload))
+        elif self._logged == TEXTS + 1:
+            log.warning(
+                "%s sends many messages: they are counted, and %d a minute logged", self.endpoint, TEXTS
+            )
 
     def _answer(self, payload: bytes) -> None:
         """Handle the answer to the newest request, and send the next request."""

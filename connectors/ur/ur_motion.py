@@ -68,7 +68,7 @@ class UrMotion(Source[Motion]):
         self._stamps = PackageStamps(self.rate)
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
-        self._about |= {"controller": None, "connections": 0}
+        self._about |= {"controller": None, "connections": 0, "messages": 0}
         self._count(address)
 
     @property
@@ -92,6 +92,7 @@ class UrMotion(Source[Motion]):
                 if stamps.first:
                     self._check_controller(client)
                 motion = _decode(client.endpoint, arrivals, rows)
+                self._about["messages"] = client.texts
                 new = stamps.new(motion.device_time)
                 self._count(client.endpoint)
                 if new.all():
@@ -131,7 +132,10 @@ class UrMotion(Source[Motion]):
         yield Finding(client.endpoint, text + remedy * slow, "bad" if slow else "good")
 
     def describe(self) -> Description:
-        """Return arm, address, rate, controller version and package counts; the counts are updated live."""
+        """Return arm, address, rate, controller version and counts, which are updated live.
+
+        ``messages`` are those of the controller since the last connection.
+        """
         return self._about
 
     def _check_controller(self, client: RtdeClient) -> None:

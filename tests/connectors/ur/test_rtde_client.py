@@ -127,11 +127,29 @@ def test_an_unexpected_package_is_an_error_after_the_data_before_it(
     assert received == (DATA[0] if answers == 4 else b"")
 
 
-def test_messages_of_the_controller_are_logged(caplog: pytest.LogCaptureFixture) -> None:
-    message = pack(Kind.TEXT, b"\x05hel\nx\x04RTDE\1")
-    with caplog.at_level(logging.WARNING):
-        assert fed([b"".join([*ANSWERS, message, pack(Kind.DATA, DATA[0])])])[0] == DATA[0]
-    assert [record.message for record in caplog.records] == ["controller: hel x (RTDE)"]
+@given(st.lists(st.binary(max_size=60), min_size=1, max_size=9), st.integers(1, 300))
+def test_messages_of_the_controller_are_counted_and_a_few_are_logged(texts: list[bytes], often: int) -> None:
+    flood = b"".join(pack(Kind.TEXT, payload) for payload in texts) * often
+    logged = list[str]()
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            logged.append(record.getMessage())
+
+    async def main() -> tuple[int, bytes]:
+        reader = client(TestTransport())
+        reader.data_received(b"".join([*ANSWERS, flood, pack(Kind.DATA, DATA[0]), flood]))
+        return reader.texts, (await reader.receive())[1].tobytes()
+
+    collector = Collector()
+    logging.getLogger("slipflow").addHandler(collector)
+    try:
+        count, received = run_virtually(main())
+    finally:
+        logging.getLogger("slipflow").removeHandler(collector)
+    assert (count, received) == (2 * often * len(texts), DATA[0])
+    assert len(logged) == min(count, rtde_client.TEXTS + 1)
+    assert all(line.isprintable() for line in logged)
 
 
 def test_a_full_backlog_pauses_reading(monkeypatch: pytest.MonkeyPatch) -> None:
