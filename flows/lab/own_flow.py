@@ -11,7 +11,7 @@ _FLOW: Final = Template('''"""Detect slip live in a file that grows, such as $so
 
 from pathlib import Path
 
-from connectors import Console, FollowTable
+from connectors import Console, LineSource
 from flows.graph import Flow
 from operators import Debounce, Score, Zero
 from storage import Dataset, load_debounce, load_detector
@@ -28,7 +28,7 @@ def $name(source: str = "$source", model: str = "$name.safetensors", out: str = 
         out: Dataset to record into.
     """
     flow = Flow("$name")
-    touch = flow.source(FollowTable(source, HERE / "$name.toml").touch)
+    touch = flow.source(LineSource(source, HERE / "$name.toml"))
     slips = touch | Zero() | Score(load_detector(model)) | (load_debounce(model) or Debounce())
     slips.to(Console())
     touch.to(Dataset(out))
