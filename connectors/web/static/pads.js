@@ -4,6 +4,7 @@ import { styles } from "./charts.js";
 import { element, title, write } from "./dom.js";
 
 const DENSE = 12; // cells; more have smaller tiles
+const BESIDE = 5; // cells of a row; wider maps lie one below the other
 const STEPS = { ArrowLeft: -1, ArrowUp: -1, ArrowRight: 1, ArrowDown: 1 }; // cells
 const SHORT = { saturated: "max", drifting: "drift", "no reading": "none" }; // in small tiles
 
@@ -28,6 +29,7 @@ export class Pads {
     this.pads.clear();
     this.host.replaceChildren(...fingers.map((finger) => this.#pad(finger, finger === selected)));
     this.host.classList.toggle("many", fingers.length > 1);
+    this.host.classList.toggle("stacked", Math.max(...layout.map((row) => row.length)) > BESIDE);
     this.#paint();
     this.pinned = null;
     this.#mark(null);

@@ -125,6 +125,11 @@ def test_each_curve_has_its_own_look_and_its_tile_highlights_it(watched: Watched
         order = [cell for row in tip.layout for cell in row]
         expect(pad.locator(".which")).to_have_text([str(cell) for cell in order])
         expect(pad.locator(".count")).to_have_text([tip_text(tip, cell + 1) for cell in order])
+        number, amount = (pad.locator(name).last.bounding_box() for name in (".which", ".count"))
+        assert number
+        assert amount
+        assert amount["y"] >= number["y"] + number["height"] / 2, "they do not cover each other"
+        assert amount["width"] <= (pad.locator("td").last.bounding_box() or amount)["width"]
         for scheme in ("light", "dark"):
             tab.emulate_media(color_scheme=scheme)
             assert len({keys.nth(k).evaluate(look) for k in range(cells)}) == cells
