@@ -29,9 +29,10 @@ class Dataset(Sink[Recordable]):
     batch determines its table: Touch as received, or Zeroed (not both in one session), goes to touch,
     Labelled to samples, each other type to the table of its name.
 
-    The rows of a live run go to a journal within 50 ms, and parts are committed in the background. A kill
-    loses at most the last 10 rows of a table, or a larger batch that is being written; a power cut loses the
-    rows of at most 0.3 s on a disk that syncs within 50 ms. `storage.recover` turns the journal into parts.
+    The rows of a live run go to a journal within 50 ms, and parts are committed in the background; while that
+    is slow, a part may become longer than `part_span`. A kill loses at most the last 10 rows of a table that
+    the dataset has taken, or a larger batch that is being written; a power cut loses the rows of at most
+    0.3 s on a disk that syncs within 50 ms. `storage.recover` turns the journal into parts.
 
     A replay can be repeated, so its rows have no journal: a kill loses the rows since the last commit, a
     power cut before the end of the session may lose any of them. Such a session is never marked complete.
@@ -117,7 +118,7 @@ class Dataset(Sink[Recordable]):
         """
         writer = self._writer
         assert writer, "open comes first"
-        if writer.full(batch) or not writer.add(batch):
+        if (writer.full(batch) and not self._commit_meanwhile(writer, batch)) or not writer.add(batch):
             return False
         self._notice(writer)
         return True
@@ -135,10 +136,9 @@ class Dataset(Sink[Recordable]):
         while not self.take(batch):
             writer = self._writer
             assert writer, "open comes first"
-            if writer.full(batch):
-                await self._commit(writer)
-            else:
+            if not writer.full(batch) or self._commit_meanwhile(writer, batch):
                 return await self._append(writer, batch)
+            await self._commit(writer)
         return None
 
     async def close(self) -> None:
@@ -204,18 +204,31 @@ class Dataset(Sink[Recordable]):
                 with suppress(EndpointError):  # the next write commits all rows from memory
                     await asyncio.to_thread(writer.sync)
 
+    def _commit_meanwhile(self, writer: SessionWriter, batch: Recordable) -> bool:
+        """Commit the buffered rows in the background; return true if a batch may be added meanwhile.
+
+        The journal has the rows. So a slow commit does not make rows wait, and a kill does not lose them.
+        """
+        if writer.exclusive:
+            return False
+        if self._committing is None or self._committing.done():
+            self._begin_commit(writer)
+        return writer.fits(batch)
+
     async def _commit(self, writer: SessionWriter) -> None:
-        """Commit the buffered rows, in the background if the journal has them."""
+        """Wait for the commit that is running, else commit the buffered rows."""
         if self._committing and not self._committing.done():
             await asyncio.wait([self._committing])
             return
+        committing = self._begin_commit(writer)
+        await asyncio.wait([committing])
+        committing.result()
+
+    def _begin_commit(self, writer: SessionWriter) -> asyncio.Task[None]:
         writer.begin_commit()
-        exclusive = writer.exclusive
         self._committing = asyncio.create_task(self._run_commit(writer))
         self._committing.add_done_callback(_ignore_failure)
-        if exclusive:
-            await asyncio.wait([self._committing])
-            self._committing.result()
+        return self._committing
 
     async def _run_commit(self, writer: SessionWriter) -> None:
         async with self._appending:  # wait for an append to a segment that the commit may delete

@@ -95,7 +95,7 @@ class SessionWriter:
     @property
     def exclusive(self) -> bool:
         """True if no rows may be added or appended while the rows of `begin_commit` are committed."""
-        return self._failed or self._restart or not self._journal
+        return self._failed or self._restart or not self._journal or self._journal.suspect
 
     @property
     def waiting(self) -> bool:
@@ -148,8 +148,13 @@ class SessionWriter:
         rows, first, last = buffer.extent_with(batch)
         return rows > self._part_rows or last - first >= self._part_span
 
+    def fits(self, batch: Batch) -> bool:
+        """Return true if a batch, for which `full` was true, can be added while a commit is running."""
+        buffer = self._buffers.get(TABLE_OF[type(batch)].name)
+        return not self.exclusive and (buffer is None or buffer.rows + len(batch) <= self._part_rows)
+
     def add(self, batch: Batch) -> bool:
-        """Buffer a batch, for which `full` was false, until the next commit.
+        """Buffer a batch, for which `full` was false or `fits` true, until the next commit.
 
         Returns:
             False if too many rows wait for the journal and the batch was not buffered: `append` it.

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
+from shutil import copytree
 from typing import Any, TypeVar, TypeVarTuple, Unpack
 
 import polars as pl
@@ -68,7 +69,7 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
     span, most = bounds[0] * ms, bounds[1]
     root, whole = tmp_path_factory.mktemp("data"), new_batch(Touch, sum(cuts))
     pieces = [whole[sum(cuts[:n]) : sum(cuts[: n + 1])] for n in range(len(cuts))]
-    record(Dataset(root, part_span=span, part_rows=most), new_run(), pieces)
+    record(Dataset(root, part_span=span, part_rows=most), new_run(live=False), pieces)
     found = concat(Touch, list(Session.open(root).read(Touch, 0, rows=7)))
     assert [getattr(found, name).tobytes() for name in ("time", "counts", "temperature", "valid")] == [
         getattr(whole, name).tobytes() for name in ("time", "counts", "temperature", "valid")
@@ -219,7 +220,7 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
     assert Session.open(tmp_path).frame("touch")["time"].to_list() == [n * 10 * ms for n in range(5)]
 
 
-async def test_a_live_recording_continues_while_a_commit_waits_for_the_disk(
+async def test_a_slow_commit_makes_no_row_wait_until_as_many_as_a_part_holds_are_in_memory(
     tmp_path: Path, disk: ExitStack
 ) -> None:
     writing, go_on = threading.Event(), threading.Event()
@@ -229,22 +230,24 @@ async def test_a_live_recording_continues_while_a_commit_waits_for_the_disk(
             writing.set()
             assert go_on.wait(60)
 
-    dataset = Dataset(tmp_path, part_span=100 * ms)
+    dataset = Dataset(tmp_path, part_span=100 * ms, part_rows=50)
     await dataset.open(new_run())
     disk.enter_context(observed(wait))
-    for number in range(19):
+    for number in range(60):  # 10 in the part that is committed; the others go to the journal
         await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
+        assert dataset.pending <= 10
     assert await asyncio.to_thread(writing.wait, 60)
-    await dataset.write(new_batch(Touch, 1, start=190 * ms))
-    full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=200 * ms)))
+    full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=600 * ms)))
     await asyncio.to_thread(lambda: None)
-    assert not full.done()  # as much as a part holds waits already
+    assert not full.done()
+    killed = copytree(tmp_path / "sessions/one", tmp_path / "killed")
     go_on.set()
     await full
+    assert len(Session.open(killed).frame("touch")) >= 50
     await dataset.close()
     session = Session.open(tmp_path)
-    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(21)]
-    assert [part.rows for part in session.listed.values()] == [10, 10, 1]
+    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(61)]
+    assert [part.rows for part in session.listed.values()] == [10, 50, 1]
 
 
 async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
