@@ -1,0 +1,63 @@
+"""A copy of a session that is being recorded, in the order that docs/how-to/backup.md states."""
+
+from functools import partial
+from pathlib import Path
+from shutil import copy2, copytree, ignore_patterns
+
+from operators.batch import EVERY, Episodes, Motion, Slips, Touch, ms
+from storage import Session, recover
+from storage.journal import MAX_WAITING
+from tests.storage.disk_steps import each_kind, observed, record, steps_of
+from tests.storage.made import new_run
+
+STREAMS = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
+PHASES = (3, 40)  # steps of the disk between the journal and the manifest, and to the other files
+
+
+def copy(folder: Path, target: Path, phase: int) -> None:
+    """Copy the journal, then the manifest, then the other files."""
+    target.mkdir(exist_ok=True)
+    if phase == 0 and (folder / "journal").exists():
+        copytree(folder / "journal", target / "journal", ignore=ignore_patterns("*.tmp"))
+    elif phase == 1 and (folder / "MANIFEST.json").exists():
+        copy2(folder / "MANIFEST.json", target)
+    elif phase == 2:
+        ignored = ignore_patterns("*.tmp", "journal", "MANIFEST.json")
+        copytree(folder, target, ignore=ignored, dirs_exist_ok=True)
+
+
+def test_a_copy_of_a_running_recording_has_all_rows_that_were_in_its_journal(tmp_path: Path) -> None:
+    steps = steps_of(partial(record, tmp_path / "whole", new_run(), []))
+    first = steps.index("write_at segment")  # the journal exists
+    starts = [number for number in each_kind(steps, turns=(1,), every=60) if number > first]
+    due = [
+        (start + phase * gap, phase, f"{start}-{gap}")
+        for start in starts
+        for gap in PHASES
+        for phase in range(3)
+    ]
+    reached, taken, before = 0, list[int](), dict[str, int]()
+    folder = tmp_path / "data/sessions/one"
+
+    def reach(_: str) -> None:
+        nonlocal reached
+        reached += 1
+        for phase, name in [each[1:] for each in due if each[0] == reached]:
+            if phase == 0:
+                before[name] = len(taken)
+            copy(folder, tmp_path / name, phase)
+
+    with observed(reach):
+        record(tmp_path / "data", new_run(), taken)
+    for step, phase, name in due:
+        if step > reached:  # the recording has ended
+            copy(folder, tmp_path / name, phase)
+    assert len(before) > 20
+    for name, rows in before.items():
+        done = recover(tmp_path / name)
+        assert not done.lost, (name, done)
+        session = Session.open(tmp_path / name)
+        for kind, finger in STREAMS:
+            times = [time for batch in session.read(kind, finger) for time in batch.time.tolist()]
+            assert times == [number * 10 * ms for number in range(len(times))]
+            assert len(times) >= rows - MAX_WAITING
