@@ -11,7 +11,7 @@
 A session becomes one episode, because slip depends on earlier samples. Its frames lie on a regular grid of
 ``1 / rate`` s. A frame takes the nearest sample of each fingertip within half that time; no value is
 interpolated. A frame without a sample repeats the values before it, with ``valid`` false and ``label`` -1.
-The motion of the arm is the task of each frame. The columns ``slipflow/session`` and ``slipflow/start_ns`` of
+All frames have one task. The columns ``slipflow/session`` and ``slipflow/start_ns`` of
 the episodes name their recording and the time of its first frame.
 
 References:
@@ -23,19 +23,17 @@ from __future__ import annotations  # they name classes of pyarrow
 import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import (
     EVERY,
-    MOTIONS,
     UNKNOWN,
-    Episodes,
     Flags,
     Labelled,
     Motion,
@@ -51,6 +49,7 @@ from operators.ports import SomeBatch
 from operators.score import forward_fill
 from storage.arrow import pa, pq
 from storage.files import partial_folder, put_json
+from storage.schema import flat
 from storage.session import Session
 
 VERSION: Final = "v3.0"
@@ -64,14 +63,7 @@ POSE_WITHIN: Final = 20 * ms  # ns, largest distance between a frame and its pos
 
 _MAX_MB: Final = 100  # where LeRobot would begin another data file
 _QUANTILES: Final = (0.01, 0.1, 0.5, 0.9, 0.99)
-_TASKS: Final[Mapping[str | None, str]] = {
-    "translation": "slide the fingertip over the surface",
-    "rotation": "turn the fingertip on the surface",
-    "hold": "hold the fingertip still",
-    "tap": "tap the surface",
-    "lift": "lift the fingertip off",
-}
-_OTHER_TASK: Final = "detect slip"
+_TASK: Final = "detect slip"
 
 Values = dict[str, NDArray[Any]]  # one row per frame, by feature
 
@@ -127,17 +119,16 @@ def export(
     contents = _common_contents(sessions)
     rate = _frame_rate(sessions, rate)
     declared = _features(contents)
-    tasks, splits, episodes = dict[str, int](), Counter[str](), list[dict[str, Any]]()
+    splits, episodes = Counter[str](), list[dict[str, Any]]()
     rows = repeated = 0
     with partial_folder(out) as folder:
         for number, (split, session) in enumerate(_ordered(sessions)):
             progress(number, session.name)
             values, time, whole = _frames(session, rate, contents)
-            words = _frame_tasks(time, concat(Episodes, list(session.read(Episodes, EVERY))))
             values |= {
                 "episode_index": np.full(len(time), number),
                 "index": np.arange(rows, rows + len(time)),
-                "task_index": np.array([tasks.setdefault(each, len(tasks)) for each in words]),
+                "task_index": np.zeros(len(time), np.int64),
             }
             place = dict(zip(("chunk_index", "file_index"), divmod(number, CHUNK), strict=True))
             _write(folder / DATA.format(**place), _table(values, declared))
@@ -145,7 +136,7 @@ def export(
             episodes.append(
                 {
                     "episode_index": number,
-                    "tasks": list(dict.fromkeys(words)),
+                    "tasks": [_TASK],
                     "length": len(time),
                     **{f"data/{name}": value for name, value in place.items()},
                     "dataset_from_index": rows,
@@ -163,7 +154,7 @@ def export(
             )
             rows, repeated = rows + len(time), repeated + int((~whole).sum())
             splits[split] += 1
-        _write_tasks(folder, list(tasks))
+        _write_task(folder)
         _write(folder / "meta/episodes/chunk-000/file-000.parquet", pa.Table.from_pylist(episodes))
         put_json(folder / "meta/stats.json", _all_statistics(folder, declared))
         ranges = _ranges(splits)
@@ -172,7 +163,7 @@ def export(
             "robot_type": None,
             "total_episodes": len(episodes),
             "total_frames": rows,
-            "total_tasks": len(tasks),
+            "total_tasks": 1,
             "chunks_size": CHUNK,
             "data_files_size_in_mb": _MAX_MB,
             "video_files_size_in_mb": _MAX_MB,
@@ -196,7 +187,7 @@ def _common_contents(sessions: Sequence[Session]) -> _Contents:
             reason = f"has {own}, but {sessions[0].name} has {other}"
             raise InputError(str(session.folder), f"{reason}: export them separately")
     velocity, pose = all(each.velocity for each in found), all(each.pose for each in found)
-    return _Contents(found[0].fingers, found[0].cells, velocity, pose)
+    return replace(found[0], velocity=velocity, pose=pose)
 
 
 def _contents(session: Session) -> _Contents:
@@ -204,9 +195,9 @@ def _contents(session: Session) -> _Contents:
     if not fingers:
         reason = "has no samples, which frames are made of: record with `slipflow run record`"
         raise InputError(str(session.folder), reason)
-    samples = _rows(session, Labelled, fingers[0])
-    values = samples.velocity, _rows(session, Motion, EVERY).pose
-    return _Contents(fingers, samples.cells, *(bool(_all_finite(each).any()) for each in values))
+    samples, motion = _rows(session, Labelled, fingers[0]), _rows(session, Motion, EVERY)
+    known = [bool(_all_finite(each).any()) for each in (samples.velocity, motion.pose)]
+    return _Contents(fingers, samples.cells, *known)
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
@@ -300,16 +291,6 @@ def _nearest(known: Times, time: Times, within: int) -> tuple[NDArray[np.intp], 
     return np.where(there, row, before), there
 
 
-def _frame_tasks(time: Times, episodes: Episodes) -> list[str]:
-    """Return the task of each frame (n,), from the motions of the recording's episodes."""
-    codes: list[int] = episodes.motion.tolist()
-    tasks = [*(_TASKS.get(MOTIONS[code], _OTHER_TASK) for code in codes), _OTHER_TASK]
-    ends = np.append(episodes.end, np.iinfo(np.int64).min)
-    number = episodes.time.searchsorted(time, "right") - 1  # (n,) -1: before the first
-    number = np.where(time < ends[number], number, -1)
-    return [tasks[each] for each in number.tolist()]
-
-
 def _features(contents: _Contents) -> dict[str, dict[str, Any]]:
     """Return element type, shape and element names of each feature."""
 
@@ -348,9 +329,8 @@ def _all_statistics(root: Path, declared: Mapping[str, Any]) -> dict[str, Any]:
     """Return the statistics of each feature over all episodes; one feature at a time is in memory."""
     paths, found = sorted(root.glob("data/*/*.parquet")), dict[str, Any]()
     for name, feature in declared.items():
-        columns: list[Any] = [pq.read_table(path, columns=[name])[name].combine_chunks() for path in paths]
-        flat = [each.flatten() if feature["shape"] != [1] else each for each in columns]
-        values = np.concatenate([each.to_numpy(zero_copy_only=False) for each in flat])
+        column: Any = pq.read_table(cast("Any", paths), columns=[name])[name]
+        values = flat(column).to_numpy(zero_copy_only=False)
         found[name] = _statistics(values.reshape(-1, *feature["shape"]))
     return found
 
@@ -364,8 +344,8 @@ def _table(values: Values, declared: Mapping[str, Any]) -> pa.Table:
     return pa.table(columns)
 
 
-def _write_tasks(root: Path, tasks: Sequence[str]) -> None:
-    """Write the tasks by number; the metadata makes the text the index in pandas, as LeRobot expects."""
+def _write_task(root: Path) -> None:
+    """Write the task; the metadata makes its text the index in pandas, as LeRobot expects."""
     columns = [("task_index", "int64", "int64"), ("task", "unicode", "object")]
     pandas = {
         "index_columns": ["task"],
@@ -376,7 +356,7 @@ def _write_tasks(root: Path, tasks: Sequence[str]) -> None:
         ],
         "pandas_version": "2.0.0",
     }
-    table = pa.table({"task_index": np.arange(len(tasks)), "task": list(tasks)})
+    table = pa.table({"task_index": [0], "task": [_TASK]})
     _write(root / "meta/tasks.parquet", table.replace_schema_metadata({"pandas": json.dumps(pandas)}))
 
 

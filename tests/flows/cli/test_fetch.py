@@ -1,4 +1,8 @@
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
+
+import pytest
 
 from tests.command import error, slipflow
 
@@ -14,4 +18,39 @@ def test_errors_are_one_line(tmp_path: Path) -> None:
     assert "OUT is None, must be the folder of the new dataset" in error("fetch", "grasps")
     missing = error("fetch", "grasps", tmp_path / "out", "--from", tmp_path)
     assert f"{tmp_path} must be like a clone of https://github.com/imanlab" in missing
+    assert not (tmp_path / "out").exists()
+
+
+ADDRESSES = (
+    "http://[::1",
+    "http://host:port/x",
+    "http:///x",
+    "://",
+    "http://exa mple/",
+    "ftp://x/y",
+    "http://\u2100/",
+    "%",
+)
+
+
+@pytest.mark.parametrize("address", ADDRESSES)
+def test_a_redirect_to_a_malformed_address_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    class Redirect(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(302)
+            self.send_header("Location", address.encode().decode("latin-1"))
+            self.end_headers()
+
+        def log_message(self, *_: object) -> None:
+            return
+
+    monkeypatch.setattr("flows.lab.recipes.fetching._ATTEMPTS", 0)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    with ThreadingHTTPServer(("127.0.0.1", 0), Redirect) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        text = error("fetch", "strokes", tmp_path / "out", "--from", f"http://127.0.0.1:{server.server_port}")
+        server.shutdown()
+    assert "was not fetched: " in text
     assert not (tmp_path / "out").exists()

@@ -16,7 +16,7 @@ from operators.errors import InputError, ParameterError
 from storage import Session
 from storage.exports import lerobot
 from storage.exports.lerobot import export
-from tests.storage.made import new_episodes, new_samples, record
+from tests.storage.made import new_samples, record
 
 
 @dataclass
@@ -173,22 +173,6 @@ def test_episodes_are_ordered_by_split(tmp_path: Path) -> None:
     found.check()
     assert found.info["splits"] == {"train": "0:2", "validation": "2:3", "test": "3:5"}
     assert [each["slipflow/session"] for each in found.episodes] == ["b", "c", "d", "a", "e"]
-
-
-def test_tasks_are_the_motions(tmp_path: Path) -> None:
-    episodes = new_episodes((0, 50 * ms, "hold"), (50 * ms, 90 * ms, "translation"))
-    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms), episodes])
-    export([session], tmp_path / "done")
-    found = Read.open(tmp_path / "done")
-    found.check()
-    holds, slides, otherwise = (
-        "hold the fingertip still",
-        "slide the fingertip over the surface",
-        "detect slip",
-    )
-    tasks = [found.tasks[number] for number in found.frames[0]["task_index"]]
-    assert tasks == [holds] * 5 + [slides] * 4 + [otherwise]
-    assert found.episodes[0]["tasks"] == [holds, slides, otherwise]
 
 
 def test_motion_data_is_omitted_unless_every_session_has_it(tmp_path: Path) -> None:
