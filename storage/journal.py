@@ -2,12 +2,12 @@
 
 .. code-block:: text
 
-    journal/000000.wal  segment with rows of multi-part tables; numbered on
-    journal/single.wal  segment with rows of single-file tables, which are written when the session ends
+    journal/000000.wal  segment; numbered on
     identity            JSON: version, session, number of the segment, sha256 of the columns of all tables
     record              code of the batch type (1), finger (2), cells (4), rows (4), number of the first in
                         its table (8); the columns
 
+A segment begins with all rows of single-file tables so far, which are in no file until the session ends.
 All numbers are little-endian and, except for the finger, unsigned. See `storage.append_log` for the file.
 """
 
@@ -35,11 +35,9 @@ from storage.layout import (
     files_of,
     segment_file,
     segments,
-    single_log,
 )
 
 VERSION: Final = 6  # of identity and records; other versions refuse the segment
-SINGLE: Final = -1  # number of the segment with the rows of single-file tables
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
 MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
 
@@ -78,10 +76,10 @@ class Journal:
     def __init__(self, folder: Path, session: str) -> None:
         self._folder, self._session = folder, session
         files.make_folder(folder / JOURNAL)
-        self._single = self._create(SINGLE)  # before all others
         self._segments = [self._create(0)]  # the last one gets the rows
         self._next = 1  # number of the next segment
-        self._committing: list[AppendLog] = []  # all of their rows are being committed
+        self._committing: list[AppendLog] = []  # that are deleted after the commit
+        self._restarting = False  # these are all segments, because some of them are suspect
         self._waiting = deque[NumberedRows]()
         self._added, self._appended = Counter[str](), Counter[str]()  # rows by table
         self._failing = False
@@ -98,13 +96,13 @@ class Journal:
 
     @property
     def suspect(self) -> bool:
-        """True if appended rows may be lost, or no more can be appended: `restart` is needed."""
-        return any(log.suspect or log.broken for log in (self._single, *self._segments))
+        """True if appended rows may be lost, or no more can be appended: a commit replaces all segments."""
+        return any(log.suspect or log.broken for log in self._segments)
 
     @property
     def unsynced(self) -> bool:
         """True if appended rows are not durable."""
-        return any(log.unsynced for log in (self._single, *self._segments))
+        return any(log.unsynced for log in self._segments)
 
     def add(self, rows: NumberedRows) -> bool:
         """Queue rows; return false if too many wait or the disk fails, and they were not queued."""
@@ -116,19 +114,14 @@ class Journal:
         return True
 
     def append(self, *rows: NumberedRows) -> None:
-        """Append the waiting rows, then `rows`, which belong to one table.
+        """Append the waiting rows, then `rows`.
 
         Raises:
             OSError: nothing was appended; the waiting rows stay queued, `rows` do not.
         """
         waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
-        logs = {True: self._segments[-1], False: self._single}
         try:
-            parted = all(each.table.parted for each in rows)
-            for each in (not parted, parted):  # `rows` last: if that fails, they are in no segment
-                of_log = [found for found in (*waiting, *rows) if found.table.parted is each]
-                if of_log:
-                    logs[each].append(encode(of_log))
+            self._segments[-1].append(encode([*waiting, *rows]))
         except BaseException:
             self._waiting.extendleft(reversed(waiting))
             self._failing = True
@@ -143,51 +136,37 @@ class Journal:
         Raises:
             OSError: some rows may be lost; the journal is `suspect`.
         """
-        for log in (self._single, *self._segments):
+        for log in self._segments:
             log.sync()
 
     def begin_commit(self) -> None:
-        """Note that all rows added so far are about to be committed."""
-        self._committing = self._segments[:-1]
+        """Note that all rows so far are about to be committed; a `suspect` journal may get none meanwhile."""
+        self._restarting = self.suspect
+        self._committing = self._segments[:] if self._restarting else self._segments[:-1]
 
-    def rotate(self) -> None:
-        """Delete the segments whose rows are all committed now, and begin the next one.
+    def rotate(self, single: Iterable[NumberedRows]) -> None:
+        """Begin the next segment, and delete those whose rows of multi-part tables are committed now.
 
         The segment before it stays: rows may have been added to it since `begin_commit`.
 
+        Args:
+            single: All rows of single-file tables at `begin_commit`.
+
         Raises:
             OSError: it may be called again.
         """
+        self._segments.append(self._create(self._next, single))
+        self._next += 1
+        if self._restarting:
+            self._waiting.clear()
+            self._appended, self._failing = self._added.copy(), False
         self._segments = [each for each in self._segments if each not in self._committing]
         while self._committing:
-            self._delete(self._committing[-1])
+            self._committing[-1].close()
+            files.unlink(self._committing[-1].path)
             self._committing.pop()
-        self._segments.append(self._create(self._next))
-        self._next += 1
-
-    def restart(self, single: Iterable[NumberedRows]) -> None:
-        """Replace all segments by new ones, while no rows are added; multi-part tables are committed.
-
-        Args:
-            single: All rows of single-file tables.
-
-        Raises:
-            OSError: it may be called again.
-        """
-        segment = self._create(self._next)
-        try:
-            self._single, old = self._create(SINGLE, single), self._single
-        except BaseException:
-            segment.close()
-            raise
-        old.close()
-        self._waiting.clear()
-        self._appended, self._failing = self._added.copy(), False
-        self._committing, self._segments = self._segments, [segment]
-        self._next += 1
-        for each in self._committing:
-            self._delete(each)
-        files.sync(self._folder / JOURNAL)
+        if self._restarting:
+            files.sync(self._folder / JOURNAL)
 
     def remove(self) -> None:
         """Delete the journal: all its rows are in parts.
@@ -200,16 +179,12 @@ class Journal:
 
     def close(self) -> None:
         """Close the journal without deleting it; may be called again."""
-        for log in (self._single, *self._segments):
+        for log in self._segments:
             log.close()
 
     def _create(self, number: int, rows: Iterable[NumberedRows] = ()) -> AppendLog:
-        path = single_log(self._folder) if number == SINGLE else self._folder / segment_file(number)
+        path = self._folder / segment_file(number)
         return AppendLog.create(path, identity(self._session, number), encode(rows))
-
-    def _delete(self, log: AppendLog) -> None:
-        log.close()
-        files.unlink(log.path)
 
 
 class SegmentReader(LogReader):
@@ -252,7 +227,7 @@ def delete_journal(folder: Path) -> None:
         OSError: some of it is left.
     """
     unfinished = files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")
-    for path in [*segments(folder).values(), single_log(folder), *unfinished]:
+    for path in [*segments(folder).values(), *unfinished]:
         files.unlink(path)
     files.remove_folder(folder / JOURNAL)
     files.sync(folder)

@@ -13,7 +13,6 @@
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
     sessions/<session>/journal/000000.wal           rows that are in no file above yet: while recording, or
                                                     after a kill; see storage.journal
-    sessions/<session>/journal/single.wal           rows of single-file tables, until the session ends
     sessions/<session>/labels/000001.json           labels given by hand, one file per version; see
                                                     storage.hand_labels
     sessions/<session>/damaged/                     files that a recovery moved away
@@ -254,11 +253,6 @@ def segments(folder: Path) -> dict[int, Path]:
 def segment_file(number: int) -> str:
     """Return the path of a segment within the folder of the session, such as ``journal/000007.wal``."""
     return f"{JOURNAL}/{number:06d}.wal"
-
-
-def single_log(folder: Path) -> Path:
-    """Return the path of the journal segment with the rows of single-file tables."""
-    return folder / JOURNAL / "single.wal"
 
 
 def check_links(folder: Path) -> None:

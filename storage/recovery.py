@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import count
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -16,7 +17,7 @@ from storage import files
 from storage.append_log import Damage
 from storage.buffer import Buffer
 from storage.description import describe_recovery, read_session
-from storage.journal import SINGLE, SegmentReader, delete_journal
+from storage.journal import NumberedRows, SegmentReader, delete_journal
 from storage.layout import (
     DAMAGED,
     JOURNAL,
@@ -29,7 +30,6 @@ from storage.layout import (
     may_exist,
     part_number,
     segments,
-    single_log,
     table_files,
 )
 from storage.lock import lock
@@ -125,9 +125,7 @@ class Repair:
         self._listed = listed = read_manifest(folder, about)
         self._parts = {table.name: [listed[path] for path in _sorted(table, listed)] for table in TABLES}
         self._strays = [path for table in TABLES for path in table_files(folder, table) if path not in listed]
-        self._logs, single = segments(folder), single_log(folder)
-        self._newest = [next(reversed(self._logs.values()), None), single]
-        self._logs |= {SINGLE: single} if may_exist(single) else {}
+        self._logs = segments(folder)
         self._damaged = list[Path]()  # segments to be kept
         self._rows = Counter[str]()  # that the journal adds, by table
         self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
@@ -176,7 +174,7 @@ class Repair:
             if damage:
                 reason = "the recorder was cut off there" if damage.torn else "it is damaged"
                 self.lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
-                self.cut += self.lost[-1:] if damage.torn and path in self._newest else []
+                self.cut += self.lost[-1:] if damage.torn and path == [*damages][-1] else []
                 self._damaged += [] if damage.torn else [path]
         for name, rows_left in self._left_out.items():
             follow = _count(self._parts[name]) + self._rows[name]
@@ -188,7 +186,7 @@ class Repair:
         """Note what is missing in a session that was not closed."""
         if not self._all_parts() and not self._rows and not self.lost and self._covered:
             self.done.append("was not closed, and has no rows")
-        elif len(self._logs) < 2 or SINGLE not in self._logs:  # noqa: PLR2004 - a recorder always has both
+        elif not self._logs:
             self.lost.append("was not closed and lacks its journal: rows after its last part are missing")
             self.cut += [] if (self._folder / JOURNAL).is_dir() else self.lost[-1:]  # a killed replay
 
@@ -199,17 +197,27 @@ class Repair:
         """
         next_row = {table.name: _count(self._parts[table.name]) if table.parted else 0 for table in TABLES}
         self._left_out.clear()
+        for rows in self._all_rows(damages):
+            table, end = rows.table, rows.first + len(rows.batch)
+            name, next_of_table = table.name, next_row[rows.table.name]
+            if name in self._left_out or rows.first > next_of_table:
+                self._left_out[name] += len(rows.batch)
+            elif end > next_of_table:
+                next_row[name] = end
+                yield table, rows.batch[next_of_table - rows.first :]
+
+    def _all_rows(self, damages: dict[Path, Damage | None]) -> Iterator[NumberedRows]:
+        """Yield the rows of all segments, those of single-file tables last; each segment repeats these."""
+        single = list[NumberedRows]()
         for number, path in self._logs.items():
             with SegmentReader(path, self._session, number) as reader:
                 for rows in reader.rows():
-                    table, end = rows.table, rows.first + len(rows.batch)
-                    name, next_of_table = table.name, next_row[rows.table.name]
-                    if name in self._left_out or rows.first > next_of_table:
-                        self._left_out[name] += len(rows.batch)
-                    elif end > next_of_table:
-                        next_row[name] = end
-                        yield table, rows.batch[next_of_table - rows.first :]
+                    if rows.table.parted:
+                        yield rows
+                    else:
+                        single.append(rows)
                 damages[path] = reader.damage
+        yield from sorted(single, key=attrgetter("first"))
 
     def _commit_journal(self) -> None:
         """Write the rows of the journal as the next parts of multi-part tables, or as single files."""

@@ -55,7 +55,7 @@ class SessionWriter:
             table.name: Buffer(table.kind) for table in self._tables if not table.parted
         }
         self._committing: dict[str, Buffer] | None = None  # buffers of the commit in progress
-        self._restart = False  # the commit in progress restarts the journal
+        self._single: list[NumberedRows] = []  # rows of single-file tables when the commit began
         self._failed = False  # the last commit failed: it must succeed before more rows are added
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
@@ -95,7 +95,7 @@ class SessionWriter:
     @property
     def exclusive(self) -> bool:
         """True if no rows may be added or appended while the rows of `begin_commit` are committed."""
-        return self._failed or self._restart or not self._journal or self._journal.suspect
+        return self._failed or not self._journal or self._journal.suspect
 
     @property
     def waiting(self) -> bool:
@@ -204,7 +204,10 @@ class SessionWriter:
         for name, buffer in self._committing.items():
             self._buffers[name] = Buffer(buffer.kind, buffer.end, buffer.cells)
         if self._journal:
-            self._restart = self._journal.suspect and not final
+            single = (
+                [] if final else [each for each in self._buffers.values() if not TABLE_OF[each.kind].parted]
+            )
+            self._single = [rows for buffer in single for rows in buffer.numbered()]
             self._journal.begin_commit()
 
     def commit(self, *, final: bool = False) -> None:
@@ -289,12 +292,9 @@ class SessionWriter:
                 self._commit_rows(table, buffer)
                 del self._committing[table.name]
         self._write_manifest()
-        if self._journal and self._restart:
-            single = [each for each in self._buffers.values() if not TABLE_OF[each.kind].parted]
-            self._journal.restart(rows for buffer in single for rows in buffer.numbered())
-        elif self._journal and not final:
-            self._journal.rotate()
-        self._committing, self._restart = None, False
+        if self._journal and not final:
+            self._journal.rotate(self._single)
+        self._committing = None
 
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:
         rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])

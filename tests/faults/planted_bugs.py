@@ -40,7 +40,7 @@ def _replace_without_fsync(path: Path, data: bytes, *, durable: bool) -> None:
 
 def _delete_journal_first(self: Any, **options: Any) -> None:
     if self._journal and self._committing:
-        self._journal.rotate()
+        self._journal.rotate(self._single)
     _COMMIT_SELECTED(self, **options)
 
 

@@ -23,8 +23,9 @@ from operators.batch import (
 from operators.errors import InputError
 from storage import journal
 from storage.append_log import AppendLog
-from storage.journal import MAX_WAITING, SINGLE, Journal, NumberedRows, SegmentReader
-from storage.layout import segments, single_log
+from storage.journal import MAX_WAITING, Journal, NumberedRows, SegmentReader
+from storage.layout import segments
+from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch
 
 KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
@@ -45,21 +46,12 @@ def rows(path: Path, number: int) -> list[NumberedRows]:
 
 
 def found(folder: Path) -> list[tuple[str, int, int]]:
-    """Type, first row and rows of each record of the multi-part tables."""
+    """Type, first row and rows of each record."""
     return [
         (type(each.batch).__name__, each.first, len(each.batch))
         for number, path in segments(folder).items()
         for each in rows(path, number)
     ]
-
-
-def singles(folder: Path) -> list[tuple[int, int]]:
-    return [(each.first, len(each.batch)) for each in rows(single_log(folder), SINGLE)]
-
-
-def fail_appends(step: str) -> None:
-    if step == "write_at segment":
-        raise OSError(28, "No space left on device")
 
 
 def test_no_more_than_ten_rows_of_a_table_wait(written: Journal, tmp_path: Path) -> None:
@@ -78,18 +70,37 @@ def test_no_more_than_ten_rows_of_a_table_wait(written: Journal, tmp_path: Path)
     assert written.add(NumberedRows(110, new_batch(Touch, MAX_WAITING)))
 
 
-def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete(
+def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete_and_keeps_all_single_rows(
     written: Journal, tmp_path: Path
 ) -> None:
-    written.append(NumberedRows(0, new_batch(Slips, 2)))
+    slips = NumberedRows(0, new_batch(Slips, 2))
+    written.append(slips)
     for number in range(4):
         written.append(NumberedRows(2 * number, new_batch(Touch, 1)))
         written.begin_commit()
         written.append(NumberedRows(2 * number + 1, new_batch(Touch, 1)))  # not committed
-        written.rotate()
+        written.rotate([slips])
         assert list(segments(tmp_path)) == [number, number + 1]
-    assert found(tmp_path) == [("Touch", 6, 1), ("Touch", 7, 1)]
-    assert singles(tmp_path) == [(0, 2)]
+    assert found(tmp_path) == [("Slips", 0, 2), ("Touch", 6, 1), ("Touch", 7, 1), ("Slips", 0, 2)]
+
+
+def test_a_suspect_journal_is_replaced_as_a_whole(written: Journal, tmp_path: Path) -> None:
+    def fail(step: str) -> None:
+        if step == "fsync segment":
+            raise OSError(5, "Input/output error")
+
+    slips = NumberedRows(0, new_batch(Slips, 4))
+    written.append(slips)
+    assert written.add(NumberedRows(0, new_batch(Touch, 4)))
+    with observed(fail), pytest.raises(OSError, match="Input/output"):
+        written.sync()
+    assert written.suspect
+    written.begin_commit()
+    written.rotate([slips])
+    assert (written.suspect, written.waiting) == (False, 0)
+    assert (found(tmp_path), list(segments(tmp_path))) == ([("Slips", 0, 4)], [1])
+    written.remove()
+    assert list(tmp_path.iterdir()) == []
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [

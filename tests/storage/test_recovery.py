@@ -11,7 +11,7 @@ import pytest
 
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
-from storage.layout import segments, single_log
+from storage.layout import segments
 from storage.lock import lock
 from storage.parts import read_manifest, write_manifest
 from tests.storage.made import leave, new_run, rows, side_by_side
@@ -151,7 +151,7 @@ def test_a_torn_end_costs_its_own_rows_only(left: Path, tail: str) -> None:
     done = recover(left)
     assert "the recorder was cut off there" in done.lost[0]
     assert done.cut == done.lost
-    assert rows(left, BATCHES) == [25, 25, 25, 20, 25]
+    assert rows(left, BATCHES) == [25, 25, 25, 25, 20]
     assert not (left / "damaged").exists()
     assert verify(left).worst == "lossy"
 
@@ -167,7 +167,7 @@ def test_rows_that_do_not_follow_are_left_out_and_reported(left: Path) -> None:
     assert list((left / "damaged").glob("*.wal"))
 
 
-@pytest.mark.parametrize(("lost", "worst"), [("all", "lossy"), ("segments", "lost"), ("single.wal", "lost")])
+@pytest.mark.parametrize(("lost", "worst"), [("all", "lossy"), ("segments", "lost")])
 def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(
     left: Path, lost: str, worst: str
 ) -> None:
@@ -175,7 +175,6 @@ def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(
         rmtree(left / "journal")
     for path in segments(left).values() if lost == "segments" else []:
         path.unlink()
-    single_log(left).unlink(missing_ok=lost != "single.wal")
     for _ in range(2):
         assert verify(left).worst == worst
         recover(left)
@@ -184,7 +183,7 @@ def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(
 
 
 def test_a_flipped_bit_in_the_journal_never_gives_a_wrong_row(left: Path, tmp_path: Path) -> None:
-    paths = [*segments(left).values(), single_log(left)]
+    paths = [*segments(left).values()]
     for seed in range(60):
         folder = copytree(left, tmp_path / str(seed))
         path = folder / paths[seed % len(paths)].relative_to(left)
