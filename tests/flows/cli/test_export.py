@@ -6,6 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
+from storage import Session
 from storage.layout import session_names
 from tests.command import error, slipflow
 
@@ -20,6 +21,27 @@ def test_a_dataset_becomes_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None
     assert found["episodes"] == 12
     assert found["splits"] == info["splits"] == {"train": "0:9", "validation": "9:10", "test": "10:12"}
     assert {"observation.state", "observation.pose", "action"} < set(found["features"])
+
+
+def test_an_exported_lerobot_dataset_can_be_imported_again(tiny: Path, tmp_path: Path) -> None:
+    assert slipflow("export", str(tiny), "out", "--to", "lerobot", cwd=tmp_path).returncode == 0
+    files = sorted((tmp_path / "out/data").rglob("*.parquet"))[:2]
+    (tmp_path / "both").mkdir()
+    pl.concat(map(pl.read_parquet, files)).write_parquet(tmp_path / "both/both.parquet")
+    columns = (
+        "time=timestamp,counts=observation.state0..observation.state5,velocity=action0..action5,label=label"
+    )
+    for given, names in (
+        (files, ("file-000", "file-001")),
+        ([tmp_path / "both/both.parquet"], ("both-1", "both-2")),
+    ):
+        out = tmp_path / names[0]
+        done = slipflow("import", *given, out, "--map", f"{columns},units.counts=count,zeroed=true")
+        assert done.returncode == 0, done.stderr
+        assert session_names(out) == [*names]
+        for path, name in zip(files, names, strict=True):
+            touch = Session.open(out / "sessions" / name).frame("touch")
+            assert touch["counts"].to_list() == pl.read_parquet(path)["observation.state"].to_list()
 
 
 def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
