@@ -13,6 +13,7 @@ from operators.ports import Clock, Finding, Run, Sink
 from storage import arrow
 from storage.background_task import BackgroundTask
 from storage.disk_check import check_disk
+from storage.journal import APPEND_AT
 from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
@@ -164,7 +165,7 @@ class Dataset(Sink[Recordable]):
         """Wake up the task that appends, if rows wait."""
         if writer.waiting:
             self._waiting.set()
-        if writer.urgent:
+        if writer.waiting >= APPEND_AT:
             self._urgent.set()
 
     async def _append(self, writer: SessionWriter, batch: Recordable | None = None) -> None:

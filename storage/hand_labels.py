@@ -9,13 +9,14 @@ import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from itertools import islice, pairwise
+from operator import index
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Flags, Times
+from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
 from operators.checks import check_between, check_choice
 from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
 from operators.ports import Description
@@ -39,6 +40,7 @@ class LabelSpan:
 
     Raises:
         ParameterError: if a value is invalid.
+        TypeError: if a number is not an integer.
     """
 
     begin: int  # ns since 1970 UTC, as the time of touch
@@ -51,10 +53,13 @@ class LabelSpan:
 
     def __post_init__(self) -> None:
         for name in ("begin", "end", "finger", "created"):
-            object.__setattr__(self, name, int(getattr(self, name)))  # of numpy, which is not JSON
+            object.__setattr__(self, name, index(getattr(self, name)))  # of numpy, which is not JSON
+        texts: tuple[object, ...] = self.author, self.note
+        if not all(isinstance(each, str) for each in texts):
+            raise ParameterError("hand labels", "author and note", texts, "texts")
         if not -_TIME_LIMIT <= self.begin < self.end < _TIME_LIMIT:
             raise ParameterError("hand labels", "end", self.end, f"after begin, {self.begin} ns")
-        check_between("hand labels", "finger", self.finger, 0, FINGER_MAX)
+        check_between("hand labels", "finger", self.finger, EVERY, FINGER_MAX)
         check_between("hand labels", "created", self.created, 0, _TIME_LIMIT - 1)
         check_choice("hand labels", "value", self.value, VALUES)
 
@@ -116,8 +121,8 @@ def read_hand_labels(folder: Path, about: Description, version: int | None = Non
         raise InputError(str(path), f'must have "format": {FORMAT} and "version": {number}; restore a copy')
     check_identity(path, content, about)
     try:
-        return HandLabels(number, _ordered(_span(**each) for each in content["spans"]))
-    except (KeyError, TypeError, ValueError, ParameterError) as error:
+        return HandLabels(number, _ordered(LabelSpan(**each) for each in content["spans"]))
+    except (KeyError, TypeError, ParameterError) as error:
         raise InputError(str(path), f"has an invalid span: {error}; restore a copy") from error
 
 
@@ -155,19 +160,6 @@ def write_hand_labels(
     except OSError as error:
         raise EndpointError(str(folder / LABELS), f"cannot be written: {os_error_reason(error)}") from error
     return HandLabels(newest + 1, ordered)
-
-
-def _span(**values: Any) -> LabelSpan:  # noqa: ANN401 - any JSON
-    """Return a span of a file.
-
-    Raises:
-        TypeError: if a value has another type, or is missing.
-        ParameterError: if a value is invalid.
-    """
-    span = LabelSpan(**values)
-    if wrong := [name for name, value in asdict(span).items() if type(values[name]) is not type(value)]:
-        raise TypeError(f"{wrong[0]} has the wrong type")
-    return span
 
 
 def _ordered(spans: Iterable[LabelSpan]) -> tuple[LabelSpan, ...]:

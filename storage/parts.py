@@ -104,16 +104,6 @@ def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]
     return listed
 
 
-def names_session(folder: Path) -> bool:
-    """Return true if the manifest of a session names it; older versions wrote none that does.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
-    path = folder / MANIFEST
-    return may_exist(path) and bool(identity(files.read_json(path, files.LIST_LIMIT)))
-
-
 def write_part(folder: Path, path: str, rows: pa.Table, put: files.Put = files.put) -> Part:
     """Write rows as a Parquet file of a session and return its manifest entry.
 

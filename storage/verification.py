@@ -27,7 +27,7 @@ from storage.layout import (
     session_folders,
 )
 from storage.lock import locked
-from storage.parts import Part, names_session, read_manifest, read_part
+from storage.parts import Part, read_manifest, read_part
 from storage.recovery import Repair, scratch_files
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
@@ -181,19 +181,14 @@ class _SessionCheck:
             self._add("lost", f"its {SESSION} is missing; its readable rows are counted")
         elif self.about:
             try:
-                self._check_name(str(self.about["session"]))
+                if self.about["session"] != self.name:
+                    named = f"its {SESSION} names session {self.about['session']!r}"
+                    self._add("note", f"{named}: restore its own, unless the folder was renamed")
                 self._check_ending(self.about)
                 self._check_streams(self.about)
             except (AttributeError, LookupError, TypeError) as error:
                 self.about = {}
                 self._add("lost", f"{self.folder / SESSION}: has invalid content: {error!r}")
-
-    def _check_name(self, session: str) -> None:
-        if session != self.name and self._has_manifest and names_session(self.folder):
-            self._add("note", f"the recording is named {session!r}: its folder was renamed or copied")
-        elif session != self.name:
-            fix = "restore its own, unless the folder was renamed"
-            self._add("lossy", f"its {SESSION} is that of session {session!r}: {fix}")
 
     def _check_ending(self, about: Description) -> None:
         recovered = cast("dict[str, Any] | None", about.get("recovered"))

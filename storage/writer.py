@@ -15,7 +15,7 @@ from operators.ports import Description, Run
 from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
-from storage.journal import APPEND_AT, Journal, NumberedRows
+from storage.journal import Journal, NumberedRows
 from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, Table, new_session_folder
 from storage.lock import lock
 from storage.parts import Part, write_manifest, write_parts
@@ -98,9 +98,9 @@ class SessionWriter:
         return self._failed or not self._journal or self._journal.suspect
 
     @property
-    def waiting(self) -> bool:
-        """True if rows are not in the journal yet."""
-        return bool(self._journal and self._journal.waiting)
+    def waiting(self) -> int:
+        """Largest number of rows of a table that are to be appended to the journal."""
+        return self._journal.waiting if self._journal else 0
 
     @property
     def pending(self) -> int:
@@ -108,11 +108,6 @@ class SessionWriter:
         if self._journal and not self._journal.suspect:
             return self._journal.pending
         return sum(each.rows for each in (*self._buffers.values(), *(self._committing or {}).values()))
-
-    @property
-    def urgent(self) -> bool:
-        """True if so many rows wait that they should be appended at once."""
-        return bool(self._journal and self._journal.waiting >= APPEND_AT)
 
     @property
     def unsynced(self) -> bool:

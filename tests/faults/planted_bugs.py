@@ -114,7 +114,7 @@ PLANTED: Final[dict[str, Bug]] = {
         _all(
             _set(journal, "MAX_WAITING", 1000),
             _set(journal, "APPEND_AT", 1000),
-            _set(writer, "APPEND_AT", 1000),
+            _set(dataset, "APPEND_AT", 1000),
             _set(dataset, "APPEND_INTERVAL", 1.0),
         ),
         KILLS,
