@@ -22,7 +22,7 @@ from flows.lab.experiments.study import Trials, run_study
 from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.simulation import simulate
 from flows.learn.evaluation import evaluation_study, stress_study
-from flows.learn.evaluation.evaluation_study import evaluate
+from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
 from flows.learn.evaluation.measures import AGAINST_SLIDING, BALANCED, EVENTS, SAMPLES, SHARES, SLIDING
 from flows.learn.evaluation.stress_fields import FIELDS
 from flows.learn.hold_out_training import learners
@@ -40,9 +40,10 @@ METHODS = ("tcn", "psd", "logistic")
 def every_value(folder: Path) -> Numbers:
     """Run all studies; datasets are written to a folder."""
     dataset = simulate(folder / "tiny", "tiny", seed=0).out
+    found = evaluate(dataset, names=METHODS, speed=1e-4)
     return {
-        "evaluate": evaluated(dataset),
-        "chart": charted(dataset),
+        "evaluate": evaluated(found, dataset),
+        "chart": charted(found),
         "hold_out": held_out(dataset),
         "stress": stressed(),
         "tap": tried("tap"),
@@ -50,8 +51,7 @@ def every_value(folder: Path) -> Numbers:
     }
 
 
-def evaluated(dataset: Path) -> Numbers:
-    found = evaluate(dataset, names=METHODS)
+def evaluated(found: Evaluation, dataset: Path) -> Numbers:
     counts, judged = sums(found.results.filter(method="tcn")), [r for r in load(dataset) if r.split == "test"]
     static = counts["static as static"] + counts["static as slip"]
     samples = static + counts["slip as slip"] + counts["slip as static"]
@@ -134,11 +134,10 @@ def values(results: pl.DataFrame, statistics: Mapping[str, Statistic]) -> dict[s
     return dict(estimates(results, statistics, draws=0).select("statistic", "value").rows())
 
 
-def charted(dataset: Path) -> Numbers:
-    """Return the accuracy and events of each point of the chart, without its speed."""
-    found = evaluate(dataset, names=["tcn", "psd"], speed=1e-4)
+def charted(found: Evaluation) -> Numbers:
+    """Return the accuracy and events of two points of the chart, without their speed."""
     assert found.speeds["value"].is_finite().all()
-    return {name: against_targets(part) for (name,), part in found.results.group_by("method")}
+    return {name: against_targets(found.results.filter(method=name)) for name in ("tcn", "psd")}
 
 
 def held_out(dataset: Path) -> Numbers:
@@ -188,5 +187,5 @@ def tried(experiment: str) -> Numbers:
 
 if __name__ == "__main__":
     with TemporaryDirectory() as temporary:
-        sys.stdout.write(json.dumps(every_value(Path(temporary)), indent=1).replace("NaN", "null"))
-    sys.stdout.write("\n")
+        found = every_value(Path(temporary))
+    sys.stdout.write(json.dumps(found, indent=1).replace("NaN", "null") + "\n")
