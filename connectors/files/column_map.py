@@ -231,6 +231,11 @@ class ColumnMap:
         return self.units.get(COUNTS, "count")
 
 
+def is_air(reading: float, unit: str) -> bool:
+    """Return True if a reading may be air pressure."""
+    return 5e4 <= reading * PRESSURES.get(unit, 0.0) <= 1.15e5  # noqa: PLR2004 - Pa
+
+
 def expanded(text: str) -> list[str]:
     """Expand a range such as ``p0..p5`` into column names.
 

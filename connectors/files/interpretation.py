@@ -61,7 +61,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Int
     columns, notes = completed(stated, table, problems)
     if columns.decimal is None:
         used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
-        numbers = number_format(table, used, stated.decimal, problems)
+        numbers = number_format(table, used, columns.unit, problems)
     else:
         numbers = NumberFormat("," if columns.decimal == "comma" else ".")
     notes += ["decimal comma"] if numbers.decimal == "," else []

@@ -1,16 +1,18 @@
 """Format of the numbers of a file as a whole: the sign of decimals, and that of thousands."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import polars as pl
 
+from connectors.files.column_map import is_air
 from connectors.files.raw_table import Problems, RawTable
 
 MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
+_BLANKS: Final = "'\u2019\u00a0\u202f "  # between thousands
 _SAMPLE: Final = 2000  # values of a column that decide; all others must have the same format
 
 
@@ -29,14 +31,12 @@ class NumberFormat:
         if column.dtype != pl.String:
             return column
         column = column.str.strip_chars().str.replace("\u2212", "-", literal=True)
-        if self.decimal == "." and not column.str.contains(r"[,'\u2019\u00a0\u202f ]").any():
+        if self.decimal == "." and not column.str.contains(rf"[,{_BLANKS}]").any():
             return column
         sign, other = re.escape(self.decimal), re.escape("," if self.decimal == "." else ".")
-        groups = [rf"\d{{1,3}}(?:{each}\d{{3}})+" for each in (other, "['\u2019]", "[ \u00a0\u202f]")]
+        groups = [rf"\d{{1,3}}(?:{each}\d{{3}})+" for each in (other, f"[{_BLANKS}]")]
         good = column.str.contains(rf"^[+-]?(?:\d*|{'|'.join(groups)})(?:{sign}\d*)?(?:[eE][+-]?\d+)?$")
-        bare = column.str.replace_all(rf"[{other}'\u2019\u00a0\u202f ]", "").str.replace(
-            self.decimal, ".", literal=True
-        )
+        bare = column.str.replace_all(rf"[{other}{_BLANKS}]", "").str.replace(self.decimal, ".", literal=True)
         return bare.set(~good.fill_null(value=False) & ~is_missing(column), None)
 
     def reals(self, column: pl.Series) -> pl.Series:
@@ -53,32 +53,32 @@ def is_missing(column: pl.Series) -> pl.Series:
     return column.is_null() | (column.is_nan() if column.dtype.is_float() else column.is_null())
 
 
-def number_format(
-    table: RawTable, names: Iterable[str], stated: str | None, problems: Problems
-) -> NumberFormat:
+def number_format(table: RawTable, names: Sequence[str], unit: str, problems: Problems) -> NumberFormat:
     """Conclude the format of the numbers in the columns `names`.
 
     Args:
         table: The table.
         names: Columns of numbers.
-        stated: ``point``, ``comma`` or None.
+        unit: Unit of the readings; 101.325 may be a thousand times as much, but not as air pressure in kPa.
         problems: Gets the problem that both signs occur, or that each number may have either format.
     """
-    if stated or not (texts := [name for name in names if table.columns[name].dtype == pl.String]):
-        return NumberFormat("," if stated == "comma" else ".")
+    if not (texts := [name for name in names if table.columns[name].dtype == pl.String]):
+        return NumberFormat()
     proof = {sign: _example(table, texts, _decimals(sign)) for sign in ".,"}
     doubt = {sign: _example(table, texts, _groups_or_decimals(sign)) for sign in ".,"}
+    if not any(proof.values()) and any(doubt.values()):  # other columns may tell
+        others = [name for name, column in table.columns.items() if column.dtype == pl.String]
+        proof = {sign: _example(table, others, _decimals(sign)) for sign in ".,"}
     if all(proof.values()):
         both = " and ".join(proof.values())
         problems.add(f"decimals have both point and comma ({both}); state decimal=point or decimal=comma")
-    sign = "," if proof[","] else "."
-    likely = (
-        doubt["."] and table.separator != "semicolon"
-    )  # 1.500 is a decimal, unless the file may be German
-    if not any(proof.values()) and any(doubt.values()) and not (likely and not doubt[","]):
-        example = doubt[","] or doubt["."]
-        problems.add(f"{example} may have decimals or thousands; state decimal=point or decimal=comma")
-    return NumberFormat(sign)
+    if any(proof.values()) or not any(doubt.values()) or (table.separator == "comma" and not doubt[","]):
+        return NumberFormat("," if proof[","] else ".")
+    sign = "," if doubt[","] else "."
+    air = [is_air(float(doubt[sign].split()[-1].replace(",", ".")) * each, unit) for each in (1, 1000)]
+    if air[0] == air[1] or all(doubt.values()):
+        problems.add(f"{doubt[sign]} may have decimals or thousands; state decimal=point or decimal=comma")
+    return NumberFormat(sign if air[0] else "." if sign == "," else ",")
 
 
 def _example(table: RawTable, names: Iterable[str], pattern: str) -> str:
@@ -99,7 +99,7 @@ def _example(table: RawTable, names: Iterable[str], pattern: str) -> str:
 def _decimals(sign: str) -> str:
     """Return the pattern of numbers in which a sign can only be that of decimals."""
     point, other = re.escape(sign), re.escape("," if sign == "." else ".")
-    mixed = rf"\d{{1,3}}(?:{other}\d{{3}})+{point}\d+"
+    mixed = rf"\d{{1,3}}(?:[{other}{_BLANKS}]\d{{3}})+{point}\d+"
     several = rf"\d{{1,3}}{other}\d{{3}}(?:{other}\d{{3}})+"
     plain = rf"\d*{point}(?:\d{{0,2}}|\d{{4,}})|(?:0\d*|\d{{4,}}|){point}\d{{3}}"
     return rf"^[+-]?(?:{mixed}|{several}|{plain}|\d*{point}\d+[eE][+-]?\d+)(?:[eE][+-]?\d+)?$"

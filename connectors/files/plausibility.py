@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from connectors.files.column_map import PRESSURES, ColumnMap
+from connectors.files.column_map import PRESSURES, ColumnMap, is_air
 from connectors.files.raw_table import RawTable
 from operators.batch import Reals, Times, s
 
@@ -30,8 +30,8 @@ _SENTINELS: Final = (
 _FAR: Final = 20.0  # spans of the other readings; a reading farther away is an outlier
 _OUTLIERS: Final = 0.001  # largest share of a cell's readings
 _ENOUGH: Final = 20  # rows
+_MOVES: Final = 0.25  # of the range of a cell, in the first second
 _RARE: Final = 0.02  # share of the intervals
-_AIR: Final = (5e4, 1.15e5)  # Pa
 
 
 @dataclass(frozen=True)
@@ -156,17 +156,14 @@ def _doubts_at_rest(start: Reals, readings: Reals, unit: str, *, zeroed: bool) -
     """Return doubts about the readings of the first second."""
     found = list[str]()
     level = np.nanmedian(start) if np.isfinite(start).any() else np.nan
-    likely = [each for each, factor in PRESSURES.items() if _AIR[0] <= level * factor <= _AIR[1]]
+    likely = [each for each in PRESSURES if is_air(float(level), each)]
     if unit in PRESSURES and not zeroed and likely and unit not in likely:
         air = " or ".join(likely)
         found.append(f"{level:g} {unit} at the start would be air pressure in {air}: is the unit right?")
     span = _quantiles(readings, 0.99) - _quantiles(readings, 0.01)
-    with np.errstate(invalid="ignore"):
-        moves = (
-            np.nanmax(start, axis=0) - np.nanmin(start, axis=0)
-            if np.isfinite(start).all()
-            else np.zeros_like(span)
-        )
-    if len(readings) > 5 * len(start) and np.any((span > 0) & (moves > 0.5 * span)):
-        found.append("the readings change in the first second: the baseline needs an unloaded start")
+    halves = start[: len(start) // 2 + 1], start[len(start) // 2 :]
+    if len(readings) > len(start) and not any(np.isnan(half).all(axis=0).any() for half in halves):
+        first, second = (_quantiles(half, 0.5) for half in halves)
+        if np.any(np.abs(second - first) > _MOVES * span):
+            found.append("the readings change in the first second: the baseline needs an unloaded start")
     return found

@@ -14,6 +14,8 @@ from operators.errors import InputError
 VALUES: Final = 1 << 26  # of a file; an import takes about 48 bytes of memory for each
 COLUMN_LIMIT: Final = 4096
 
+_SHOWN: Final = 8  # problems in an error
+
 
 @dataclass(frozen=True)
 class RawTable:
@@ -111,8 +113,9 @@ class Problems:
             [(place, reason)] = self.found.values()
             raise InputError(f"{self.file}, {place}" if place else self.file, f"{reason}{remedy}")
         if self.found:
-            listed = (f"{place} {reason}".strip() for place, reason in self.found.values())
+            listed = [f"{place} {reason}".strip() for place, reason in self.found.values()][:_SHOWN]
             text = "; ".join(f"({number}) {each}" for number, each in enumerate(listed, 1))
+            text += "; ..." if len(self.found) > _SHOWN else ""
             raise InputError(self.file, f"has {len(self.found)} problems: {text}{remedy}")
 
 

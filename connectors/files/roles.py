@@ -42,7 +42,7 @@ _CELL: Final = re.compile(  # words before the number of a cell
     "|druckzelle|electrode|el|adc|fsr|force|kraft|raw|value|state|observationstate"
 )
 _READING: Final = re.compile("|p|press|pressure|druck|raw|value")  # words after it
-_NUMBERED: Final = re.compile(r"(\D*)(\d{1,3})(?:(\D{1,3})(\d{1,3}))?(\D*)")
+_NUMBERED: Final = re.compile(r"(.*?)(\d{1,3})(?:((?:[\W_]|[rcxRCX]){1,3})(\d{1,3}))?(\D*)")
 _AXES: Final = ("vx", "vy", "vz", "wx", "wy", "wz")
 _SLIP: Final = ("slip", "slipping", "sliding", "slide", "rutscht", "gleiten", "gleitet", "1", "true")
 _STATIC: Final = (
@@ -97,7 +97,8 @@ def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[C
     for name in (TIME, DATE, VELOCITY, SPEED, LABEL):
         redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
         redundant |= name == LABEL and stated.labelled is not None
-        found.setdefault(name, () if redundant else _usual(name, table, problems))
+        if name not in given:
+            found[name] = () if redundant else _usual(name, table, problems)
     if not any(_quantity(key) == COUNTS for key in given):
         found[COUNTS] = _cells(groups, table, problems)
     if not found[TIME] and stated.rate is None and not stated.columns.get(TIME) and not problems.about(TIME):

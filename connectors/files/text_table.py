@@ -143,9 +143,7 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     candidates = [stated] if stated else [said[1]] if said and said[1] in _NAMES else list(_NAMES)
     begin = 1 if said else 0
     found = {sign: _rows(lines, sign, begin) for sign in candidates}
-    sign = max(
-        found, key=lambda each: (len(found[each][1]), found[each][0]) if found[each][0] > 1 else (0, 0)
-    )
+    sign = max(found, key=lambda each: _merit(lines, each, begin, *found[each]))
     width, rows = found[sign]
     if not rows:  # no row of values is recognised: the first line with fields has the names
         while begin + 1 < len(lines) and (not lines[begin].strip() or _COMMENT.match(lines[begin])):
@@ -191,6 +189,15 @@ def _rows(lines: Sequence[str], sign: str, begin: int) -> tuple[int, list[int]]:
     widths = Counter(rows.values())
     width = max(widths, key=lambda each: (widths[each], each), default=0)
     return width, [number for number, each in rows.items() if each == width]
+
+
+def _merit(lines: Sequence[str], sign: str, begin: int, width: int, rows: Sequence[int]) -> tuple[int, ...]:
+    """Return what speaks for a separator: rows of several values, as many names, other signs than blanks."""
+    if width < 2:  # noqa: PLR2004 - a time and a reading
+        return (0,)
+    names = {len(_fields(line, sign)) for line in lines[begin : rows[0]]}
+    alike = {width} if sign == " " else {width, max(2, width - 1)}
+    return len(rows), bool(names & alike), sign != " ", width
 
 
 def _check_rows(rows: Sequence[Sequence[str]], where: str) -> None:
@@ -303,7 +310,8 @@ def _too_many(shape: _Shape) -> str:
 
 def _too_long(body: bytes, sign: str, width: int) -> int:
     """Return the number of the first line with more than `width` fields; 0 if there is none."""
-    rows = csv.reader(io.StringIO(body.decode("utf-8", "replace"), newline=""), delimiter=sign)
+    text = io.StringIO(body.decode("utf-8", "replace").replace("\r", ""), newline="")
+    rows = csv.reader(text, delimiter=sign)
     try:
         return next((rows.line_num for row in rows if len(row) > width), 0)
     except csv.Error:

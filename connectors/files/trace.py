@@ -1,6 +1,6 @@
 """Recorded trace of fingertips, from a file or a DataFrame."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
@@ -202,8 +202,19 @@ def interpreted(
     if isinstance(source, str | Path):
         return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:
+        source = _upright(source) if isinstance(source, Mapping) else source
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
     return interpret(RawTable.of(frame, name), columns, split=split)
+
+
+def _upright(arrays: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return arrays with a row per time; those of MATLAB may have a row per channel: all end alike."""
+    found = {name: np.asarray(values) for name, values in arrays.items()}
+    shapes = [each.shape for each in found.values() if each.ndim]
+    rows = {shape[-1] for shape in shapes}
+    if len(rows) > 1 or all(shape[0] in rows for shape in shapes):
+        return arrays
+    return {name: each.T.squeeze() if each.ndim > 1 else each for name, each in found.items()}

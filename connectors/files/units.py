@@ -15,7 +15,7 @@ _OTHER_NAMES: Final = {  # in lower case
         "min": "minute minutes",
         "h": "hour hours",
         "d": "day days",
-        "count": "counts raw lsb digit digits adc a.u. 1 -",
+        "count": "counts raw lsb digit digits adc a.u. -",
         "N": "newton",
         "V": "volt volts",
         "ohm": "\u03c9",
@@ -54,9 +54,9 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
     >>> split_unit("time", "t_ms"), split_unit("counts", "cell 1 [kPa]"), split_unit("counts", "b0_T")
     (('t', 'ms'), ('cell 1', 'kPa'), ('b0_T', ''))
     """
-    if match := _BRACKETS.fullmatch(name):
+    if (match := _BRACKETS.fullmatch(name)) and not match[2].isdecimal():
         unit = unit_in(match[2], (quantity,))
-        if unit or (quantity == COUNTS and match[2] and not match[2].isdecimal()):
+        if unit or (quantity == COUNTS and match[2]):
             return match[1].strip(), unit or match[2]
         return name.strip(), ""
     match = _ENDING.fullmatch(name)

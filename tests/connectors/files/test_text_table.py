@@ -24,7 +24,7 @@ NAMES = "t", "p0", "p1"
 def read(path: Path) -> dict[str, list[float]]:
     """Return the columns of a file as numbers."""
     table, problems = read_table(path), Problems(str(path))
-    numbers = number_format(table, table.columns, None, problems)
+    numbers = number_format(table, [*table.columns], "count", problems)
     problems.stop()
     return {name: numbers.reals(column).to_list() for name, column in table.columns.items()}
 

@@ -1,0 +1,225 @@
+"""Formats of the numbers and times of a file as a whole."""
+
+import datetime as dt
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from connectors import Trace
+from connectors.files.column_map import ColumnMap
+from connectors.files.number_format import NumberFormat, number_format
+from connectors.files.raw_table import Problems, RawTable
+from connectors.files.time_axis import continued
+from connectors.files.time_format import nanoseconds
+from operators.batch import ms, s
+from operators.errors import InputError
+
+values = st.floats(-1e7, 1e7).map(lambda value: round(value, 3))
+
+
+def concluded(texts: list[str], unit: str = "count", separator: str = "semicolon") -> NumberFormat:
+    column = pl.Series("p0", texts, pl.String)
+    table = RawTable({"p0": column}, "pad", "line", np.arange(len(texts)), separator=separator)
+    problems = Problems("pad")
+    found = number_format(table, ["p0"], unit, problems)
+    problems.stop()
+    return found
+
+
+@given(
+    st.lists(values, min_size=2, max_size=9),
+    st.sampled_from(".,"),
+    st.sampled_from(["", "'", "\u202f", "other"]),
+)
+def test_a_number_is_read_or_its_format_is_refused(numbers: list[float], decimal: str, group: str) -> None:
+    group = ",."[decimal == ","] if group == "other" else group
+    texts = [f"{each:,.3f}".replace(",", "\0").replace(".", decimal).replace("\0", group) for each in numbers]
+    try:
+        found = concluded(texts)
+    except InputError as error:
+        doubtful = [text for text in texts if text.count(decimal) == 1 and len(text) < 9]
+        assert doubtful or "both" in str(error)  # noqa: PT017 - of both outcomes one is right
+        return
+    assert found.reals(pl.Series(texts, dtype=pl.String)).to_list() == numbers
+
+
+@pytest.mark.parametrize(
+    ("texts", "unit", "sign"),
+    [
+        (["0,01", "101,248"], "count", ","),
+        (["0.01", "101,248"], "count", "."),
+        (["1.234,5", "7"], "count", ","),
+        (["1,234.5", "7"], "count", "."),
+        (["1,234,567"], "count", "."),
+        (["101,325", "101,4"], "kPa", ","),
+        (["101,325"], "kPa", ","),  # as air pressure
+        (["101,325"], "Pa", "."),
+        (["101.325"], "Pa", ","),
+        (["7", "8"], "count", "."),
+        (["1e-3", "2,5e2"], "count", ","),
+    ],
+)
+def test_the_file_as_a_whole_decides_the_sign_of_decimals(texts: list[str], unit: str, sign: str) -> None:
+    assert concluded(texts, unit).decimal == sign
+
+
+def test_an_ambiguous_number_is_refused_with_the_remedy() -> None:
+    for texts in (["101,248", "7"], ["101.248", "7"], ["101,248", "1.500"]):
+        with pytest.raises(
+            InputError, match="may have decimals or thousands; state decimal=point or decimal=comma"
+        ):
+            concluded(texts)
+    assert concluded(["101.248"], separator="comma").decimal == "."
+    with pytest.raises(
+        InputError, match=r"both point and comma \(column p0: 0.5 and column p0: 0,5\); state"
+    ):
+        concluded(["0.5", "0,5"])
+
+
+def test_a_number_in_another_format_is_no_number() -> None:
+    texts = ["1,5", "1.234,5", "1.5", "1,234", "1 000,5", "-,5", "x", "", "NA", "1,2,3", "inf"]
+    found = NumberFormat(",").reals(pl.Series(texts)).to_list()
+    assert [None if each is None else "nan" if each != each else each for each in found] == [  # noqa: PLR0124
+        *(1.5, 1234.5, None, 1.234, 1000.5, -0.5, None, "nan", "nan", None, None)
+    ]
+
+
+moments = st.datetimes(dt.datetime(1971, 1, 1), dt.datetime(2260, 1, 1))  # noqa: DTZ001 - UTC
+
+
+@given(
+    moments,
+    st.sampled_from(["ymd", "dmy", "mdy"]),
+    st.sampled_from("./-"),
+    st.sampled_from(".,"),
+    st.sampled_from(["", "am or pm"]),
+)
+def test_dates_are_read_in_each_order(
+    moment: dt.datetime, order: str, sign: str, dot: str, half: str
+) -> None:
+    day = moment.strftime(sign.join({"y": "%Y", "d": "%d", "m": "%m"}[each] for each in order))
+    clock = moment.strftime("%I:%M:%S.%f %p" if half else "%H:%M:%S.%f").replace(".", dot)
+    [found] = nanoseconds(pl.Series([f"{day} {clock}"]), "s", order, NumberFormat())
+    assert found == (moment - dt.datetime(1970, 1, 1)) // dt.timedelta(microseconds=1) * 1000  # noqa: DTZ001
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2025-03-26T14:29:06.123456789Z", 1742999346123456789),
+        ("2025-03-26 14:29:06+01:00", 1742995746 * s),
+        ("26-Mar-2025 14:29:06", 1742999346 * s),
+        ("20250326 142906", None),
+        ("14:29:06:010", 52146010 * ms),
+        ("29:06.5", 1746500 * ms),
+        ("0 days 00:00:01.5", 1500 * ms),
+        ("2025-02-30 10:00:00", None),
+        ("2025-13-45 x", None),
+        ("2025-03-26 25:00:00", None),
+        ("2025-03-26", None),
+        ("0999-01-01 00:00:00", None),
+    ],
+)
+def test_other_times_are_read_or_refused(text: str, expected: int | None) -> None:
+    assert nanoseconds(pl.Series([text]), "s", "dmy", NumberFormat()).to_list() == [expected]
+
+
+def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Trace:
+    count = np.arange(len(times))
+    return Trace(
+        {name: times, "p0": 500 + count % 5, "p1": 500 - count % 7, **more}, ColumnMap.parse(columns)
+    )
+
+
+@given(st.integers(10**18, 4 * 10**18), st.sampled_from([1, 1000, 1_000_000]))
+def test_the_unit_of_an_epoch_is_known_by_its_digits(start: int, step: int) -> None:
+    times = [(start + k * 10 * ms) // step for k in range(30)]
+    found = trace([*times])
+    assert found.touch.time.tolist() == [each * step for each in times]
+    assert found.rate == pytest.approx(100, rel=0.01)
+    assert "since 1970, by its digits" in found.notes[0]
+
+
+@given(
+    first=st.integers(1, 99),
+    interval=st.integers(200, 20_000),
+    clock=st.sampled_from([(2**32, "us"), (2**32, "ms"), (2**16, "ms"), (86_400_000, "ms")]),
+)
+def test_a_clock_that_wraps_goes_on_with_a_note(first: int, interval: int, clock: tuple[int, str]) -> None:
+    span, unit = clock
+    interval = interval if unit == "us" else 1 + interval // 1000
+    times = [(span - first * interval + k * interval) % span for k in range(200)]
+    found = trace([*times], f"units.time={unit}")
+    assert np.ptp(np.diff(found.touch.time)) == 0
+    assert any("wrapped after row" in each for each in found.notes)
+
+
+@given(st.lists(st.integers(3, 40), min_size=2, max_size=5))
+def test_a_clock_that_starts_again_is_named_and_split_on_request(parts: list[int]) -> None:
+    from connectors.files.trace import interpreted  # noqa: PLC0415 - not part of the promise of Trace
+
+    times = [0.02 * k for size in parts for k in range(size)]
+    frame = {"t": times, "p0": [*range(500, 500 + len(times))], "p1": [500, *[501] * (len(times) - 1)]}
+    with pytest.raises(
+        InputError, match=rf"--split makes {len(parts)} sessions \({', '.join(map(str, parts))} rows\)"
+    ):
+        Trace(frame)
+    found = interpreted(frame, split=True)
+    assert [len(each.time) for each in found.decoded] == parts
+    assert [Trace(found, part=k).touch.counts[0, 0] for k in range(len(parts))] == [
+        500 + sum(parts[:k]) for k in range(len(parts))
+    ]
+
+
+def test_episodes_of_lerobot_are_parts() -> None:
+    times, episodes = [0.01 * (k % 20) for k in range(60)], [k // 20 for k in range(60)]
+    with pytest.raises(InputError, match="has 3 episodes: slipflow import makes a session of each"):
+        trace([*times], episode_index=[*episodes])
+
+
+@pytest.mark.parametrize("digits", [6, 10])
+def test_a_time_without_resolution_is_refused(digits: int) -> None:
+    times = [float(f"{1742999346 + k / 100:.{digits}g}") for k in range(240)]
+    with pytest.raises(
+        InputError, match=r"column t has only \d values? in 240 rows.*: it tells no rate; state time=,rate="
+    ):
+        trace([*times])
+    assert trace([*times], "time=,rate=100").rate == 100
+
+
+@given(rate=st.floats(300, 4500))
+def test_rows_that_share_whole_milliseconds_keep_their_rate_with_a_warning(rate: float) -> None:
+    found = trace([int(1000 * k / rate) for k in range(900)], name="t_ms")
+    assert found.rate == pytest.approx(rate, rel=0.01)
+    shared = any("share the time of the row before" in each for each in found.warnings)
+    assert shared == (rate > 1000) or 990 < rate < 1010
+
+
+def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
+    with pytest.raises(
+        InputError,
+        match=r"column t has no unit, in seconds its rate is 0.1 Hz; state units.time=ms \(100 Hz\)",
+    ):
+        trace([10 * k for k in range(60)])
+    assert trace([10 * k for k in range(60)], "units.time=ms").rate == 100
+    assert any(
+        "is the time in another unit" in each
+        for each in trace([10 * k for k in range(60)], "units.time=s").warnings
+    )
+
+
+def test_dates_that_may_begin_with_day_or_month_are_refused() -> None:
+    times: list[object] = [f"03/04/2025 10:00:{k / 100:05.2f}" for k in range(60)]
+    with pytest.raises(InputError, match="may begin with the day or the month; state dates=dmy or dates=mdy"):
+        trace(times)
+    start = dt.datetime(2025, 3, 4, 10, tzinfo=dt.UTC)
+    assert trace(times, "dates=mdy").touch.time[0] == int(start.timestamp()) * s
+
+
+@given(st.lists(st.integers(0, 10**6), min_size=2, max_size=30))
+def test_ordered_times_are_not_changed(steps: list[int]) -> None:
+    times = np.cumsum(steps)
+    assert continued(times, []).tolist() == times.tolist()

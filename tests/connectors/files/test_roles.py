@@ -1,0 +1,155 @@
+"""Roles, units and layouts by the names of columns."""
+
+from collections.abc import Sequence
+
+import polars as pl
+import pytest
+
+from connectors.files.column_map import ColumnMap
+from connectors.files.raw_table import Problems, RawTable
+from connectors.files.roles import cell_groups, completed
+from connectors.files.units import unit_in
+from operators.errors import InputError
+
+CELLS = ("s1", "s2", "s3", "s4", "s5", "s6")
+
+
+def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
+    """Return the completed map of a table with these names."""
+    table = RawTable.of(pl.DataFrame({name: ["1"] for name in names}), "pad")
+    problems = Problems("pad")
+    found, _notes = completed(ColumnMap.parse(columns), table, problems)
+    problems.stop()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("names", "held"),
+    [
+        (("Time", *CELLS), {"time": ("Time",), "counts": CELLS}),
+        (
+            ("Zeit [s]", *(f"P{i}" for i in range(6))),
+            {"time": ("Zeit [s]",), "counts": ("P0", "P1", "P2", "P3", "P4", "P5")},
+        ),
+        (("t", *CELLS, "Slip", "v", "other"), {"label": ("Slip",), "speed": ("v",)}),
+        (("t", *CELLS, "vx", "vy", "vz", "v"), {"velocity": ("vx", "vy", "vz")}),
+        (("t", *CELLS, "vx", "vy", "v"), {"speed": ("v",)}),
+        (
+            ("t", "T", *CELLS, "b1"),
+            {"time": ("t",), "counts": CELLS},
+        ),  # T is a temperature, b1 alone no fingertip
+        (("Date", "Time", *CELLS), {"date": ("Date",), "time": ("Time",)}),
+        (("t", *(f"b{i}_{what}" for i in range(3) for what in "PT")), {"counts": ("b0_P", "b1_P", "b2_P")}),
+        (("t", "p0 [kPa]", "p1 [kPa]", "T0 [degC]", "T1 [degC]"), {"counts": ("p0 [kPa]", "p1 [kPa]")}),
+    ],
+)
+def test_usual_names_are_recognised(names: tuple[str, ...], held: dict[str, tuple[str, ...]]) -> None:
+    found = roles(names).columns
+    assert held.items() <= found.items()
+    assert not {"velocity", "speed"} <= set(found)
+
+
+@pytest.mark.parametrize("cells", [1, 2, 7, 16, 64])
+@pytest.mark.parametrize(
+    "name", ["taxel{}", "Sensor {} [kPa]", "p{}_kPa", "druck_{}", "ch{:02}", "b{}_P", "cell({})"]
+)
+def test_numbered_columns_are_the_cells_of_a_fingertip(cells: int, name: str) -> None:
+    for first in (0, 1):
+        names = tuple(name.format(number) for number in range(first, first + cells))
+        assert roles(("t", *names[::-1])).columns["counts"] == names
+
+
+@pytest.mark.parametrize("name", ["taxel_{}_{}", "taxel_{}_{} [kPa]", "cell{}x{}", "p[{}][{}]", "s{},{}"])
+def test_names_of_row_and_column_give_the_layout(name: str) -> None:
+    names = [name.format(row, column) for row in range(2) for column in range(3)]
+    found = roles(("t", *sorted(names, key=hash)))
+    assert (found.columns["counts"], found.layout) == (tuple(names), ((0, 1, 2), (3, 4, 5)))
+    assert roles(("t", *names), "layout=3x2").layout == ((0, 1), (2, 3), (4, 5))
+
+
+@pytest.mark.parametrize(
+    "names", [("s2",), ("s1", "s3"), ("s2", "s3"), ("left", "right"), ("b0_T", "b1_T"), ("temp0", "temp1")]
+)
+def test_other_columns_are_no_fingertip(names: tuple[str, ...]) -> None:
+    with pytest.raises(InputError, match=rf"state counts=.*; try --map time=t,counts={','.join(names)}$"):
+        roles(("t", *names))
+
+
+def test_a_temperature_is_no_cell_even_if_it_is_mapped() -> None:
+    with pytest.raises(InputError, match="column b0_T is a temperature, not a cell"):
+        roles(("t", "b0_T", "b1_T"), "counts=b0_T..b1_T")
+    assert roles(("t", "h0_T", "h1_T"), "counts=h0_T..h1_T,units.counts=mT").unit == "mT"
+
+
+@pytest.mark.parametrize(
+    ("names", "complaint"),
+    [
+        (
+            ("t1", "time", "stamp", *CELLS),
+            "columns time and stamp may be time; state one, as time=time; try --map time=",
+        ),
+        (
+            ("t", *CELLS, *(f"c{i}" for i in range(6))),
+            "s1..s6 or c0..c5 may be the cells; state counts=..., or counts.0=",
+        ),
+        (("t", *CELLS, "label", "slip"), "columns label and slip may be label; state one, as label=label"),
+        (("t", "L2", "L1", "R2", "R1"), "try --map time=t,counts.0=L1,L2,counts.1=R1,R2"),
+        (("clock", "a", "b"), "has 2 problems: (1) no columns are recognised as cells"),
+    ],
+)
+def test_an_error_lists_all_problems_with_a_map_of_the_columns(
+    names: tuple[str, ...], complaint: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        roles(names)
+    assert complaint in str(caught.value)
+
+
+def test_two_fingertips_have_a_map_each() -> None:
+    found = roles(("t", "L1", "L2", "R1", "R2"), "counts.0=L1..L2,counts.1=R*")
+    assert found.cells == {0: ("L1", "L2"), 1: ("R1", "R2")}
+
+
+def test_a_column_cannot_be_two_cells() -> None:
+    with pytest.raises(InputError, match="column e1 cannot be two cells"):
+        roles(("t", "e1", "e2"), "counts=e1,e2,e1")
+
+
+@pytest.mark.parametrize(
+    ("names", "units"),
+    [
+        (("t", *(f"p{cell}_kPa" for cell in range(4))), {"counts": "kPa"}),
+        (("time [ms]", "cell 1 (N)", "cell 2 (N)"), {"time": "ms", "counts": "N"}),
+        (("Time_us", "b0", "b1", "speed [mm/s]"), {"time": "us", "counts": "count", "speed": "mm/s"}),
+        (("zeit/s", "p0/KPA", "p1/KPA"), {"time": "s", "counts": "kPa"}),
+        (("millis", "p0 [mPa]", "p1 [mPa]"), {"time": "ms", "counts": "mPa"}),
+        (("t [\u00b5s]", "p0 [mmHg]", "p1 [mmHg]"), {"time": "us", "counts": "mmHg"}),
+        (("t", "p0 [a.u.]", "p1 [a.u.]"), {"counts": "count"}),
+        (("t", "p0 [foo]", "p1 [foo]"), {"counts": "foo"}),
+    ],
+)
+def test_units_are_read_from_the_names(names: tuple[str, ...], units: dict[str, str]) -> None:
+    assert roles(names).units == units
+
+
+def test_case_counts_where_it_carries_meaning() -> None:
+    assert [unit_in(each) for each in ("mPa", "MPa", "mN", "T", "kPA", "Pa", "PSI", "MS")] == [
+        *("mPa", "MPa", "mN", "T", "kPa", "Pa", "psi", "ms")
+    ]
+    assert not any(map(unit_in, ("MPA", "MN", "t", "g", "v", "Mv")))
+    with pytest.raises(InputError, match=r"unit MPA may be mPa or MPa; state units\.counts=mPa"):
+        roles(("t", "p0 [MPA]", "p1 [MPA]"))
+
+
+def test_mapped_columns_are_not_recognised_by_name() -> None:
+    names = ("t", "time_ns", *CELLS, "label", "slip", "v")
+    found = roles(names, "time=time_ns,label=,velocity=s1,s2,s3")
+    assert found.columns == {"time": ("time_ns",), "counts": CELLS, "velocity": ("s1", "s2", "s3")}
+    assert found.units == {"time": "ns", "counts": "count", "velocity": "m/s"}
+
+
+def test_groups_of_columns_are_numbered_alike() -> None:
+    names = [
+        f"F0{what}{number}" for what, size in (("Electrodes", 19), ("pac", 22)) for number in range(size)
+    ]
+    assert [len(group.names) for group in cell_groups(names)] == [19, 22]
