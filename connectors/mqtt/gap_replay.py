@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from connectors.events import CONTENT_TYPE, encode
 from connectors.fields import Fields
 from connectors.mqtt.broker import Message
-from operators.errors import EndpointError, InputError
+from operators.errors import InputError
 
 if TYPE_CHECKING:
     from connectors.mqtt.outbox import Outbox
@@ -123,7 +123,7 @@ class GapReplies:
             del self._pending[request]
             try:
                 found, last = await self._outbox.between(request.epoch, request.first, request.last, SLICE)
-            except EndpointError:
+            except OSError:
                 continue  # unreadable now, but not lost: the client repeats its request
             if last < request.first:
                 continue  # the numbers are not used yet

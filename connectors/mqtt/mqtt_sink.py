@@ -163,14 +163,15 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         Raises:
             EndpointError: if a background task of this sink has failed.
         """
-        await self._sender.close(self._status("offline", self._run.clock.now()))
         try:
-            await self._outbox.close()
+            await self._sender.close(self._status("offline", self._run.clock.now()))
         finally:
-            if unsent := self._outbox.waiting - self._outbox.unstored:
-                text = "%s: %d unsent events remain in %s; the next run sends them"
-                log.warning(text, self._broker, unsent, self._outbox.path)
-        self._sender.check()
+            try:
+                await self._outbox.close()
+            finally:
+                if unsent := self._outbox.waiting - self._outbox.unstored:
+                    text = "%s: %d unsent events remain in %s; the next run sends them"
+                    log.warning(text, self._broker, unsent, self._outbox.path)
 
     def _outbox_path(self, *, replay: bool = False) -> Path:
         if self.outbox is None:

@@ -158,17 +158,14 @@ class Outbox:
         """Return at most `limit` entries `first` to `last` of an epoch, and the last number covered.
 
         Raises:
-            EndpointError: if the disk cannot be read.
+            OSError: if the disk cannot be read.
         """
         oldest, newest = self._log.span(epoch)
         if epoch == self.epoch:
             newest = self._released
             last = min(last, newest)
         numbers = range(max(first, oldest), min(last, newest) + 1)[:limit]
-        try:
-            found = await self._load([(epoch, number) for number in numbers])
-        except OSError as error:
-            raise EndpointError(str(self.path), f"cannot be read: {os_error_reason(error)}") from error
+        found = await self._load([(epoch, number) for number in numbers])
         return found, numbers[-1] if len(numbers) == limit else last
 
     def acknowledge(self, entries: Sequence[Entry]) -> None:

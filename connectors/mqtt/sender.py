@@ -93,7 +93,11 @@ class Sender:
         self._sending = BackgroundTask(str(self._broker), "the sending of events", self._keep_sending())
 
     async def close(self, offline: Message) -> None:
-        """Send pending messages within 3 s, publish `offline`, and disconnect."""
+        """Send pending messages within 3 s, publish `offline`, and disconnect.
+
+        Raises:
+            EndpointError: if the sending has failed, other than by a failure of the broker.
+        """
         self._closing = True
         self._wake.set()
         if self._sending:
@@ -102,13 +106,6 @@ class Sender:
             with suppress(EndpointError):
                 await self._link.send_all([offline])
         await self._disconnect()
-
-    def check(self) -> None:
-        """Raise an error if the sending has failed, other than by a failure of the broker.
-
-        Raises:
-            EndpointError: if it has.
-        """
         if self._sending:
             self._sending.check()
 

@@ -11,7 +11,8 @@ from flows.cli.terminal import note
 if TYPE_CHECKING:
     from connectors.events import Event
 
-_DAY: Final = 86_400 * 10**9  # ns
+_SECOND: Final = 10**9  # ns
+_DAY: Final = 86_400 * _SECOND
 
 
 def watch(
@@ -85,13 +86,9 @@ def _line(event: "Event", now: int) -> str:
 
 
 def span(time: int) -> str:
-    """Return a time span (ns) as text with a fitting unit.
+    """Return a time span (ns) in ms, or in s from 1 s.
 
-    >>> span(12_340_000), span(-3_000_000), span(4 * 10**9), span(7 * 3600 * 10**9)
-    ('12.3 ms', '-3.0 ms', '4.0 s', '7.0 h')
+    >>> span(12_340_000), span(-3_000_000), span(4 * 10**9)
+    ('12.3 ms', '-3.0 ms', '4.0 s')
     """
-    units = (("h", 7200e9, 3600e9), ("min", 120e9, 60e9), ("s", 1e9, 1e9))
-    for name, least, unit in units:
-        if abs(time) >= least:
-            return f"{time / unit:.1f} {name}"
-    return f"{time / 1e6:.1f} ms"
+    return f"{time / 1e6:.1f} ms" if abs(time) < _SECOND else f"{time / _SECOND:.1f} s"

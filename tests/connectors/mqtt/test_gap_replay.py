@@ -15,7 +15,7 @@ from connectors.fields import Fields
 from connectors.mqtt import gap_replay, outbox_log
 from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
-from operators.errors import EndpointError, InputError
+from operators.errors import InputError
 from tests.inside import inside
 from tests.waiting import until
 
@@ -127,7 +127,7 @@ async def test_events_that_are_no_longer_kept_are_listed_but_not_those_that_cann
         assert not await replies.next(next(TIMES))
 
         async def fail(*_: object) -> None:
-            raise EndpointError("disk", "is stuck")
+            raise OSError("is stuck")
 
         monkeypatch.setattr(outbox, "between", fail)
         request(replies, outbox.epoch, 1, 3)
