@@ -51,6 +51,15 @@ def test_help_imports_no_command() -> None:
     assert set(ast.literal_eval(done.stdout)) <= loaded
 
 
+def test_the_help_of_a_command_imports_no_heavy_package() -> None:
+    heavy = {"numpy", "scipy", "polars", "pyarrow", "torch", "aiohttp", "aiomqtt", "numba", "rich"}
+    code = (
+        f"import sys; from flows.cli.main import TABLE; [*TABLE.values()]; print({heavy} & {{*sys.modules}})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], stdout=PIPE, text=True, check=True)
+    assert done.stdout == "set()\n"
+
+
 def test_debug_shows_the_traceback() -> None:
     done = slipflow("--debug", "run", "nowhere.py")
     assert done.returncode == 2
