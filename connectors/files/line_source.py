@@ -87,6 +87,7 @@ class LineSource(Source[Touch]):
         self._serial = _is_port(self.where)
         self.extra = "serial" if self._serial else ""
         self._counted = {"lines": 0, "damaged": 0, "restarts": 0}
+        self._damage = ""  # reason of the newest damaged line
         self._position: int | None = None  # in the file, bytes; None: at its end
         self._file_number = 0  # inode
 
@@ -129,7 +130,8 @@ class LineSource(Source[Touch]):
                 damaged = self._counted["damaged"]
                 for touch in decoder.feed(data, clock.now()):
                     yield touch
-                self._report(damaged, decoder.reason)
+                self._damage = decoder.reason
+                self._report(damaged)
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Read for some seconds: lines, damaged ones, and the rate of the rows.
@@ -137,6 +139,7 @@ class LineSource(Source[Touch]):
         Raises:
             EndpointError: if the file or port cannot be read, or sends no rows.
         """
+        await self.prepare()
         time, before = list[int](), {**self._counted}
         batches = cast("AsyncGenerator[Touch]", self.batches(clock))
         with suppress(TimeoutError):
@@ -151,19 +154,21 @@ class LineSource(Source[Touch]):
             return
         text = f"{len(time)} rows in {lines} lines, {damaged} damaged"
         good = len(time) > 1 and damaged <= lines / 100
-        remedy = "" if good else ": check the map, and the cable and baud rate of a serial port"
+        remedy = (
+            "" if good else f": {self._damage}; check the map, and the cable and baud rate of a serial port"
+        )
         yield Finding(self.where, text + remedy, "good" if good else "bad")
-        if span := float(np.ptp(time)) / s if time else 0.0:
+        if (span := float(np.ptp(time)) / s if time else 0.0) > 1:
             rate, stated = (len(time) - 1) / span, self._fingertip.rate
             text, off = f"{rate:.1f} rows per second of {stated:g}", abs(rate / stated - 1) > RATE_OFF
             remedy = ": correct the rate in the map, or the rate of the logger"
             yield Finding(self.where, text + remedy * off, "bad" if off else "good")
 
-    def _report(self, before: int, reason: str) -> None:
+    def _report(self, before: int) -> None:
         """Log the first, the tenth, the hundredth, ... damaged line."""
         damaged = self._counted["damaged"]
         if damaged > before and (not before or len(str(damaged)) > len(str(before))):
-            log.warning("%s: %d damaged lines so far; the newest: %s", self.where, damaged, reason)
+            log.warning("%s: %d damaged lines so far; the newest: %s", self.where, damaged, self._damage)
 
     async def _read_port(self) -> AsyncGenerator[bytes]:
         """Yield what arrives at the serial port.
