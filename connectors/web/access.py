@@ -9,6 +9,7 @@ from hashlib import sha256
 from ipaddress import ip_address
 from socket import gethostname
 from typing import Final, Self
+from urllib.parse import urlsplit
 
 from operators.errors import ParameterError
 
@@ -17,7 +18,6 @@ METRICS_PORT: Final = 9464  # the default of OpenTelemetry's Prometheus exporter
 TOKEN: Final = "SLIPFLOW_PAGE_TOKEN"  # noqa: S105 - the variable's name
 COOKIE: Final = "slipflow_page"
 _TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,256}")
-_HOST: Final = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::[0-9]{1,5})?")
 
 
 def http_url(host: str, port: int) -> str:
@@ -94,18 +94,12 @@ class Access:
         """
         if self.token is not None:
             return True  # a foreign page has neither token nor cookie
-        match = _HOST.fullmatch(host)
-        if match is None:
-            return False
-        name = (match[1] or match[2]).lower().removesuffix(".")
         own = gethostname().lower()
-        if name in {"localhost", own, own.partition(".")[0], f"{own.partition('.')[0]}.local"}:
-            return True
-        try:
-            ip_address(name)
-        except ValueError:
-            return False
-        return True
+        short = own.partition(".")[0]
+        with suppress(ValueError):  # neither a name nor an address
+            name = (urlsplit(f"//{host}").hostname or "").removesuffix(".")
+            return name in {"localhost", own, short, f"{short}.local"} or bool(ip_address(name))
+        return False
 
     def accepts_token(self, token: str) -> bool:
         """Return True if `token` is the token."""

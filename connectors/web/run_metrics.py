@@ -29,12 +29,7 @@ _SINK: Final[tuple[Column[SinkStatus], ...]] = (
     (GaugeMetricFamily, "up", "1 if the sink works, 0 if it fails", lambda each: not each.error),
     (CounterMetricFamily, "rows", "Rows written", lambda each: each.rows),
     (GaugeMetricFamily, "queued_batches", "Batches in the queue", lambda each: each.queued),
-    (
-        GaugeMetricFamily,
-        "waiting_rows",
-        "Rows that the receiver has not acknowledged",
-        lambda each: each.waiting,
-    ),
+    (GaugeMetricFamily, "waiting_rows", "Rows that are not acknowledged", lambda each: each.waiting),
     (GaugeMetricFamily, "unstored_rows", "Rows that a kill would lose", lambda each: each.unstored),
     (CounterMetricFamily, "dropped_rows", "Rows dropped", lambda each: each.dropped),
     (CounterMetricFamily, "failures", "Failed writes", lambda each: each.failures),
@@ -51,26 +46,15 @@ class RunMetrics(Collector):
     def __init__(self, run: Run) -> None:
         self._run, self._registry = run, CollectorRegistry()
         self._faults: dict[str, set[Fault]] = {}  # active, by fingertip
-        self._events = Counter(
-            "slipflow_slip_events", "Slip events", ["finger", "state"], registry=self._registry
-        )
-        self._latency = Histogram(
-            "slipflow_slip_latency_seconds",
-            "Time from the deciding sample to the delivery of its event; live only",
-            ["finger"],
-            buckets=BUCKETS,
-            registry=self._registry,
-        )
-        self._scores = Counter(
-            "slipflow_scores", "Scored samples", ["finger", "quality"], registry=self._registry
-        )
-        self._fault = Gauge(
-            "slipflow_barometer_fault",
-            "1 while the fault lasts",
-            ["finger", "barometer", "kind"],
-            registry=self._registry,
-        )
-        self._registry.register(self)
+        registry = self._registry
+        self._events = Counter("slipflow_slip_events", "Slip events", ["finger", "state"], registry=registry)
+        latency = "Time from the deciding sample to the delivery of its event; live only"
+        name = "slipflow_slip_latency_seconds"
+        self._latency = Histogram(name, latency, ["finger"], buckets=BUCKETS, registry=registry)
+        self._scores = Counter("slipflow_scores", "Scored samples", ["finger", "quality"], registry=registry)
+        labels = ["finger", "barometer", "kind"]
+        self._fault = Gauge("slipflow_barometer_fault", "1 while the fault lasts", labels, registry=registry)
+        registry.register(self)
 
     def text(self) -> bytes:
         """Return all metrics in the text format 0.0.4."""
