@@ -14,7 +14,7 @@ from connectors import Page
 from connectors.web.access import TOKEN
 from operators.batch import Touch, Zeroed, ms, s
 from operators.errors import ParameterError
-from operators.ports import Run, SinkStatus, SourceStatus
+from operators.ports import Run
 from tests.connectors.web.reading import listening, slip, touched
 from tests.waiting import PATIENCE
 
@@ -89,18 +89,6 @@ async def test_a_browser_that_reads_nothing_does_not_hold_up_the_run(run: Run) -
             for k in range(50):
                 assert page.take(rows(NOW + (3000 * k + np.arange(3000)) * 10 * ms, cells=64))
                 await first_with(frames, "rows")
-
-
-async def test_health_is_that_of_the_run(run: Run) -> None:
-    run.sources["touch"] = SourceStatus(rows=500, newest=NOW - 30 * ms, up=False, error="unplugged")
-    run.sinks["lab"], run.sinks["page"] = SinkStatus(rows=7, records=True), SinkStatus()
-    async with opened(run) as (_, frames):
-        report = await first_with(frames, "report")
-        assert report["sources"]["touch"]["state"] == "down"
-        assert (report["errors"], report["recorders"]) == ({"touch": "unplugged"}, ["lab"])
-        assert report["sinks"]["lab"]["rows"] == 7
-        run.sources["touch"].error = ""
-        assert (await first_with(frames, "report"))["errors"] == {"touch": None}  # a second later
 
 
 async def test_the_end_of_a_run_is_sent_last(run: Run) -> None:
