@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import isclose
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,27 +27,18 @@ ALARMS: Final = "alarms"  # entry of a model card: debounce settings by rate of 
 LIMIT: Final = 256 * files.MiB  # bytes of a file
 
 
-class Purpose(NamedTuple):
-    """Task that a shipped detector is meant for."""
-
-    task: str  # strokes, grasps or both
-    text: str
-
-
 # not in the cards: a card is written by a training, and not specific to a task
-PURPOSES: Final[Mapping[str, Purpose]] = MappingProxyType(
+PURPOSES: Final[Mapping[str, str]] = MappingProxyType(
     {
-        "tcn": Purpose("strokes", "default for a fingertip that slides over a surface; label: arm speed"),
-        "tcn_wide": Purpose(
-            "strokes", "other fingertips and slower hands than the TakkTile's; start of adapt"
-        ),
-        "tcn_sliding": Purpose("strokes", "true sliding of the contact, known in simulation only"),
-        "paper_tcn": Purpose("strokes", "the paper's TCN, for comparison"),
-        "frequency_cnn": Purpose("strokes", "a network on spectra, for comparison"),
-        "frequency_cnn_interleaved": Purpose("strokes", "the paper's network on spectra, for comparison"),
-        "tcn_grasp": Purpose("grasps", "default for objects that fingers hold, lift or that are hit"),
-        "paper_grasp": Purpose("grasps", "the paper's TCN trained on grasps, for comparison"),
-        "psd": Purpose("both", "power above a frequency, without training; the paper's baseline"),
+        "tcn": "default for a fingertip that slides over a surface; label: arm speed",
+        "tcn_wide": "other fingertips and slower hands than the TakkTile's",
+        "tcn_sliding": "true sliding of the contact, known in simulation only",
+        "paper_tcn": "the paper's TCN, for comparison",
+        "frequency_cnn": "a network on spectra, for comparison",
+        "frequency_cnn_interleaved": "the paper's network on spectra, for comparison",
+        "tcn_grasp": "default for objects that fingers hold, lift or that are hit",
+        "paper_grasp": "the paper's TCN trained on grasps, for comparison",
+        "psd": "power above a frequency, without training; the paper's baseline",
     }
 )
 
@@ -140,7 +131,7 @@ def load_detector(name: str | Path) -> Detector:
     if isinstance(detector, ForOneFingertip):
         detector.model = Path(name).name
         if purpose := PURPOSES.get(str(name)):
-            detector.purpose = f"{name}: {purpose.text}"
+            detector.purpose = f"{name}: {purpose}"
         if "fingertip" in card:
             detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
     return detector

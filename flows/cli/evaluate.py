@@ -1,6 +1,5 @@
 """The command `slipflow evaluate`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -46,7 +45,6 @@ def evaluate(
             help="Judge only this detector; or judge this model file, too; repeatable (default: all).",
         ),
     ] = None,
-    list_: Annotated[bool, typer.Option("--list", help="List the shipped detectors and exit.")] = False,
     jobs: Jobs = None,
     cluster: Cluster = None,
     out: ReportFolder = Path("evaluation"),
@@ -75,9 +73,6 @@ def evaluate(
     from flows.run.executor import workers
     from operators.errors import InputError
 
-    if list_:
-        _print_shipped(as_json=as_json)
-        return
     if (dataset is None) != stress:
         raise InputError("evaluate", "needs a dataset, or --stress without one")
     if train and not hold_out:
@@ -103,21 +98,3 @@ def evaluate(
             )
     report = (stress_report if stress else evaluation_report)(found, command_line())
     write_report(report, out, "stress" if stress else "evaluation", as_json=as_json)
-
-
-def _print_shipped(*, as_json: bool) -> None:
-    """List the shipped detectors, what each is meant for, and its balanced accuracy on its test split."""
-    from storage.models import PURPOSES, load_card, shipped
-
-    rows = list[dict[str, object]]()
-    for name, purpose in PURPOSES.items():
-        path = shipped(name)
-        card = load_card(path) if path else {}
-        balanced = card.get("scores", {}).get("test", {}).get("balanced")
-        where = None if path is None else str(path)
-        rows.append({"name": name, **purpose._asdict(), "balanced_test": balanced, "path": where})
-    if as_json:
-        typer.echo(json.dumps({"models": rows}))
-        return
-    width = max(map(len, PURPOSES))
-    typer.echo("\n".join(f"{row['name']:{width}}  {row['task']:7}  {row['text']}" for row in rows))

@@ -4,10 +4,10 @@ import json
 import logging
 import shlex
 import sys
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -42,17 +42,12 @@ def check_output_file(path: Path) -> None:
         raise EndpointError(str(path), "is a folder: give a file name")
 
 
-class Progress(Protocol):
-    """Callback that updates a progress bar."""
-
-    def __call__(self, done: int, total: int | None, part: str = "") -> None:
-        """Show that `done` of `total` steps are done (None: of unknown), and the part in progress."""
-        ...
-
-
 @contextmanager
-def progress_bar(action: str) -> Generator[Progress]:
-    """Show a progress bar on stderr if it is a terminal; yield the callback that updates it."""
+def progress_bar(action: str) -> Generator[Callable[..., None]]:
+    """Show a progress bar on stderr if it is a terminal; yield the callback that updates it.
+
+    Its arguments are the finished steps, all steps (None: of unknown number), and the part in progress.
+    """
     from rich import progress
     from rich.console import Console
 

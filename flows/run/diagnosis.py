@@ -12,7 +12,8 @@ from pathlib import Path
 from struct import unpack_from
 from typing import Final, TypeAlias
 
-from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
+from flows.run.log_events import reason_of
+from operators.errors import EndpointError, InputError
 from operators.extras import EXTRAS, install_command, missing_packages, require_extra, software_version
 from operators.ports import Clock, Endpoint, Finding
 
@@ -57,12 +58,8 @@ def _failure(name: str, error: Exception) -> Finding:
             return Finding(error.endpoint, error.reason, "bad")
         case InputError():
             return Finding(error.where, error.reason, "bad")
-        case SlipflowError():
-            return Finding(name, str(error), "bad")
-        case OSError():
-            return Finding(name, os_error_reason(error), "bad")
         case _:
-            return Finding(name, f"{type(error).__name__}: {error}", "bad")
+            return Finding(name, reason_of(error), "bad")
 
 
 def i2c_finding() -> Finding:
