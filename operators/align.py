@@ -9,14 +9,13 @@ import numpy as np
 from operators.batch import Flags, Motion, Reals, Sample, Times, Zeroed, ms, s
 from operators.checks import check_at_least, check_choice
 from operators.operator import Join
-from operators.rotation import interpolate_rotation
 from operators.row_loop import row_loop
 from operators.row_queues import END, Chain
 
-How = Literal["nearest", "previous", "linear"]
+How = Literal["nearest", "previous"]
 
 _ROWS: Final = 1024  # of motion, smallest size of the arrays
-_NEAREST, _, _LINEAR = range(len(get_args(How)))
+_NEAREST: Final = 0  # index of `How`
 
 
 @dataclass
@@ -26,16 +25,15 @@ class Align(Join[Zeroed, Motion, Sample]):
     `how` selects the motion:
 
     - ``previous``: the last row up to t;
-    - ``nearest``: the last row up to t or the first one after t, whichever is nearer; the later one in a tie;
-    - ``linear``: interpolation between these two; rotations at constant rate.
+    - ``nearest``: the last row up to t or the first one after t, whichever is nearer; the later one in a tie.
 
     Motion further from t than `within` is ignored, as is motion whose velocity is not finite. Touch samples
     without motion are kept: velocity and pose are NaN and `matched` is False.
 
     A touch sample is released when motion newer than t has arrived, when the touch stream is `wait` past t,
-    or when it ends. The result is exact if motion lags touch by at most `wait` (`wait` - `within` for nearest
-    and linear, which look ahead) and touch lags motion by at most `keep`. With ``how="previous"`` and
-    ``wait=0`` no sample is delayed.
+    or when it ends. The result is exact if motion lags touch by at most `wait` (for nearest, which looks
+    ahead, `wait` - `within`) and touch lags motion by at most `keep`. With ``how="previous"`` and ``wait=0``
+    no sample is delayed.
 
     Args:
         within: Largest distance of motion from t, ns.
@@ -178,26 +176,10 @@ def _match(  # noqa: PLR0917 - compiled functions take no keywords
         source, distance = after - 1, since
         if how == _NEAREST and ahead <= since:
             source, distance = after, ahead
-        elif how == _LINEAR and since:
-            distance = max(since, ahead)
         matched[row] = distance <= within and instant >= oldest
         if not matched[row]:
             for axis in range(6):
                 velocity[row, axis] = pose[row, axis] = nan
-        elif how == _LINEAR and since:
-            _interpolate(values[source], values[after], since / (since + ahead), velocity[row], pose[row])
         else:
             for axis in range(6):
                 velocity[row, axis], pose[row, axis] = values[source, axis], values[source, 6 + axis]
-
-
-def _interpolate(first: Reals, second: Reals, fraction: float, velocity: Reals, pose: Reals) -> None:
-    """Interpolate velocity and position linearly, the rotation at constant rate."""
-    for axis in range(6):
-        velocity[axis] = first[axis] + fraction * (second[axis] - first[axis])
-    for axis in range(3):
-        low, high = float(first[6 + axis]), float(second[6 + axis])  # infinite values become NaN
-        pose[axis] = low + fraction * (high - low)
-    start = float(first[9]), float(first[10]), float(first[11])
-    end = float(second[9]), float(second[10]), float(second[11])
-    pose[3], pose[4], pose[5] = interpolate_rotation(start, end, fraction)

@@ -4,7 +4,8 @@ The same code processes batches of one row, in a live run, and of a million rows
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
+from inspect import get_annotations
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform
@@ -60,16 +61,33 @@ def column(dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...]
     return field(metadata={"column": Column(np.dtype(dtype), shape, unit, names)})
 
 
+_columns: Final[dict[type[Any], Mapping[str, Column]]] = {}
+
+
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(column, field))
 class _Declared:
     """Base whose subclasses become dataclasses.
 
     Type checkers treat batches as frozen. At run time they are not: the constructor of a frozen dataclass
     takes several times as long, which is much of the cost of a batch of one row.
+
+    Raises:
+        BatchError: if a field is no column.
     """
 
     def __init_subclass__(cls) -> None:
+        for name, hint in get_annotations(cls).items():
+            given = vars(cls).get(name)
+            is_column = isinstance(given, Field) and "column" in given.metadata
+            if _Declared not in cls.__bases__ and not is_column and "ClassVar" not in str(hint):
+                reason = f"is not a column: write {name}: Reals = column(np.float64, unit=...)"
+                raise BatchError(cls.__name__, name, reason)
         dataclass(eq=False)(cls)
+        kind: Any = cls
+        own = {each.name: each.metadata["column"] for each in fields(kind) if "column" in each.metadata}
+        for base in cls.__mro__:
+            own = {**_columns.get(base, {}), **own}
+        _columns[cls] = MappingProxyType(own)
 
 
 class Batch(_Declared):
@@ -190,7 +208,6 @@ def _is_ordered(time: Times, /) -> bool:
 
 
 _layouts: Final[dict[type[Any], Layout]] = {}
-_columns: Final[dict[type[Any], Mapping[str, Column]]] = {}
 _empty: Final[dict[type[Any], Any]] = {}
 
 
@@ -200,10 +217,6 @@ def columns(kind: type[Batch]) -> Mapping[str, Column]:
     >>> list(columns(Motion))
     ['time', 'device_time', 'velocity', 'pose']
     """
-    if kind not in _columns:
-        _columns[kind] = MappingProxyType(
-            {f.name: f.metadata["column"] for f in fields(kind) if "column" in f.metadata}
-        )
     return _columns[kind]
 
 

@@ -34,25 +34,6 @@ def rotate(vector: Vector, by: Quaternion) -> Vector:
     return a + w * u + (y * t - z * v), b + w * v + (z * u - x * t), c + w * t + (x * v - y * u)
 
 
-def interpolate_rotation(first: Vector, second: Vector, fraction: float) -> Vector:
-    """Interpolate between two rotations along the shortest path.
-
-    Args:
-        first: Rotation vector at `fraction` 0.
-        second: Rotation vector at `fraction` 1.
-        fraction: Position on the path, 0 to 1.
-
-    Returns:
-        Rotation vector of length pi at most; NaN if an input is not finite.
-
-    >>> interpolate_rotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.25)
-    (0.0, 0.25, 0.0)
-    """
-    w, x, y, z = quaternion(first)
-    a, b, c = _vector(_product((w, -x, -y, -z), quaternion(second)))
-    return _vector(_product((w, x, y, z), quaternion((fraction * a, fraction * b, fraction * c))))
-
-
 def compose(first: Vector, by: Vector) -> Vector:
     """Return the rotation vector of `first` followed by `by`, both in the base frame.
 

@@ -57,7 +57,7 @@ def _compiled(function: FunctionType, arguments: tuple[object, ...]) -> Callable
 
 
 def _with_compiled_helpers(function: FunctionType) -> FunctionType:
-    """Return a copy that calls compiled helpers; its name, the key of the cache, changes with them."""
+    """Return a copy that calls compiled helpers; its name, the key of the cache, depends on its constants."""
     from numba import njit  # noqa: PLC0415 - takes 0.4 s to import
 
     scope, version = dict(function.__globals__), 0
@@ -68,6 +68,8 @@ def _with_compiled_helpers(function: FunctionType) -> FunctionType:
             code = copy.__code__
             version = zlib.crc32(repr((copy.__name__, code.co_code, code.co_consts)).encode(), version)
             scope[name] = njit(error_model="numpy")(copy)
+        elif isinstance(helper, int | float):  # compiled in, perhaps from another file than the cache checks
+            version = zlib.crc32(repr((name, helper)).encode(), version)
     name = f"{function.__name__}_{version:x}" if version else function.__name__
     result = FunctionType(function.__code__, scope, name, function.__defaults__)
     result.__qualname__ = name

@@ -46,9 +46,17 @@ class Node:
 
     @property
     def gives(self) -> type[Batch] | None:
-        """Batch type of the output; None for a sink."""
+        """Batch type of the output; None for a sink.
+
+        Raises:
+            ParameterError: if the part does not declare it.
+        """
         if isinstance(self.part, Source):
-            return cast("type[Batch]", self.part.kind)
+            kind: Any = self.part.kind
+            if not (isinstance(kind, type) and issubclass(kind, Batch)):
+                must_be = "a batch type: a subclass of Batch with columns"
+                raise ParameterError(type(self.part).__name__, "kind", kind, must_be)
+            return kind
         return None if isinstance(self.part, Sink) else output_type(type(self.part))
 
     def describe(self) -> Description:

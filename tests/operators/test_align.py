@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from operators import Align, Motion, Sample, Zeroed, concat, ms
 from operators.batch import Reals, Times
 
-How = Literal["nearest", "previous", "linear"]
+How = Literal["nearest", "previous"]
 NO_TOUCH, NO_MOTION = Zeroed.empty(), Motion.empty()
 
 
@@ -54,15 +54,11 @@ def _polars(touch: pl.DataFrame, motion: pl.DataFrame, how: How, within: int) ->
 
     before, after = asof("backward", "before"), asof("forward", "after")
     exact = pl.col("off_before") == 0
-    part = pl.col("off_before") / (pl.col("off_before") + pl.col("off_after"))
     far = pl.lit(within + 1)
     later = pl.col("off_after").fill_null(far) <= pl.col("off_before").fill_null(far)
     row = {
         "previous": pl.col("row_before"),
         "nearest": pl.when(~exact.fill_null(value=False) & later).then("row_after").otherwise("row_before"),
-        "linear": pl.when(exact)
-        .then("row_before")
-        .otherwise(pl.col("row_before") + part * (pl.col("row_after") - pl.col("row_before"))),
     }
     return before.hstack(after).select(row[how]).to_series()
 
@@ -72,7 +68,7 @@ def _kept(**column: Times | Reals) -> pl.DataFrame:
     return pl.DataFrame(column).filter(pl.col("time") >= pl.col("time").cum_max()).set_sorted("time")
 
 
-@pytest.mark.parametrize("how", ["previous", "nearest", "linear"])
+@pytest.mark.parametrize("how", ["previous", "nearest"])
 @given(touch=steps, motion=steps, offset=st.integers(-50, 50), within=st.sampled_from([0, 3, 10, 30]))
 def test_the_join_equals_that_of_polars(
     how: How, touch: list[int], motion: list[int], offset: int, within: int
@@ -90,9 +86,7 @@ def test_the_join_equals_that_of_polars(
 # --- which row -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("how", "row"), [("previous", [2.0, 2.0]), ("nearest", [2.0, 3.0]), ("linear", [2.0, 2.5])]
-)
+@pytest.mark.parametrize(("how", "row"), [("previous", [2.0, 2.0]), ("nearest", [2.0, 3.0])])
 def test_of_equal_stamps_the_last_up_to_the_touch_and_the_first_after_it_count(
     how: How, row: list[float]
 ) -> None:
@@ -100,7 +94,7 @@ def test_of_equal_stamps_the_last_up_to_the_touch_and_the_first_after_it_count(
     assert _rows(samples) == row
 
 
-@pytest.mark.parametrize("how", ["previous", "nearest", "linear"])
+@pytest.mark.parametrize("how", ["previous", "nearest"])
 def test_a_touch_without_motion_near_enough_is_kept_and_flagged(how: How) -> None:
     touch = _touch(0, 100)
     samples = _join(Align(how=how), touch, _motion(0, 79))
@@ -122,29 +116,6 @@ def test_motion_with_a_non_finite_velocity_is_ignored(unknown: float, rows: int)
     for start in range(0, 3, rows):
         align.push(NO_TOUCH, motion[start : start + rows])
     assert _rows(align.push(_touch(8.9, 9, 9.1), NO_MOTION)) == [0, 2, 2]
-
-
-def test_linear_returns_a_single_row_at_its_own_stamp() -> None:
-    pose = np.array([[1.0, 2, 3, 4, 5, 6]])
-    samples = _join(Align(how="linear"), _touch(10), _motion(10, pose=pose))
-    np.testing.assert_array_equal(samples.pose, pose)
-
-
-def test_linear_interpolates_position_and_rotation() -> None:
-    pose = np.array([[0.0, 0, 0, 0, 0, 0], [1.0, 2, 3, 0, 0, np.pi / 2]])
-    samples = _join(Align(how="linear"), _touch(0, 2, 5, 10), _motion(0, 10, pose=pose))
-    expected = np.array([0, 0.2, 0.5, 1])[:, None] * pose[1]
-    np.testing.assert_allclose(samples.pose, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("unknown", [np.nan, np.inf])
-@pytest.mark.parametrize("touch", [(5,), (5, 6)])
-def test_linear_gives_nan_between_a_known_and_an_unknown_pose(unknown: float, touch: tuple[int, ...]) -> None:
-    pose = np.zeros((2, 6))
-    pose[1] = unknown
-    samples = _join(Align(how="linear"), _touch(*touch), _motion(0, 10, pose=pose))
-    assert samples.matched.all()
-    assert not np.isfinite(samples.pose).any()
 
 
 # --- when ------------------------------------------------------------------------------------------------

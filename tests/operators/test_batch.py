@@ -1,3 +1,4 @@
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -5,7 +6,7 @@ import numpy as np
 import pytest
 
 from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat
-from operators.batch import columns
+from operators.batch import Counts, Reals, column, columns
 
 KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 
@@ -35,3 +36,24 @@ def test_batches_of_several_fingertips_cannot_become_one() -> None:
     values = _columns(Scores, 1)
     with pytest.raises(BatchError, match="several fingertips"):
         concat(Scores, [Scores(*values, finger=0), Scores(*values, finger=1)])
+
+
+def test_a_batch_type_whose_field_is_no_column_is_refused_when_it_is_defined() -> None:
+    expected = r"^Force\.normal: is not a column: write normal: Reals = column\(np.float64, unit=\.\.\.\)$"
+    with pytest.raises(BatchError, match=expected):
+
+        class Force(Batch):
+            normal: Reals  # plain, as in a dataclass
+
+
+def test_a_batch_type_that_is_decorated_as_a_dataclass_keeps_its_columns() -> None:
+    class Force(Batch):
+        normal: Reals = column(np.float64, unit="N")
+
+    dataclass(Force)  # as a user may write, against the type checker
+
+    class Grasp(Force):
+        raw: Counts = column(np.int16)
+
+    assert [list(columns(kind)) for kind in (Force, Grasp)] == [["time", "normal"], ["time", "normal", "raw"]]
+    assert Grasp.zeros(2).check()[1:].raw.tolist() == [0]

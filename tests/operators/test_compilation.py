@@ -8,7 +8,7 @@ import pytest
 from numba.core import caching
 from numba.core.registry import CPUDispatcher
 
-from operators import compilation
+from operators import compilation, row_loop
 from operators.compilation import compile_function
 
 
@@ -55,3 +55,23 @@ def test_progress_is_logged_once_at_the_start_and_with_every_tenth_function(
     first, *others = caplog.messages
     assert first.startswith("compiling for this machine: up to a minute, once")
     assert others == [f"compiling: {number} functions are ready" for number in (10, 20)]
+
+
+FACTOR = 2.0
+
+
+def _times(value: float) -> float:
+    return FACTOR * value
+
+
+def test_a_changed_constant_of_a_helper_is_compiled_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = list[float]()
+    for factor in (2.0, 3.0):
+        monkeypatch.setitem(globals(), "FACTOR", factor)
+
+        @row_loop.row_loop
+        def scaled(value: float) -> float:
+            return _times(value)
+
+        found.append(scaled(7.0))
+    assert found == [14.0, 21.0]

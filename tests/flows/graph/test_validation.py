@@ -209,3 +209,14 @@ def test_a_recording_in_a_flow_is_not_read_by_a_check_or_a_replay_of_other_data(
     assert "Replay(unread, Touch)" in str(flow)
     with pytest.raises(AssertionError):
         problems(flow)
+
+
+def test_a_source_of_a_plain_dataclass_is_reported() -> None:
+    @dataclass
+    class Force:
+        normal: float
+
+    flow, kind = Flow("f"), Force
+    flow.source(TestSource(kind)).to(TestSink())  # type: ignore[type-var, arg-type]  # wrong on purpose
+    with pytest.raises(ParameterError, match=r"TestSource: kind is .*Force.*, must be a batch type"):
+        validate(flow)
