@@ -30,16 +30,18 @@ from operators.row_queues import END
 
 BLOCKS: Final = 60  # per window; the least late row of each block is kept
 PAUSE: Final = 5  # windows without rows, after which a new epoch starts
+JUMP: Final = 2 * s  # largest disagreement of the clocks on an interval within an epoch
+DRIFT: Final = 200e-6  # s/s, largest drift; crystals stay below
 _SPAN: Final = 5 * s  # minimum span of rows for a drift estimate
 
 Envelope: TypeAlias = tuple[Times, Reals, Reals]  # integers, reals, (2, BLOCKS) x and y of each kept row
 
-# Integers: window and largest jump (ns); number of the epoch; stamps of the newest row and of the epoch's
-# first row (ns); current block; x and y of the block's least late row; number of kept rows.
-_WINDOW, _JUMP, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEAST_Y, _KEPT = range(11)
-# Reals: largest drift; offset (ns) and slope of the line at the epoch's first row; its shift in this block,
-# at most 0 (ns); lateness of the block's least late row (ns).
-_DRIFT, OFFSET, SLOPE, _LOWERED, _LEAST = range(5)
+# Integers: window (ns); number of the epoch; stamps of the newest row and of the epoch's first row (ns);
+# current block; x and y of the block's least late row; number of kept rows.
+_WINDOW, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEAST_Y, _KEPT = range(10)
+# Reals: offset (ns) and slope of the line at the epoch's first row; its shift in this block, at most 0 (ns);
+# lateness of the block's least late row (ns).
+OFFSET, SLOPE, _LOWERED, _LEAST = range(4)
 
 
 @dataclass
@@ -53,15 +55,13 @@ class DeviceClock(Operator[Motion, Motion]):
     the drift changes, the times follow within a `window`.
 
     A new epoch starts when the device's clock steps back (a controller restart), when device and host
-    disagree by more than `jump` on the interval between two rows, and after five windows without rows.
+    disagree by more than 2 s on the interval between two rows, and after five windows without rows.
 
     Args:
         window: Length of the envelope in device time, ns.
-        drift: Largest drift, s/s; crystals stay below 200e-6.
-        jump: Largest disagreement on an interval within an epoch, ns.
 
     Raises:
-        ParameterError: if a parameter is invalid.
+        ParameterError: if the window is too short.
 
     >>> from operators.batch import ms
     >>> device = np.arange(5) * 8 * ms
@@ -72,13 +72,11 @@ class DeviceClock(Operator[Motion, Motion]):
     """
 
     window: int = 120 * s
-    drift: float = 200e-6
-    jump: int = 2 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
     _newest: int = field(default=-END, init=False, repr=False)  # ns, of the output
 
     def __post_init__(self) -> None:
-        self._envelope = envelope("DeviceClock", self.window, self.drift, self.jump)
+        self._envelope = envelope("DeviceClock", self.window)
 
     def process(self, batch: Motion) -> Motion:
         """Return the rows with host times."""
@@ -99,13 +97,11 @@ def _host_times(device: Times, arrival: Times, /, newest: int, state: Envelope, 
 class WatchClock(Operator[Motion, Clocks]):
     """Report the offset and drift of the device's clock periodically and at the end of each epoch.
 
-    Takes the same input and parameters as `DeviceClock` and uses the same envelope. The residual is the mean
-    lateness of the rows since the last report.
+    Takes the same input as `DeviceClock` and uses the same envelope. The residual is the mean lateness of
+    the rows since the last report.
 
     Args:
         window: As in `DeviceClock`, ns.
-        drift: As in `DeviceClock`, s/s.
-        jump: As in `DeviceClock`, ns.
         every: Interval of the reports in device time, ns.
 
     Raises:
@@ -119,8 +115,6 @@ class WatchClock(Operator[Motion, Clocks]):
     """
 
     window: int = 120 * s
-    drift: float = 200e-6
-    jump: int = 2 * s
     every: int = 5 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
     _open: Times = field(init=False, repr=False, compare=False)
@@ -128,7 +122,7 @@ class WatchClock(Operator[Motion, Clocks]):
 
     def __post_init__(self) -> None:
         check_at_least("WatchClock", "every", self.every, 1, "ns")
-        self._envelope = envelope("WatchClock", self.window, self.drift, self.jump)
+        self._envelope = envelope("WatchClock", self.window)
         self._open = np.array([0, 0, 0, 0, -END])
 
     def process(self, batch: Motion) -> Clocks:
@@ -186,30 +180,23 @@ def _report(clock: Envelope, since: Times, stamps: Times, lines: Reals, number: 
     since[_ROWS] = since[_LATE] = 0
 
 
-def envelope(owner: str, window: int, drift: float, jump: int) -> Envelope:
+def envelope(owner: str, window: int) -> Envelope:
     """Return the initial state of the running envelope of a stream.
 
     Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
     A row below the line lowers it. At the end of the block the line is fitted again.
 
-    A new epoch starts when the device's clock steps back, when device and host disagree by more than `jump`
-    on the interval between two rows, or after five windows without rows.
-
     Args:
-        owner: Operator that has the parameters, for errors.
+        owner: Operator that has the parameter, for errors.
         window: Length, ns of device time.
-        drift: Largest drift, s/s.
-        jump: Largest disagreement on an interval, ns.
 
     Raises:
-        ParameterError: if a parameter is invalid.
+        ParameterError: if the window is too short.
     """
     check_at_least(owner, "window", window, BLOCKS, "ns")
-    check_at_least(owner, "drift", drift, 0, "s/s")
-    check_at_least(owner, "jump", jump, 0, "ns")
-    integers, reals = np.zeros(11, np.int64), np.zeros(5)
-    integers[_WINDOW], integers[_JUMP], integers[EPOCH], reals[_DRIFT] = window, jump, -1, drift
-    return integers, reals, np.zeros((2, BLOCKS))
+    integers = np.zeros(10, np.int64)
+    integers[_WINDOW], integers[EPOCH] = window, -1
+    return integers, np.zeros(4), np.zeros((2, BLOCKS))
 
 
 def starts_epoch(device: int, arrival: int, state: Envelope) -> bool:
@@ -217,7 +204,7 @@ def starts_epoch(device: int, arrival: int, state: Envelope) -> bool:
     integers = state[0]
     step = device - integers[DEVICE]
     continuous = 0 <= step <= PAUSE * integers[_WINDOW]
-    agrees = abs(arrival - integers[_ARRIVAL] - step) <= integers[_JUMP]
+    agrees = abs(arrival - integers[_ARRIVAL] - step) <= JUMP
     return integers[EPOCH] < 0 or not (continuous and agrees)
 
 
@@ -254,7 +241,7 @@ def _fit(state: Envelope) -> None:
             kept[0, block], kept[1, block] = kept[0, block + 1], kept[1, block + 1]
     kept[0, count], kept[1, count] = integers[_LEAST_X], integers[_LEAST_Y]
     integers[_KEPT] = count + 1
-    reals[OFFSET], reals[SLOPE] = line(kept[0, : count + 1], kept[1, : count + 1], reals[_DRIFT])
+    reals[OFFSET], reals[SLOPE] = line(kept[0, : count + 1], kept[1, : count + 1], DRIFT)
     reals[_LOWERED], reals[_LEAST] = 0.0, inf
 
 

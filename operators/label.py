@@ -1,8 +1,7 @@
 """Slip labels from the arm's motion, and their masking without contact."""
 
 from dataclasses import dataclass, field, replace
-from math import hypot, inf, isfinite, isnan, nan, sqrt
-from typing import Final
+from math import isfinite, isnan, nan, sqrt
 
 import numpy as np
 
@@ -26,8 +25,6 @@ from operators.rotation import quaternion, rotate
 from operators.row_loop import Ints, row_loop
 from operators.row_queues import END, Chain, Tail
 
-_AXES: Final = 3
-
 
 class _Known(Batch):
     """Speed and label by the motion at `time`."""
@@ -42,8 +39,8 @@ class Label(Operator[Sample, Labelled]):
 
     A sample is slip if the planar speed is above `speed` or, if `rotation` is given, the angular speed is
     above it. It is unknown if the planar speed is `limit` or more, or the motion is NaN, as in unmatched
-    rows. The contact plane is perpendicular to `normal`. Without a known pose, the fingertip is assumed to
-    be aligned with the base frame.
+    rows. The contact plane is perpendicular to the fingertip's z axis. Without a known pose, the fingertip
+    is assumed to be aligned with the base frame.
 
     `delay` compensates for arm velocity that lags the barometers: the motion at ``t + delay`` labels the
     touch at t. A positive delay holds samples back until that motion has arrived or the stream ends. Speed
@@ -53,7 +50,6 @@ class Label(Operator[Sample, Labelled]):
         speed: Planar speed above which a sample is slip, m/s.
         limit: Planar speed from which a sample is unknown, m/s.
         rotation: Angular speed above which a sample is slip, rad/s; 0.2 in the paper; None: ignore rotation.
-        normal: Normal of the contact plane in the fingertip's frame, of any length.
         delay: Lag of the arm's motion, ns.
         within: Largest age of the motion at ``t + delay``, ns.
 
@@ -72,10 +68,9 @@ class Label(Operator[Sample, Labelled]):
     speed: float = 0.003
     limit: float = 0.3
     rotation: float | None = None
-    normal: tuple[float, ...] = (0.0, 0.0, 1.0)
     delay: int = 0
     within: int = 20 * ms
-    _parameters: Reals = field(init=False, repr=False, compare=False)  # speed, limit, rotation, unit normal
+    _parameters: Reals = field(init=False, repr=False, compare=False)  # speed, limit, rotation
     # samples labelled by the motion at their own time
     _held: Chain[Labelled] = field(
         default_factory=lambda: Chain(Labelled), init=False, repr=False, compare=False
@@ -91,12 +86,8 @@ class Label(Operator[Sample, Labelled]):
             check_at_least("Label", "rotation", self.rotation, 0, "rad/s")
         check_ns("Label", "delay", self.delay)
         check_at_least("Label", "within", self.within, 0, "ns")
-        length = hypot(*self.normal)
-        if len(self.normal) != _AXES or not 0 < length < inf:
-            raise ParameterError("Label", "normal", self.normal, "three finite numbers, not all 0")
         rotation = nan if self.rotation is None else self.rotation
-        unit = (component / length for component in self.normal)
-        self._parameters = np.array([self.speed, self.limit, rotation, *unit])
+        self._parameters = np.array([self.speed, self.limit, rotation])
 
     def process(self, batch: Sample) -> Labelled:
         """Return the labelled batch, or the delayed samples that it completes."""
@@ -169,9 +160,8 @@ class MaskLifted(Operator[Labelled, Labelled]):
 @row_loop
 def _label(velocity: Reals, pose: Reals, /, parameters: Reals, speeds: Reals, labels: Codes) -> None:
     speed, limit, rotation = float(parameters[0]), float(parameters[1]), float(parameters[2])
-    unit = float(parameters[3]), float(parameters[4]), float(parameters[5])
     for row in range(len(velocity)):
-        normal = unit
+        normal = 0.0, 0.0, 1.0
         x, y, z = float(pose[row, 3]), float(pose[row, 4]), float(pose[row, 5])
         if isfinite(x) and isfinite(y) and isfinite(z):
             normal = rotate(normal, quaternion((x, y, z)))
