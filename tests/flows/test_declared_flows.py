@@ -19,8 +19,8 @@ from flows.record import record
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, first_time, replayed
-from operators import Debounce, ParameterError, Run, Score, Slips, Touch, Zero, s
-from storage import Session, load_detector
+from operators import Debounce, Motion, ParameterError, Run, Score, Slips, Source, Touch, Zero, s
+from storage import Dataset, Session, load_detector
 
 MAT = Path(__file__).parents[3] / "shared" / "real" / "mat_trace.csv"
 
@@ -35,6 +35,12 @@ def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
 @pytest.mark.parametrize("name", ["demo", "lift", "live", "record", "relabel"])
 def test_a_ready_made_flow_is_valid(name: str) -> None:
     assert problems(load(name).flow()) == []
+
+
+@pytest.mark.parametrize("name", ["demo", "record"])
+def test_a_flow_that_records_samples_records_the_raw_streams_as_they_arrive(name: str) -> None:
+    [dataset] = [node for node in load(name).flow().nodes if isinstance(node.part, Dataset)]
+    assert {Touch, Motion} <= {parent.gives for parent in dataset.inputs if isinstance(parent.part, Source)}
 
 
 def test_record_records_synchronized_labelled_samples(tmp_path: Path) -> None:
