@@ -30,15 +30,14 @@ from operators.row_queues import END
 
 BLOCKS: Final = 60  # per window; the least late row of each block is kept
 PAUSE: Final = 5  # windows without rows, after which a new epoch starts
-JUMP: Final = 2 * s  # largest disagreement of the clocks on an interval within an epoch
 DRIFT: Final = 200e-6  # s/s, largest drift; crystals stay below
 _SPAN: Final = 5 * s  # minimum span of rows for a drift estimate
 
 Envelope: TypeAlias = tuple[Times, Reals, Reals]  # integers, reals, (2, BLOCKS) x and y of each kept row
 
-# Integers: window (ns); number of the epoch; stamps of the newest row and of the epoch's first row (ns);
-# current block; x and y of the block's least late row; number of kept rows.
-_WINDOW, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEAST_Y, _KEPT = range(10)
+# Integers: window and largest jump (ns); number of the epoch; stamps of the newest row and of the epoch's
+# first row (ns); current block; x and y of the block's least late row; number of kept rows.
+_WINDOW, _JUMP, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEAST_Y, _KEPT = range(11)
 # Reals: offset (ns) and slope of the line at the epoch's first row; its shift in this block, at most 0 (ns);
 # lateness of the block's least late row (ns).
 OFFSET, SLOPE, _LOWERED, _LEAST = range(4)
@@ -55,13 +54,14 @@ class DeviceClock(Operator[Motion, Motion]):
     the drift changes, the times follow within a `window`.
 
     A new epoch starts when the device's clock steps back (a controller restart), when device and host
-    disagree by more than 2 s on the interval between two rows, and after five windows without rows.
+    disagree by more than `jump` on the interval between two rows, and after five windows without rows.
 
     Args:
         window: Length of the envelope in device time, ns.
+        jump: Largest disagreement on an interval within an epoch, ns.
 
     Raises:
-        ParameterError: if the window is too short.
+        ParameterError: if a parameter is invalid.
 
     >>> from operators.batch import ms
     >>> device = np.arange(5) * 8 * ms
@@ -72,11 +72,12 @@ class DeviceClock(Operator[Motion, Motion]):
     """
 
     window: int = 120 * s
+    jump: int = 2 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
     _newest: int = field(default=-END, init=False, repr=False)  # ns, of the output
 
     def __post_init__(self) -> None:
-        self._envelope = envelope("DeviceClock", self.window)
+        self._envelope = envelope("DeviceClock", self.window, self.jump)
 
     def process(self, batch: Motion) -> Motion:
         """Return the rows with host times."""
@@ -122,7 +123,7 @@ class WatchClock(Operator[Motion, Clocks]):
 
     def __post_init__(self) -> None:
         check_at_least("WatchClock", "every", self.every, 1, "ns")
-        self._envelope = envelope("WatchClock", self.window)
+        self._envelope = envelope("WatchClock", self.window, DeviceClock.jump)
         self._open = np.array([0, 0, 0, 0, -END])
 
     def process(self, batch: Motion) -> Clocks:
@@ -180,22 +181,24 @@ def _report(clock: Envelope, since: Times, stamps: Times, lines: Reals, number: 
     since[_ROWS] = since[_LATE] = 0
 
 
-def envelope(owner: str, window: int) -> Envelope:
+def envelope(owner: str, window: int, jump: int) -> Envelope:
     """Return the initial state of the running envelope of a stream.
 
     Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
     A row below the line lowers it. At the end of the block the line is fitted again.
 
     Args:
-        owner: Operator that has the parameter, for errors.
+        owner: Operator that has the parameters, for errors.
         window: Length, ns of device time.
+        jump: Largest disagreement on an interval, ns.
 
     Raises:
-        ParameterError: if the window is too short.
+        ParameterError: if a parameter is invalid.
     """
     check_at_least(owner, "window", window, BLOCKS, "ns")
-    integers = np.zeros(10, np.int64)
-    integers[_WINDOW], integers[EPOCH] = window, -1
+    check_at_least(owner, "jump", jump, 0, "ns")
+    integers = np.zeros(11, np.int64)
+    integers[_WINDOW], integers[_JUMP], integers[EPOCH] = window, jump, -1
     return integers, np.zeros(4), np.zeros((2, BLOCKS))
 
 
@@ -204,7 +207,7 @@ def starts_epoch(device: int, arrival: int, state: Envelope) -> bool:
     integers = state[0]
     step = device - integers[DEVICE]
     continuous = 0 <= step <= PAUSE * integers[_WINDOW]
-    agrees = abs(arrival - integers[_ARRIVAL] - step) <= JUMP
+    agrees = abs(arrival - integers[_ARRIVAL] - step) <= integers[_JUMP]
     return integers[EPOCH] < 0 or not (continuous and agrees)
 
 

@@ -198,7 +198,7 @@ CASES: Final = [
     Case(Align(how="previous", wait=0, keep=100 * ms), (_touch(Zeroed), _motion)),
     Case(Align(how="nearest", within=10 * ms, wait=10 * ms, keep=100 * ms), (_touch(Zeroed), _motion)),
     Case(DeviceClock(), (_clocked,)),
-    Case(DeviceClock(window=2 * s), (_clocked,)),
+    Case(DeviceClock(window=2 * s, jump=100 * ms), (_clocked,)),
     Case(DeviceClock(), (_motion,)),
     Case(WatchClock(), (_clocked,)),
     Case(WatchClock(window=2 * s, every=100 * ms), (_clocked,)),

@@ -193,16 +193,16 @@ def test_the_line_lies_under_all_rows_and_no_other_lies_higher_in_their_mean(
     ("device", "arrival", "begins"),
     [
         (s, s, False),
-        (s, 3 * s, False),
-        (s, 3 * s + ms, True),  # the clocks disagree
-        (4 * s, 2 * s - ms, True),
+        (s, s + 100 * ms, False),
+        (s, s + 101 * ms, True),  # the clocks disagree
+        (s, s - 101 * ms, True),
         (-1, s, True),  # the device's went back
         (PAUSE * 6 * s, PAUSE * 6 * s, False),
         (PAUSE * 6 * s + 1, PAUSE * 6 * s + 1, True),  # too long a pause
     ],
 )
 def test_another_clock_and_a_long_pause_begin_an_epoch(device: int, arrival: int, *, begins: bool) -> None:
-    state = envelope("DeviceClock", 6 * s)
+    state = envelope("DeviceClock", 6 * s, 100 * ms)
     assert starts_epoch(5 * s, 1000 * s, state)
     host_time(5 * s, 1000 * s, state)
     assert bool(starts_epoch(5 * s + device, 1000 * s + arrival, state)) is begins

@@ -54,7 +54,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         *({"dead_after": 0}, {"stuck_after": 0}, {"saturated_after": 0}, {"drift": 0}),
         *({"floor": 9, "ceiling": 9}, {"clear_after": -1}),
     ],
-    DeviceClock: [{"window": 59}, {"window": 0}],
+    DeviceClock: [{"window": 59}, {"window": 0}, {"jump": -1}],
     WatchClock: [{"window": 59}, {"every": 0}],
     Grip: [
         *({"force": 11.0}, {"min_force": -1.0}, {"threshold": 0.0}, {"rate": 0.0}, {"consecutive": 0}),
