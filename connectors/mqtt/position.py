@@ -145,7 +145,9 @@ class Position:
         before, first = rig.size, all(each.head < 0 for each in rig.epochs.values())
         rig.announced = frozenset(heads)
         for each, head in heads.items():
-            epoch = rig.epochs.setdefault(each, _Epoch(head if first and not self._everything else 0))
+            if each not in rig.epochs:
+                rig.epochs[each] = _Epoch(head if first and not self._everything else 0)
+            epoch = rig.epochs[each]
             epoch.head, epoch.denied = max(epoch.head, head), inf
         if rig.delivered:
             rig.wait = min(rig.wait, REQUEST_EVERY)
