@@ -156,17 +156,22 @@ class Position:
     def request(self, name: RigId, now: float) -> tuple[str, int, int] | None:
         """Return the events to request from a rig now: epoch, first and last number; None if there are none.
 
-        A rig may answer for 3 s, and twice as long after each request that it has not answered.
+        A rig may answer for 3 s, and twice as long after each request that it has not answered. Then it is
+        asked about another epoch, if events of one are missed.
         """
         rig = self._rigs.get(name)
         if rig is None or now < rig.asked + rig.wait:
             return None
-        for each, epoch in rig.epochs.items():
-            if (gap := epoch.gap) and not epoch.denied <= now < epoch.denied + RETURN_WITHIN:
-                rig.request, rig.asked = (each, *gap), now
-                rig.wait = min(max(2 * rig.wait, REQUEST_EVERY), REQUEST_LAST)
-                return rig.request
-        return None
+        gaps = [
+            (each, *gap)
+            for each, epoch in rig.epochs.items()
+            if (gap := epoch.gap) and not epoch.denied <= now < epoch.denied + RETURN_WITHIN
+        ]
+        if not gaps:
+            return None
+        rig.request = next((gap for gap in gaps if gap[0] != rig.request[0]), gaps[0])
+        rig.asked, rig.wait = now, min(max(2 * rig.wait, REQUEST_EVERY), REQUEST_LAST)
+        return rig.request
 
     def reconnected(self) -> None:
         """Allow each rig one request at once; answers to earlier ones will not come."""

@@ -23,7 +23,8 @@ def event(seq: int, epoch: str = "ab") -> Event:
 
 
 def missed(position: Position, rig: RigId = UR10) -> tuple[str, int, int] | None:
-    """The first missed events of a rig, requested when nothing is awaited any more."""
+    """The first missed events of a rig, requested after a new connection."""
+    position.reconnected()
     return position.request(rig, inf)
 
 
@@ -126,6 +127,9 @@ def test_requests_become_rarer_until_they_are_answered() -> None:
         asked += [now] if position.request(UR10, now) else []
         now += 1.0
     assert asked == [0, 3, 9, 21, 45, 93, 153]
+    position.announce(UR10, {"ab": 9, "cd": 9})  # forged numbers hide no other epoch
+    assert [position.request(UR10, 1000.0 * turn) for turn in (1, 2)] == [("cd", 1, 9), ("ab", 1, 9)]
+    now = 2010.0
     assert not position.settle(UR10, GapAnswer("ab", 1, 9, ()), now)  # without its events: of no use
     assert position.request(UR10, now) is None
     position.take(event(1))  # it is there
