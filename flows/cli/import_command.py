@@ -1,6 +1,7 @@
 """The command `slipflow import`."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -104,11 +105,16 @@ def import_(
         typer.echo(json.dumps({"dataset": str(out), "files": listed}))
     if present := sum(each.state == "present" for each in done):
         note(f"{counted(present, 'session')} left out: the dataset has them already")
-    if dry_run:
-        note("dry run: nothing written")
-    complete = next((each.columns for each in done if each.columns), None)
-    if flow and complete and not dry_run:
-        note(f"{flow} follows such a file live, by the map {write_flow(flow, files[0], complete)}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)
+    first = done[0]
+    if dry_run:
+        mapped = ["--map", columns] if columns else []
+        again = ["slipflow", "import", *map(str, files), str(out), *mapped, "--flow", f"{out.name}.py"]
+        note(f"dry run: nothing written; next: {shlex.join(again)}")
+        return
+    if flow and first.columns and not flow.exists():
+        note(f"{flow} follows such a file live, by the map {write_flow(flow, files[0], first.columns)}")
+    if first.state == "written":
+        note(f"next: slipflow show {shlex.quote(str(out / 'sessions' / first.summary['session']))}")

@@ -2,6 +2,7 @@
 
 import asyncio
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
@@ -54,7 +55,11 @@ def show(
     host, port = parse_address("--listen", listen) if listen else ("127.0.0.1", None)
     server = page_server(host, port)  # raises an error before a long session is read
     opened = Session.open(session)
-    asyncio.run(_show(opened, detector or _fitting(opened), server, browse=not no_browser))
+    detector = detector or _fitting(opened)
+    asyncio.run(_show(opened, detector, server, browse=not no_browser))
+    if detector == _NONE:
+        dataset = opened.folder.parent.parent
+        note(f"next: slipflow train {quote(str(dataset))} -o {quote(dataset.name)}.safetensors")
 
 
 async def _show(session: "Session", detector: str, server: "WebServer", *, browse: bool) -> None:

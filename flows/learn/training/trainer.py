@@ -1,11 +1,12 @@
 """`slipflow train`: train a detector on datasets, and write the model with its card."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
-from itertools import chain
+from dataclasses import asdict, replace
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
+from flows.learn.datasets import SPLITS
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.labelled_recordings import (
     TARGETS,
@@ -45,6 +46,9 @@ Parts: TypeAlias = Mapping[str, Sequence[LabelledRecording]]  # by split
 OURS: Final = "tcn"
 METHODS: Final = (OURS, *PAPER_NETWORKS)
 FURTHER_STEPS: Final = 300  # of further training
+
+_FEW: Final = 5  # recordings, from which on whole ones are held out
+_ENDS: Final = (0.0, 0.6, 0.8, 1.0)  # of train, validation and test in one recording
 
 
 def train(
@@ -99,13 +103,27 @@ def train(
     }
     if parent is None:
         recipe = recipe or (Recipe() if method == OURS else paper_recipe(method))
-        arrays, results = _from_random(datasets, method, by_split(recordings), recipe, progress)
+        parts = by_split(recordings)
+        if len(recordings) < _FEW and not parts["validation"]:
+            parts = _in_time(recordings)
+            log("few recordings: each is divided in time, which flatters the model; record five or more")
+        arrays, results = _from_random(datasets, method, parts, recipe, progress)
     else:
         parent.check_fingertip(fingertip)
         recipe = recipe if isinstance(recipe, Recipe) else Recipe(steps=FURTHER_STEPS)
         arrays, results = _from_model(parent, recordings, recipe, progress)
         about |= {"detector": parent.name, "parent": identify_detector(str(start))}
     return write_model(out, arrays, {**about, "seed": recipe.seed, **results})
+
+
+def _in_time(recordings: Sequence[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
+    """Return the parts of few recordings: the begin of each to learn from, then validation and test."""
+    pieces = [
+        replace(each.piece(slice(round(begin * len(each)), round(end * len(each)))), split=split)
+        for each in recordings
+        for split, (begin, end) in zip(SPLITS, pairwise(_ENDS), strict=True)
+    ]
+    return by_split(pieces)
 
 
 def _from_random(
