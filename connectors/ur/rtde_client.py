@@ -26,6 +26,7 @@ from operators.ports import Clock
 T = TypeVar("T")
 Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.void]]"  # fields are outputs
 
+TURN: Final = 1 << 14  # bytes per turn of the event loop, so that a flood of messages delays nothing
 TEXTS: Final = 10  # messages that are logged per minute
 BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
 
@@ -40,7 +41,7 @@ _REFUSED: Final = (
 log = logging.getLogger("slipflow")
 
 
-class RtdeClient(asyncio.Protocol):
+class RtdeClient(asyncio.BufferedProtocol):
     """One connection to a controller.
 
     A package is timestamped when the event loop reads it, not when `receive` returns it.
@@ -68,7 +69,7 @@ class RtdeClient(asyncio.Protocol):
         self._outputs, self._rate = outputs, rate
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
         self._row = np.dtype([("recipe", "u1"), *fields])
-        self._packages, self._recipe = Packages(), 0
+        self._packages, self._recipe, self._buffer = Packages(), 0, memoryview(bytearray(TURN))
         self.texts, self._logged, self._minute = (
             0,
             0,
@@ -113,6 +114,14 @@ class RtdeClient(asyncio.Protocol):
         """Start the handshake. asyncio has set TCP_NODELAY."""
         self._transport = cast("asyncio.Transport", transport)
         self._request(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big"))
+
+    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 - asyncio's
+        """Return the space for the bytes of one turn of the event loop."""
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Handle the bytes that arrived in the buffer."""
+        self.data_received(bytes(self._buffer[:nbytes]))
 
     def data_received(self, data: bytes) -> None:
         """Timestamp and store the packages that `data` completes."""
