@@ -1,11 +1,13 @@
 """Decoder of the lines of a logger: names, damaged lines and starts of its clock. No I/O."""
 
+import re
 from collections.abc import Iterator, Sequence
+from datetime import date
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from connectors.files.column_map import SEPARATORS, TIME, UNITS, ColumnMap
+from connectors.files.column_map import DATE, SEPARATORS, TIME, UNITS, ColumnMap
 from connectors.files.decoding import Decoder
 from connectors.files.number_format import MISSING
 from connectors.files.resolution import COUNT_LIMIT
@@ -19,6 +21,14 @@ LONGEST: Final = 1 << 16  # bytes of a line
 HOPELESS: Final = 100  # lines in succession without a row, after which the device has failed
 _RESTART: Final = 3  # rows in order that show that the clock has started again, not that a line is damaged
 _JUMP: Final = 10 * s  # ns, longest time for which a logger holds rows back
+_ORDERS: Final = {"ymd": (0, 1, 2), "dmy": (2, 1, 0), "mdy": (2, 0, 1)}
+_FIRST_YEAR: Final = 1000
+_LATEST: Final = 2**63  # ns
+_1970: Final = date(1970, 1, 1).toordinal()
+_STAMP: Final = re.compile(
+    r"(?:(\d{4}|\d\d?)[-./](\d\d?)[-./](\d{4}|\d\d?)[T ])?(\d\d?):(\d\d):(\d\d)(?:[.,](\d{1,9}))?Z?",
+    re.ASCII,
+)
 _REMEDY: Final = "check the map, and the baud rate of a serial port"
 
 
@@ -181,9 +191,9 @@ class LineDecoder:
             self._hopeless += lines
 
     def _is_named(self, names: Sequence[str]) -> bool:
-        """Use the names of the columns, if those of the map are among them."""
+        """Use the names of the columns, if those of the map are among them; the line may be a comment."""
         try:
-            self._name(names)
+            self._name([names[0].lstrip("\ufeff#% ") or names[0], *names[1:]])
         except InputError:
             return False
         return True
@@ -199,7 +209,7 @@ class LineDecoder:
 
 
 class _PlainValues:
-    """Fast conversion of a row whose values are plain numbers; it takes 0.02 ms, a `Decoder` 30 ms.
+    """Fast conversion of a row whose values are plain numbers; it takes about 0.1 ms, a `Decoder` 27 ms.
 
     Args:
         columns: Complete map of columns.
@@ -210,7 +220,8 @@ class _PlainValues:
     def __init__(self, columns: ColumnMap, names: Sequence[str], kind: type[Touch]) -> None:
         self.kind, self._width = kind, len(names)
         self._comma = columns.decimal == "comma"
-        self._time = names.index(columns.columns[TIME][0]) if TIME in columns.columns else None
+        places = [names.index(name) for each in (DATE, TIME) for name in columns.columns.get(each, ())]
+        self._time, self._order = places, _ORDERS[columns.dates or "ymd"]
         self._scale = UNITS[TIME][columns.units.get(TIME, "s")]  # ns
         self._cells = [names.index(name) for cells in columns.cells.values() for name in cells]
         self._resolution, self._offset = columns.resolution or 1.0, np.array(columns.offset or (0,))
@@ -219,10 +230,10 @@ class _PlainValues:
 
     def row(self, fields: Sequence[str]) -> _Row | None:
         """Return a row; None if its values are no plain numbers."""
-        if len(fields) != self._width:
+        if len(fields) < self._width or any(fields[self._width :]):
             return None
         try:
-            time = 0 if self._time is None else self._nanoseconds(fields[self._time])
+            time = self._nanoseconds(" ".join(fields[place] for place in self._time)) if self._time else 0
             readings = np.array([self._number(fields[place]) for place in self._cells])
         except ValueError:
             return None
@@ -235,7 +246,29 @@ class _PlainValues:
         return _Row(time, counts.astype(np.int16), valid)
 
     def _nanoseconds(self, text: str) -> int:
-        return int(text) * round(self._scale) if text.isdecimal() else round(self._number(text) * self._scale)
+        """Return a time; a date counts since 1970, a time of day since midnight.
+
+        Raises:
+            ValueError: if it is neither a plain number nor a usual date.
+        """
+        if ":" not in text:
+            whole = text.isdigit() and text.isascii()
+            time = int(text) * round(self._scale) if whole else round(self._number(text) * self._scale)
+        else:
+            if (found := _STAMP.fullmatch(text)) is None:
+                raise ValueError(text)
+            *day, hour, minute, second, share = found.groups()
+            if not (int(hour) < 24 and int(minute) < 60 and int(second) < 60):  # noqa: PLR2004
+                raise ValueError(text)
+            year, month, number = (int(day[place] or 0) for place in self._order)
+            days = date(year, month, number).toordinal() - _1970 if day[0] else 0
+            if day[0] and year < _FIRST_YEAR:  # of two digits
+                raise ValueError(text)
+            seconds = ((days * 24 + int(hour)) * 60 + int(minute)) * 60 + int(second)
+            time = seconds * s + int((share or "0").ljust(9, "0"))
+        if abs(time) >= _LATEST:
+            raise ValueError(text)
+        return time
 
     def _number(self, text: str) -> float:
         """Return a number; NaN for a missing one.
@@ -250,6 +283,6 @@ class _PlainValues:
                 raise ValueError(text)
             text = text.replace(",", ".")
         value = float(text)
-        if not np.isfinite(value) or "_" in text:
+        if not np.isfinite(value) or "_" in text or not text.isascii():
             raise ValueError(text)
         return value

@@ -15,9 +15,10 @@ from hypothesis import strategies as st
 
 from connectors import LineSource
 from connectors.files.column_map import ColumnMap
-from connectors.files.line_decoder import HOPELESS, LineDecoder
+from connectors.files.decoding import Decoder
+from connectors.files.line_decoder import HOPELESS, LineDecoder, _PlainValues
 from flows.run.clocks import LoopClock
-from operators import EndpointError, ParameterError, Touch, Zeroed, concat, ms, s
+from operators import EndpointError, InputError, ParameterError, Touch, Zeroed, concat, ms, s
 
 pytestmark = pytest.mark.virtual
 
@@ -126,6 +127,47 @@ def test_numbers_and_times_have_the_formats_of_import(columns: ColumnMap, names:
     assert touch.valid[0].all()
     assert touch.valid[1, 0] == (columns.missing is None)
     assert isinstance(touch, Zeroed) == bool(columns.zeroed)
+
+
+NUMBERS = (
+    "5 -7 1.25 40000 nan NA N/A null none -999 1e2 1_0 +5 0x1 1.000 1.234.567 inf .5 5. 32767 -32768 - -0"
+    " 1e400"
+)
+TIMES = (
+    "5|0|1099511627776|12.34567|1971-01-01 00:00:00|2199-12-31 23:59:59.999999|14:29:06.01|25:00:00|nan|+5"
+    "|2025-03-26T14:29:06Z|1e3|-5|2025-3-6 4:29:06|2025-03-26 24:00:00|2025-03-26 14:60:06|\u0663|"
+    "|70-03-26 14:29:06|2025-02-30 00:00:00|2025-03-26 14:29:06.1234567891|26/03/2025 1:02:03"
+    "|9999999999999999999"
+)
+
+
+@pytest.mark.parametrize("decimal", ["point", "comma"])
+@pytest.mark.parametrize("resolution", [None, 0.5])
+def test_the_fast_conversion_of_a_row_is_that_of_import(decimal: str, resolution: float | None) -> None:
+    columns = replace(MAP, decimal=decimal, resolution=resolution, missing=(-999.0,))
+    if resolution:
+        columns = replace(columns, units={"time": "s", "counts": "count"}, dates="dmy")
+    rows = [["5", number, ""] for number in NUMBERS.split()]
+    rows += [[time, "1", "2"] for time in TIMES.split("|")]
+    for row in rows:
+        fields = [each.replace(".", ",") if decimal == "comma" else each for each in row]
+        fast = _PlainValues(columns, ("t", "a", "b"), Touch).row(fields)
+        try:
+            decoded = Decoder(columns, ("t", "a", "b"), "file").decode([fields])
+        except InputError:
+            assert fast is None
+            continue
+        if fast is not None:
+            assert abs(fast.time - decoded.time.item(0)) <= 1
+            assert fast.counts.tolist() == decoded.touch[0].counts[0].tolist()
+            assert fast.valid.tolist() == decoded.touch[0].valid[0].tolist()
+
+
+@pytest.mark.parametrize(
+    "time", ["5", "5.25", "2025-03-26 14:29:06.010", "2025-03-26T14:29:06Z", "14:29:06,5"]
+)
+def test_usual_times_are_converted_fast(time: str) -> None:
+    assert _PlainValues(MAP, ("t", "a", "b"), Touch).row([time, "1", "2"])
 
 
 def test_lines_that_are_never_rows_are_an_error_that_says_why() -> None:
