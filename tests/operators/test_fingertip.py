@@ -76,18 +76,6 @@ def test_a_mismatch_names_the_operators_that_convert_it(given: Fingertip, needs:
     assert (caught.value.owner, caught.value.needs, caught.value.fix) == ("tcn", needs, fix)
 
 
-def test_an_error_names_both_directions() -> None:
-    rising = replace(TAKKTILE, range=(0, 1023))
-    with pytest.raises(
-        FingertipError, match="falling as pressure rises; the data has count, rising with pressure"
-    ):
-        TAKKTILE.check_fits("tcn", rising)
-    with pytest.raises(
-        FingertipError, match="rising with pressure; the data has count, falling as pressure rises"
-    ):
-        rising.check_fits("pad", TAKKTILE)
-
-
 def test_a_rate_within_a_tenth_and_an_unknown_range_fit() -> None:
     TAKKTILE.check_fits("tcn", replace(TAKKTILE, rate=95.0, range=None))
 

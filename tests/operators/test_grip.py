@@ -33,16 +33,6 @@ def test_one_decision_alone_is_no_slip() -> None:
     assert len(_pushed(_soon(), [0.0, 1.0, 0.0, 1.0, np.nan, 1.0, 0.0])) == 1
 
 
-def test_the_longer_it_slips_the_faster_the_force_grows() -> None:
-    force = _pushed(_soon(gain=5.0, max_ratio=99.0), [0.0] + [1.0] * 20).force
-    assert (np.diff(force, 2)[1:] > 0).all()
-
-
-def test_the_force_grows_relative_to_that_at_the_start_of_the_slip() -> None:
-    weak, strong = (_pushed(_soon(force=force), [0.0] + [0.9] * 9).force for force in (0.5, 2.0))
-    assert strong == pytest.approx(4 * weak)
-
-
 def test_the_force_waits_for_the_effect_of_a_command() -> None:
     grip = _soon(gain=40.0, max_ratio=1.5, latency=100 * ms)
     commands = _pushed(grip, [0.0] + [1.0] * 40)
@@ -81,11 +71,6 @@ def test_the_force_does_not_fall_below_a_share_of_that_at_the_end_of_the_slip() 
 
 def test_it_stays_while_nothing_has_ever_slipped() -> None:
     assert len(_pushed(_soon(), [0.0] * 500)) == 1
-
-
-def test_the_force_stays_within_its_limits() -> None:
-    force = _pushed(_soon(max_force=1.3), [0.0] + [1.0] * 50).force
-    assert force.max() == force[-1] == 1.3
 
 
 def test_a_gap_in_the_scores_is_no_time_of_slip() -> None:

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Batch, Scores, Slips
+from operators import Batch, Scores
 from operators.row_queues import Chain, Tail
 
 stamps = st.lists(st.integers(0, 30), min_size=1, max_size=30).map(sorted)
@@ -40,13 +40,6 @@ def test_the_rows_older_than_an_instant_are_taken_once_and_in_order(
     assert _values(chain.take()) == _values(scores[scores.time >= before])
 
 
-def test_a_batch_that_is_taken_whole_is_not_copied() -> None:
-    chain, batch = Chain(Scores), _scores([1, 2, 3])
-    chain.append(batch)
-    chain.append(_scores([4]))
-    assert chain.take(4) is batch
-
-
 def _numbered(first: int, rows: int) -> Scores:
     return Scores(np.arange(first, first + rows), np.arange(first, first + rows) / 4, finger=3)
 
@@ -79,10 +72,3 @@ def test_its_memory_is_bounded_by_the_rows_kept_and_the_largest_batch() -> None:
         tail.append(Batch(np.zeros(7, np.int64)))
         tail.drop(7)
     assert len(tail.block) < 2000
-
-
-def test_columns_that_the_kind_lacks_fall_away() -> None:
-    tail = Tail(Batch)
-    tail.append(Slips(np.arange(3), np.zeros(3, np.int8), np.arange(3), np.zeros(3)))
-    assert type(tail.rows) is Batch
-    assert tail.time.tolist() == [0, 1, 2]

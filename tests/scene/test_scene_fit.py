@@ -8,8 +8,7 @@ from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Parameters
 from operators.batch import Reals
 from tests.scene.scene_fit import CONSTANTS, SLOPE, STEP, changed, constants, fit
-from tests.scene.scene_statistics import Published
-from tests.scene.scene_targets import RELAXED, Target, groups, relaxed
+from tests.scene.scene_targets import RELAXED, Target, relaxed
 
 # far from the limits of friction and mass
 PLAN = PaperPlan(parameters=Parameters(static_friction=1.2, kinetic_friction=0.9, texture=0.4, mass=0.08))
@@ -56,13 +55,3 @@ def test_the_relaxation_is_that_of_the_cells() -> None:
     counts = respond(tractions, influence(p), (p.sensitivity, p.relaxation), passed, np.zeros((3, 6)))[:, 0]
     left = [counts[round(100 * t)] / counts[0] for t in RELAXED]
     assert relaxed(p) == pytest.approx(left, abs=0.004)
-
-
-def test_the_groups_are_those_of_table_iii() -> None:
-    assert [name for name, _, _ in groups()][:2] == ["all", "plane"]
-    assert len(groups()) == 12
-
-
-def test_a_statistic_inside_the_published_range_has_no_distance() -> None:
-    row = Published("x", "x", (2.0,), (4.0,))
-    assert [row.distance(np.array([value])) for value in (1.0, 2.0, 3.0, 4.0, 7.0)] == [1 / 3, 0, 0, 0, 1]

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from connectors.sim.arm_motion import Controller, PlannedArm, in_base
-from connectors.sim.scene import MotionKind, Move, Moves, Scene, Strokes
-from operators.batch import Reals
+from connectors.sim.scene import MotionKind, Move, Moves, Scene
 from operators.errors import ParameterError
 
 PLAN = Moves(
@@ -53,14 +52,6 @@ def test_a_tap_pushes_once_along_its_direction() -> None:
     assert push[:, 1].max() == pytest.approx(5.0)
     assert np.abs(push[:, 0]).max() < 1e-12
     assert push[:, 1].sum() * 1e-4 == pytest.approx(5.0 * 0.01 * 2 / 3, rel=1e-3)
-
-
-def test_the_endless_strokes_end_every_round_where_they_began() -> None:
-    drive, pose = PlannedArm(Scene(Strokes()), 3).at(np.arange(0, 200, 0.01))
-    assert np.abs(pose[:, :2]).max() < 0.2
-    speeds: Reals = np.hypot(drive[:, 0], drive[:, 1]).round(6)
-    assert set(speeds.tolist()) >= {0.0, 0.05, 0.075, 0.1}
-    assert not drive[:120, 3].any()
 
 
 def test_the_controller_keeps_its_own_time_and_reports_late() -> None:

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from connectors.sim.drawn_grasp import RATE, SECONDS, draw_object, simulate_grasp
-from connectors.sim.objects import OBJECTS
+from connectors.sim.drawn_grasp import RATE, SECONDS, simulate_grasp
 from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Touch, Truth
 
@@ -25,17 +24,3 @@ def test_some_grasps_slide_and_most_of_the_time_nothing_does(grasps: list[tuple[
     for touch, truth in grasps:
         assert len(touch) == len(truth) <= SECONDS * RATE
         assert not (truth.sliding[:100] > SLIDING).any()  # the gripper is open
-
-
-def test_objects_have_wider_ranges_than_the_six() -> None:
-    random = np.random.default_rng(5)
-    drawn = [draw_object(random) for _ in range(300)]
-    assert {each.curvature for each in drawn} >= {each.curvature for each in OBJECTS.values()}
-    for name in ("mass", "friction", "texture", "stiffness"):
-        values = [getattr(each, name) for each in drawn]
-        known = [getattr(each, name) for each in OBJECTS.values()]
-        assert min(values) < min(known)
-        assert max(values) > max(known)
-    assert not {(each.mass, each.radius) for each in drawn} & {
-        (each.mass, each.radius) for each in OBJECTS.values()
-    }

@@ -94,23 +94,6 @@ def test_a_tap_on_the_side_turns_it_and_its_mirror_image_turns_it_back() -> None
     assert ends[1].slide_x == pytest.approx(-ends[0].slide_x, abs=2e-4)
 
 
-def test_pressing_harder_in_time_saves_what_slips() -> None:
-    def end(*, saved: bool) -> GraspState:
-        grasp = gripped(Grasp(BOX, lift=Lift(1.5)), 2 * least_force(BOX))
-        grasp.sense(4.0)
-        grasp.press(0.6 * least_force(BOX), 4.0, rate=1e3)
-        assert grasp.sense(4.05)[1].speed > 0.003
-        if saved:
-            grasp.press(3 * least_force(BOX), 4.06, rate=1e3)
-        return grasp.sense(5.0)[1]
-
-    lost, saved = end(saved=False), end(saved=True)
-    assert lost.on_table
-    assert not saved.on_table
-    assert -saved.slide_y < 0.02
-    assert saved.height > 0.03
-
-
 def test_the_force_follows_commands_at_their_rate() -> None:
     grasp = gripped(Grasp(BOX), 2.0)
     grasp.press(4.0, 2.0, rate=2.0)

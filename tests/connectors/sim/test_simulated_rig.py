@@ -1,5 +1,4 @@
 import asyncio
-import json
 from typing import Any
 
 import numpy as np
@@ -70,12 +69,6 @@ def test_each_move_is_an_episode() -> None:
     assert np.isnan([episodes.force[2], *episodes.depth]).all()
 
 
-def test_descriptions_are_plain_data() -> None:
-    rig = SimulatedRig(seed=4)
-    for source in (rig.touch, rig.motion):
-        assert json.loads(json.dumps(dict(source.describe())))["seed"] == 4
-
-
 def test_the_truth_has_a_row_for_each_touch_row() -> None:
     touch, _, truth = annotations(SimulatedRig(Scene(PLAN)))
     np.testing.assert_array_equal(truth.time, touch.time)
@@ -95,7 +88,3 @@ def truth(sliding: list[float], start: int = 0) -> Truth:
 def test_a_slip_goes_on_through_short_sticks_and_ends_at_a_long_one() -> None:
     sliding = [0.0] * 5 + [0.05] * 3 + [0.0] * 10 + [0.05] * 2 + [0.0] * 20 + [0.05] + [0.0]
     assert true_slips(truth(sliding)) == [(50 * ms, 190 * ms), (400 * ms, 400 * ms)]
-
-
-def test_creeping_is_no_slip() -> None:
-    assert true_slips(truth([0.002] * 100)) == []

@@ -44,17 +44,6 @@ def test_the_power_equals_scipys_periodogram(length: int, cutoff: float) -> None
     assert Psd(length, cutoff).power(window).item() == pytest.approx(expected, rel=1e-9)
 
 
-def test_a_vibration_of_amplitude_a_has_power_a_squared_over_2_and_barometers_add_up() -> None:
-    once = 40 * np.sin(2 * np.pi * 24 * SECONDS)
-    assert Psd().power(_window(once)).item() == pytest.approx(800, rel=0.01)
-    assert Psd().power(_window(once, once)).item() == pytest.approx(1600, rel=0.01)
-
-
-def test_a_steady_load_and_a_slow_change_have_hardly_any_power() -> None:
-    assert Psd().power(_window(np.full(25, -400.0))).item() == pytest.approx(0, abs=1e-15)
-    assert Psd().power(_window(100 * np.sin(2 * np.pi * SECONDS))).item() < 10
-
-
 def test_the_probability_is_a_half_at_the_threshold_and_grows_with_the_power() -> None:
     window = _window(40 * np.sin(2 * np.pi * 24 * SECONDS))
     power = Psd().power(window).item()
