@@ -13,7 +13,7 @@ from connectors.events import Event
 from connectors.fields import Fields
 from connectors.mqtt.broker import Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
-from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
+from connectors.mqtt.position import EPOCH_NAME_MAX, Position, RigId, load, lock_position, read_heads
 from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_topic
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
@@ -180,13 +180,13 @@ class Consumer(AsyncIterator[Event]):
             event = Event.read(fields)
             if (event.site, event.rig) != rig or rest not in ([event.finger, "event"], reply):
                 raise InputError(topic, f"has an event of {event.site}/{event.rig}/{event.finger}")
+            if len(event.epoch) > EPOCH_NAME_MAX:
+                raise InputError(topic, f"has an epoch of more than {EPOCH_NAME_MAX} characters")
             return rig, None if self._position.has(event) else event
         return rig, None
 
     def _finish_event(self) -> None:
         """Mark the latest event as processed, and start saving the position."""
-        if self._saving:
-            self._saving.check()
         if event := self._event:
             self._event = None
             self._change(self._position.take(event))
@@ -249,7 +249,13 @@ class Consumer(AsyncIterator[Event]):
         self._lock = None
 
     def _save_position(self) -> None:
-        """Start saving the position, if it has changed and is not being saved."""
+        """Start saving the position, if it has changed and is not being saved.
+
+        Raises:
+            EndpointError: if the saving has failed, other than by a failure of the disk.
+        """
+        if self._saving:
+            self._saving.check()
         if self._position_file and self._changed and (self._saving is None or self._saving.done):
             path, purpose = self._position_file, "the saving of the position"
             self._saving = BackgroundTask(str(path), purpose, self._save(path), endless=False)

@@ -20,7 +20,7 @@ RigId: TypeAlias = tuple[str, str]  # site and rig
 Range: TypeAlias = tuple[int, int]  # first and last number
 
 FORMAT = 2
-FILE_MAX = 8 * 2**20  # bytes
+FILE_MAX = 32 * 2**20  # bytes; more than the longest names need
 SIZE_MAX = 200_000  # numbers of all rigs; an epoch counts as `EPOCH_SIZE`
 EPOCH_SIZE = 20
 EPOCH_NAME_MAX = 64  # characters

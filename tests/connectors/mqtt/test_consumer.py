@@ -104,6 +104,7 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
         ("1/event", "no\njson"),
         ("2/event", EVENT.encode().decode()),
         ("3/event", "x" * 100_000),
+        ("4/event", replace(EVENT, finger="4", epoch="e" * 65).encode().decode()),
         ("head", '{"epoch": 7}'),
     ]
     for place, payload in bad:

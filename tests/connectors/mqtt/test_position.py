@@ -11,7 +11,7 @@ from connectors import Event
 from connectors.fields import Fields
 from connectors.mqtt import position
 from connectors.mqtt.gap_replay import GapAnswer
-from connectors.mqtt.position import FILE_MAX, Position, RigId, load, lock_position, read_heads
+from connectors.mqtt.position import FILE_MAX, SIZE_MAX, Position, RigId, load, lock_position, read_heads
 from operators.errors import EndpointError, InputError, SlipflowError
 
 UR10 = ("lab", "ur10")
@@ -148,7 +148,7 @@ def test_forged_rigs_and_epochs_do_not_displace_a_rig_that_delivers() -> None:
         forged = {f"{number}-{each}": 9 for each in range(100)}
         assert not position.announce(("lab", f"rig{number}"), forged)
         assert not position.announce(UR10, forged)
-    assert len(position.encode()) < FILE_MAX / 4
+    assert len(position.encode()) < 2**20
     assert len(position.rigs) < 101
     again = Position.decode(position.encode(), "here")
     assert again.encode() == position.encode()
@@ -157,6 +157,15 @@ def test_forged_rigs_and_epochs_do_not_displace_a_rig_that_delivers() -> None:
         assert not each.has(event(7))
         assert not each.announce(UR10, {"ab": 9})
         assert missed(each) == ("ab", 7, 9)
+
+
+def test_a_position_of_the_longest_names_can_be_read_again() -> None:
+    position, wide = Position(), "\N{SNAKE}" * 62
+    epochs = {f"{wide}{number:02}": 2**63 - 1 for number in range(99)}
+    for number in range(SIZE_MAX // 20 // len(epochs)):
+        position.announce((wide, f"{wide}{number:02}"), epochs)
+    assert len(position.encode()) < FILE_MAX
+    assert Position.decode(position.encode(), "here").rigs == position.rigs
 
 
 def test_what_is_given_up_to_bound_the_memory_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
