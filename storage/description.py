@@ -118,12 +118,7 @@ def describe_session(
                 for name, each in run.sources.items()
             },
             "sinks": {
-                name: {
-                    "rows": each.rows,
-                    "dropped": each.dropped,
-                    "failures": each.failures,
-                    "records": each.records,
-                }
+                name: {key: getattr(each, key) for key in ("rows", "dropped", "failures", "records")}
                 for name, each in run.sinks.items()
             },
             "clock_steps": [asdict(step) for step in run.clock_steps],
@@ -195,19 +190,6 @@ def check_identity(path: Path, content: Mapping[str, Any], about: Description) -
     if named and own and named != own:
         one, other = (f"{each.get('session')!r} of {each.get('start_ns')} ns" for each in (named, own))
         raise InputError(str(path), f"belongs to session {one}, but {SESSION} to {other}: restore its own")
-
-
-def recorders(about: Description) -> tuple[str, ...]:
-    """Return the names of the sinks that recorded a session; none before it is closed.
-
-    >>> recorders({"sinks": {"lab": {"records": True}, "mqtt": {"records": False}}})
-    ('lab',)
-
-    Raises:
-        AttributeError: if its sinks have invalid content.
-    """
-    sinks = cast("dict[str, dict[str, Any]]", about.get("sinks", {}))
-    return tuple(name for name, sink in sinks.items() if sink.get("records"))
 
 
 def _can_be_recovered(about: Description) -> bool:

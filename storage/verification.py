@@ -11,7 +11,7 @@ from operators.batch import Touch
 from operators.errors import InputError
 from operators.ports import Description
 from storage import files, schema
-from storage.description import VersionError, read_dataset, read_session, recorders
+from storage.description import VersionError, read_dataset, read_session
 from storage.hand_labels import HandLabels, label_file, label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
@@ -139,15 +139,6 @@ class _SessionCheck:
 
     def run(self) -> Iterator[None]:
         """Check the session; yield after each file."""
-        try:
-            yield from self._check_all()
-        except OSError as error:  # of folders; errors of files are findings already
-            unreadable = files.read_error(error.filename or self.folder, error)
-            if not isinstance(unreadable, InputError):
-                raise unreadable from error
-            self._add("lost", str(unreadable))
-
-    def _check_all(self) -> Iterator[None]:
         if self._has_links:  # reported already
             return
         self._check_description()
@@ -208,12 +199,14 @@ class _SessionCheck:
             self._add("note", f"ended early: {about['error']}")
 
     def _check_streams(self, about: Description) -> None:
-        keep = recorders(about)
-        for name, sink in cast("dict[str, dict[str, int]]", about.get("sinks", {})).items():
+        sinks = cast("dict[str, dict[str, int]]", about.get("sinks", {}))
+        for name, sink in sinks.items():
             if sink["dropped"]:
-                weight: Weight = "lossy" if name in keep else "note"
-                self._add(weight, f"{sink['dropped']} rows for {name} were dropped")
-        written = [cast("dict[str, Any]", about["sinks"])[name]["rows"] for name in keep]
+                self._add(
+                    "lossy" if sink.get("records") else "note",
+                    f"{sink['dropped']} rows for {name} were dropped",
+                )
+        written = [sink["rows"] for sink in sinks.values() if sink.get("records")]
         found = sum(part.rows for part in self.listed.values())
         if len(written) == 1 and found < written[0]:  # several sinks are several datasets
             text = f"{written[0] - found:,} of the {written[0]:,} recorded rows are in no part"
@@ -273,7 +266,10 @@ class _SessionCheck:
         if not self._has_manifest:  # reported already
             return
         with self._losing():
-            repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
+            try:
+                repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
+            except OSError as error:
+                raise files.read_error(error.filename or self.folder, error) from error
             for text in repair.lost:
                 self._add("lossy" if text in repair.cut else "lost", text)
             for text in repair.done:

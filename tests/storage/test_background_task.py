@@ -14,10 +14,9 @@ ROOT = Path(__file__).parents[2]
 LINE = r" \(test_background_task\.py:\d+\)$"
 # files that await the tasks they start before they return, or repeat what a task did
 AWAITED = {
-    "connectors/gripper/drive.py",
+    "connectors/gripper/gripper_sink.py",
     "connectors/mqtt/broker_link.py",
     "flows/lab/collection/collector.py",
-    "flows/lab/collection/stroke_driver.py",
     "flows/run/live_runner.py",
     "flows/run/sink_queue.py",  # for live_runner.py
     "storage/background_task.py",
