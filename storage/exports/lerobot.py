@@ -26,7 +26,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -329,7 +329,8 @@ def _all_statistics(root: Path, declared: Mapping[str, Any]) -> dict[str, Any]:
     """Return the statistics of each feature over all episodes; one feature at a time is in memory."""
     paths, found = sorted(root.glob("data/*/*.parquet")), dict[str, Any]()
     for name, feature in declared.items():
-        column: Any = pq.read_table(cast("Any", paths), columns=[name])[name]
+        tables = [pq.ParquetFile(path).read([name], use_threads=False) for path in paths]
+        column: Any = pa.concat_tables(tables)[name]  # Arrow's threads wait for ever if memory is short
         values = flat(column).to_numpy(zero_copy_only=False)
         found[name] = _statistics(values.reshape(-1, *feature["shape"]))
     return found
