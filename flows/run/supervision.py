@@ -4,8 +4,8 @@ import asyncio
 import os
 import signal
 import socket
-from collections.abc import Callable, Generator, Mapping
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, suppress
 from typing import Any, Final
 
 READY: Final = "READY=1"  # the service has started
@@ -14,17 +14,17 @@ STOPPING: Final = "STOPPING=1"  # the service ends; the watchdog stops
 
 
 @contextmanager
-def signal_handlers(actions: Mapping[signal.Signals, Callable[[], None]]) -> Generator[None]:
-    """Call an action in the running event loop on each of its signals; then restore the earlier handlers.
+def signals_to(stop: Callable[[], None]) -> Generator[None]:
+    """Call `stop` in the running event loop on each Ctrl-C and SIGTERM; then restore the earlier handlers.
 
     `remove_signal_handler` alone would restore the default, which for most signals ends the process. Has no
     effect outside the main thread.
     """
     loop, before = asyncio.get_running_loop(), dict[signal.Signals, Any]()
     with suppress(RuntimeError, ValueError):  # not in the main thread
-        for number, action in actions.items():
+        for number in (signal.SIGINT, signal.SIGTERM):
             earlier = signal.getsignal(number)
-            loop.add_signal_handler(number, action)
+            loop.add_signal_handler(number, stop)
             before[number] = earlier
     try:
         yield
@@ -32,11 +32,6 @@ def signal_handlers(actions: Mapping[signal.Signals, Callable[[], None]]) -> Gen
         for number, earlier in before.items():
             loop.remove_signal_handler(number)
             signal.signal(number, earlier)
-
-
-def signals_to(stop: Callable[[], None]) -> AbstractContextManager[None]:
-    """Call `stop` in the running event loop on each Ctrl-C and SIGTERM."""
-    return signal_handlers({signal.SIGINT: stop, signal.SIGTERM: stop})
 
 
 def notify_systemd(state: str) -> None:

@@ -57,7 +57,6 @@ def test_without_ur_rtde_nothing_starts(tmp_path: Path, hide_packages: Callable[
     hide_packages("ur-rtde")
     line = error("collect", "tiny", "--robot", "127.0.0.1", cwd=tmp_path)
     assert line.startswith("commanding a UR arm: needs ur-rtde: in the clone, pip install -e '.[ur]'")
-    assert signal.getsignal(signal.SIGUSR1) is signal.SIG_IGN  # it ends no process before the strokes
     assert not list(tmp_path.iterdir())
 
 

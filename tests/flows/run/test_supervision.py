@@ -12,7 +12,7 @@ from threading import Thread
 import pytest
 
 from flows.graph.testing import TestSink
-from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd, signal_handlers, signals_to
+from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd, signals_to
 from operators import Clock, EndpointError, Scores, Source, s
 from tests.flows.run.live import execute, flow_of, scores
 from tests.waiting import PATIENCE
@@ -32,13 +32,13 @@ async def test_each_signal_calls_stop_within_the_block_and_is_handled_as_before_
 
 
 async def test_a_signal_that_was_ignored_before_is_ignored_again_after_the_block() -> None:
-    before = signal.signal(signal.SIGUSR1, signal.SIG_IGN)
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        with signal_handlers({signal.SIGUSR1: asyncio.Event().set}):
+        with signals_to(asyncio.Event().set):
             pass
-        os.kill(os.getpid(), signal.SIGUSR1)  # would end this process
+        os.kill(os.getpid(), signal.SIGTERM)  # would end this process
     finally:
-        signal.signal(signal.SIGUSR1, before)
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_signals_are_left_alone_in_another_thread() -> None:
@@ -55,8 +55,8 @@ def test_signals_are_left_alone_in_another_thread() -> None:
 
 async def test_a_loop_that_sleeps_wakes_for_a_signal() -> None:
     received = asyncio.Event()
-    with signal_handlers({signal.SIGUSR2: received.set}):
-        sending = Thread(target=signal.raise_signal, args=(signal.SIGUSR2,))
+    with signals_to(received.set):
+        sending = Thread(target=signal.raise_signal, args=(signal.SIGTERM,))
         sending.start()
         async with asyncio.timeout(PATIENCE):
             await received.wait()
