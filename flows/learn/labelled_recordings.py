@@ -119,7 +119,7 @@ def scene_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
 
 
-def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:
+def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledRecording:
     """Simulate one scene; zero, align and label its samples."""
     from connectors.sim.finger import simulate_scene  # noqa: PLC0415 - loads numba: only to simulate
 
@@ -134,7 +134,6 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
         _sliding(zeroed, replace(truth, time=touch.time)),  # the clock of the touch may be wrong
         _strokes(moves, truth.time),
         name=name,
-        split=split,
     )
 
 

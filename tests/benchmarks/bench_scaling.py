@@ -29,7 +29,6 @@ import numpy as np
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.lab.simulation import simulate
-from flows.report.figures import MAIN, Figure, grid, styled, svg
 from flows.report.table import Table
 from flows.run import executor
 from flows.run.clocks import EventClock
@@ -237,30 +236,12 @@ def table(points: Sequence[Point]) -> Table:
     return Table(head, rows, decimals={"CPU us per sample": 2, "relative": 2})
 
 
-@styled
-def chart(points: Sequence[Point]) -> Figure:
-    """Draw the cost, one panel for each quantity that grows."""
-    kinds = list(dict.fromkeys(point.grows for point in points))
-    figure, panels = grid(1, len(kinds), (11, 2.6))
-    for axes, kind in zip(panels, kinds, strict=True):
-        values = [point.value for point in points if point.grows == kind]
-        costs = [point.cost for point in points if point.grows == kind]
-        axes.plot(values, costs, "o-", color=MAIN)
-        axes.set(xscale="log", xlabel=kind, ylim=(0, 1.25 * max(costs)))
-        axes.set_xticks(values, [str(value) for value in values])
-        axes.minorticks_off()
-        axes.grid(axis="y")
-    panels[0].set_ylabel("CPU us per sample")
-    return figure
-
-
 def main() -> None:
-    """Measure, print the table and draw the figure."""
+    """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--one", type=Path, nargs=2, help=argparse.SUPPRESS)
     parser.add_argument("--turns", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--figure", type=Path, default=Path("docs/figures/scaling.svg"))
     options = parser.parse_args()
     if options.one:
         one(*options.one)
@@ -275,7 +256,6 @@ def main() -> None:
         points = [*lives(touch, options.turns), *lengths(touch, paths[0], out / "long")]
         points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"), out)
     print(table(points).markdown())
-    options.figure.write_text(svg(chart(points)), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ class TooLittleDataError(SlipflowError):
         if alarms > rate * minutes:
             advice = (
                 f", {alarms / minutes:.2g} per minute, so more data will not help;"
-                " allow a higher rate, or train or adapt the model for such recordings"
+                " allow a higher rate, or train the model for such recordings"
             )
         else:
             more = f"{needed - minutes:.1f} more static minutes{' without a further one' if alarms else ''}"
@@ -26,7 +26,6 @@ class TooLittleDataError(SlipflowError):
             f"a rate of {rate:g} false alarms per minute cannot be shown with {100 * confidence:g} %"
             f" confidence: {found}{advice}"
         )
-        self.rate, self.confidence, self.alarms = rate, confidence, alarms
         self.minutes, self.needed = minutes, needed
 
 

@@ -95,19 +95,14 @@ def fine_tune(
 
 def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:
     """Return the course of further training on recordings of these lengths; the size is that of a network."""
-    taps, _, filters = tcn.weights["conv0/kernel"].shape
     usual = tcn.length + _CROP
     crop = usual
     if 2 * sum(each for each in lengths if each >= usual) < sum(lengths):  # most recordings are shorter
         crop = min((each for each in lengths if each >= tcn.length + _FEWEST), default=usual)
     return replace(
-        recipe,
-        filters=filters,
-        units=tcn.weights["dense0/bias"].size,
-        taps=taps,
-        dilations=tcn.weights["dilations"].tolist(),
-        position_scale=float(tcn.position_scale),
-        step_scale=float(tcn.step_scale),
+        Recipe.of(tcn),
+        steps=recipe.steps,
+        seed=recipe.seed,
         batch=12,
         crop=crop,
         rate=2e-3,

@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Self
 
 from operators.checks import check_above, check_at_least
+from operators.detectors import Tcn
 from operators.errors import ParameterError
 
 EPOCHS: Final = {"frequency_cnn": 40, "frequency_cnn_interleaved": 6, "paper_tcn": 25}
@@ -74,6 +75,19 @@ class Recipe:
             reason = f"such that the receptive field ({self.receptive_field}) is at most {LONGEST} samples"
             raise ParameterError("Recipe", "taps and dilations", (self.taps, *self.dilations), reason)
         check_above("Recipe", "crop", self.crop, self.receptive_field, "samples")
+
+    @classmethod
+    def of(cls, tcn: Tcn) -> Self:
+        """Return the recipe of a network of the same size."""
+        return cls(
+            filters=tcn.layers[0].kernel.shape[2],
+            units=tcn.layers[-1].kernel.shape[1],
+            taps=len(tcn.layers[0].kernel),
+            dilations=tcn.weights["dilations"].tolist(),
+            position_scale=float(tcn.position_scale),
+            step_scale=float(tcn.step_scale),
+            crop=tcn.length + 1,
+        )
 
     @property
     def receptive_field(self) -> int:

@@ -1,6 +1,6 @@
 """Temporal convolutional network as a torch module, for training."""
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,8 +13,6 @@ from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Network
 from operators.batch import BAROMETERS
 from operators.detectors.tcn import Tcn
-
-_DENSE: Final = 3  # number of dense layers at the end
 
 
 class DenseTcn(Network):
@@ -48,21 +46,7 @@ class DenseTcn(Network):
     @classmethod
     def of_detector(cls, tcn: Tcn) -> "DenseTcn":
         """Return the network with the weights of a detector, which contain its batch norms."""
-        convs = tcn.layers[:-_DENSE]
-        taps, _, filters = convs[0].kernel.shape
-        network = cls(
-            Recipe(
-                filters=filters,
-                units=tcn.layers[-1].kernel.shape[1],
-                taps=taps,
-                dilations=[layer.dilation for layer in convs[::2]],
-                crop=tcn.length + 1,
-                position_scale=float(tcn.position_scale),
-                step_scale=float(tcn.step_scale),
-            ),
-            tcn.cells,
-            folded=True,
-        )
+        network = cls(Recipe.of(tcn), tcn.cells, folded=True)
         targets = [*(layer.conv for layer in (*network._convs, *network._dense)), network.out]
         for target, layer in zip(targets, tcn.layers, strict=True):
             assert target.bias is not None

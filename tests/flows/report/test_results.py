@@ -66,18 +66,6 @@ def test_an_interval_is_that_of_recordings_drawn_with_replacement() -> None:
             assert value == pytest.approx(expected, abs=tolerance)
 
 
-def test_the_interval_covers_the_truth_about_as_often_as_it_says() -> None:
-    random, hits = np.random.default_rng(0), 0
-    for seed in range(60):
-        right = random.binomial(100, random.beta(16, 4, 30))  # recordings differ; on average 80 %
-        metrics = [{"right": each, "samples": 100} for each in right.tolist()]
-        parts = [result_rows(each, method="tcn", recording=str(n)) for n, each in enumerate(metrics)]
-        statistic = {"accuracy %": share("right", "samples", 100)}
-        [found] = estimates(joined(parts), statistic, draws=400, seed=seed).rows(named=True)
-        hits += found["low"] <= 80 <= found["high"]
-    assert 50 <= hits <= 60
-
-
 def test_unknown_values_are_null_and_few_recordings_have_no_interval() -> None:
     found = estimates(study(), STATISTICS).filter(method="none")
     assert found["value"].to_list() == [100, None, None]
