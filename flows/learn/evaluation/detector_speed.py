@@ -13,14 +13,13 @@ from typing import Final
 import polars as pl
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.report.results import Statistic, joined, result_rows, share
+from flows.report.results import Statistic, joined, result_rows
+from flows.report.results import median as median_of
 from flows.run.executor import one_thread
 from operators.batch import Counts
 from operators.detectors.detector import Detector, Streaming
 
-SPEED: Final[Mapping[str, Statistic]] = {
-    "us/sample": share("us/sample", "timings"),
-}
+SPEED: Final[Mapping[str, Statistic]] = {"us/sample": median_of("us/sample")}
 SPEED_DECIMALS: Final[Mapping[str, int | None]] = dict.fromkeys(SPEED)
 
 _LEAST: Final = 1_000  # ns, resolution
@@ -47,8 +46,7 @@ def speed_results(
     with one_thread():
         found = costs(detectors, counts, span=span)
     return joined(
-        result_rows({"us/sample": us, "timings": 1}, method=name, recording=longest.name)
-        for name, us in found.items()
+        result_rows({"us/sample": us}, method=name, recording=longest.name) for name, us in found.items()
     )
 
 

@@ -20,8 +20,7 @@ from flows.learn.training.augmentation import augmented
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.trained_model import Progress
-from flows.learn.training.training_crops import Crops
-from flows.learn.training.training_loop import Trained, TrainingTask, fit, set_seed, training_device
+from flows.learn.training.training_loop import Crops, Trained, TrainingTask, fit, set_seed, training_device
 from flows.run.executor import one_thread
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.detectors import Tcn

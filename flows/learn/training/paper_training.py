@@ -13,8 +13,7 @@ from flows.learn.training.augmentation import augmented
 from flows.learn.training.paper_networks import paper_network
 from flows.learn.training.recipe import PAPER_TOUCH, PaperRecipe
 from flows.learn.training.trained_model import Progress
-from flows.learn.training.training_crops import Crops
-from flows.learn.training.training_loop import Trained, TrainingTask, fit, training_device
+from flows.learn.training.training_loop import Crops, Trained, TrainingTask, fit, training_device
 from operators.batch import SLIP, UNKNOWN, Flags, Reals
 from operators.errors import InputError
 
