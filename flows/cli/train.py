@@ -33,9 +33,7 @@ def train(
     ] = Path("model.safetensors"),
     method: Annotated[
         str,
-        typer.Option(
-            help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn, frequency_cnn_interleaved."
-        ),
+        typer.Option(help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn_interleaved."),
     ] = "tcn",
     target: Annotated[
         str,

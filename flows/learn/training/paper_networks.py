@@ -41,13 +41,8 @@ def paper_network(name: str, mean: Reals, std: Reals, recipe: PaperRecipe) -> "P
         ParameterError: if there is no such network.
     """
     check_choice("paper_network", "name", name, PAPER_NETWORKS)
-    network: PaperNetwork
-    if name == "paper_tcn":
-        network = PaperTcnNetwork(mean, std, recipe.dropout)
-    else:
-        network = FrequencyCnnNetwork(
-            mean, std, recipe.dropout, interleaved=name == "frequency_cnn_interleaved"
-        )
+    kind = PaperTcnNetwork if name == "paper_tcn" else FrequencyCnnNetwork
+    network = kind(mean, std, recipe.dropout)
     set_seed(recipe.seed)
     for each, values in network.named_parameters():
         if values.ndim > 1:
@@ -165,20 +160,18 @@ class PaperTcnNetwork(PaperNetwork):
 
 
 class FrequencyCnnNetwork(PaperNetwork):
-    """Frequency CNN of the paper; `FrequencyCnn` describes the computation.
+    """Frequency CNN as the authors ran it; `InterleavedFrequencyCnn` describes the computation.
 
     Args:
         mean: (6,) mean of the training counts.
         std: (6,) standard deviation of the training counts.
         dropout: Probability that a bin of the image, a channel or a dense unit is dropped.
-        interleaved: True for the image of `InterleavedFrequencyCnn`.
     """
 
     parts: Tensor  # (100, 102) of the DFT
 
-    def __init__(self, mean: Reals, std: Reals, dropout: float, *, interleaved: bool) -> None:
+    def __init__(self, mean: Reals, std: Reals, dropout: float) -> None:
         super().__init__(mean, std)
-        self.interleaved = interleaved
         self.register_buffer("parts", torch.as_tensor(PARTS.astype(np.float32)), persistent=False)
         self.convolutions = nn.ModuleList([nn.Conv2d(BINS, 50, 3, padding=1), nn.Conv2d(50, 20, 2)])
         self.norms = nn.ModuleList(nn.BatchNorm2d(size, _EPSILON, _MOMENTUM) for size in (50, 20))
@@ -190,8 +183,7 @@ class FrequencyCnnNetwork(PaperNetwork):
     def logits(self, inputs: Tensor) -> Tensor:
         """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
         count, length, cells = inputs.shape
-        rows = inputs.reshape(count, cells, length) if self.interleaved else inputs.transpose(1, 2)
-        parts = rows @ self.parts  # (n, 6, 102) real, then imaginary
+        parts = inputs.reshape(count, cells, length) @ self.parts  # (n, 6, 102) real, then imaginary
         image = torch.hypot(parts[..., :BINS], parts[..., BINS:])[:, list(PIXELS)]  # (n, 6, 51)
         values = self.drop(image).view(count, 2, 3, BINS).permute(0, 3, 1, 2)  # (n, 51, 2, 3)
         for convolution, norm in zip(self.convolutions, self.norms, strict=True):

@@ -8,7 +8,7 @@ from operators.checks import check_above, check_at_least
 from operators.detectors import Tcn
 from operators.errors import ParameterError
 
-EPOCHS: Final = {"frequency_cnn": 40, "frequency_cnn_interleaved": 6, "paper_tcn": 25}
+EPOCHS: Final = {"frequency_cnn_interleaved": 6, "paper_tcn": 25}
 PAPER_NETWORKS: Final = tuple(EPOCHS)
 LONGEST: Final = 400  # samples, maximum receptive field
 

@@ -9,10 +9,9 @@ from flows.learn.training.paper_networks import PaperNetwork, paper_network
 from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.trained_model import Arrays
 from operators.detectors import Detector, PaperTcn
-from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
+from operators.detectors.frequency_cnn import InterleavedFrequencyCnn
 
 DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
-    "frequency_cnn": FrequencyCnn,
     "frequency_cnn_interleaved": InterleavedFrequencyCnn,
     "paper_tcn": PaperTcn,
 }
