@@ -50,8 +50,7 @@ from operators import (
 from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import commit, machine
-from tests.emulators.i2c_bus import EmulatedI2cBus
-from tests.emulators.i2c_device import served
+from tests.emulators.i2c_bus import EmulatedI2cBus, served
 from tests.emulators.ur_controller import E_SERIES, Ports, UrController
 
 P = ParamSpec("P")

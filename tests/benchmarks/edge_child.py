@@ -50,8 +50,7 @@ def resident(field: str = "VmRSS") -> float:
 async def work(flow_file: str, table: Table, settings: dict[str, str], seconds: float) -> dict[str, object]:
     """Run for so long; gives what was used and done."""
     sys.path.append(str(Path(__file__).parents[2]))  # for `tests` alone: the installed slipflow comes first
-    from tests.emulators.i2c_bus import EmulatedI2cBus  # noqa: PLC0415
-    from tests.emulators.i2c_device import served  # noqa: PLC0415
+    from tests.emulators.i2c_bus import EmulatedI2cBus, served  # noqa: PLC0415
 
     flow = load(flow_file).flow(settings)
     runner = LiveRunner(flow, "edge", duration=round(seconds * s))

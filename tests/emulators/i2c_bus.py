@@ -1,21 +1,29 @@
-"""Emulated I2C bus with TakkTile fingertips, adapters that refuse as real ones do, and faults on command.
+"""Emulated I2C bus with TakkTile fingertips behind an unmodified smbus2, and faults on command.
 
 A fingertip is one ATtiny and six MPL115A2 barometers, which all have the same address. The ATtiny connects
 barometers by address alone: a write connects, a read disconnects. Several connected barometers answer at the
 same time: each pulls the lines low, so the host reads the bitwise AND of their bytes. Errors have the errno
 that Linux reports. Sources: TakkTile's board files and firmware; Freescale, "MPL115A2" datasheet.
+
+smbus2 asks the operating system three things: ``os.open``, ``fcntl.ioctl`` and ``os.close``. While a bus is
+`served`, these calls of smbus2 reach the bus where they are about its path. All else of smbus2 stays real:
+the structure that it hands to the kernel is declared here once more, after Linux's ``i2c-dev.h``.
 """
 
 import errno
 import os
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from ctypes import POINTER, Structure, c_uint8, c_uint32, c_ulong, string_at
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import reduce
 from threading import Event
 from time import sleep, time_ns
-from typing import Final, NamedTuple, Protocol
+from typing import Any, ClassVar, Final, Protocol, TypeAlias, cast
+
+import smbus2.smbus2
 
 from connectors.takktile.takktile_protocol import ALL, BAROMETER, COEFFICIENTS, CONVERT, RANGE
 from operators.batch import BAROMETERS, Counts, ms
@@ -38,7 +46,6 @@ class Defect(Enum):
     """Defects of a barometer."""
 
     DEAD = auto()  # it does not answer
-    STUCK = auto()  # it repeats its last conversion
     ZERO = auto()  # it converts everything to 0
 
 
@@ -84,8 +91,6 @@ class Cell:
 
     def _convert(self, now: int) -> bytes:
         """Return the 4 bytes of a conversion begun at an instant (ns): two 10-bit counts, left-aligned."""
-        if self.defect is Defect.STUCK:
-            return bytes(self.registers[:4])
         if self.defect is Defect.ZERO:
             return bytes(4)
         pressure, temperature = self._sample(now)
@@ -141,31 +146,6 @@ class Fingertip:
         ]
 
 
-class Message(NamedTuple):
-    """One message of a transfer: a write to an address, or a read from it."""
-
-    address: int  # 7 bits
-    data: bytes = b""  # bytes to write
-    length: int | None = None  # bytes to read; None for a write
-
-
-@dataclass(frozen=True)
-class Adapter:
-    """Capabilities of a bus adapter.
-
-    Attributes:
-        empty: It sends messages without data, as SMBus's quick command is (errno 95 if not).
-        speed: Bits per second; None: transfers take no time.
-    """
-
-    empty: bool = True
-    speed: float | None = None
-
-
-RASPBERRY_PI: Final = Adapter()  # i2c-bcm2835, models 0 to 4
-DESIGNWARE: Final = Adapter(empty=False)  # i2c-designware; i2c-omap of a BeagleBone alike
-
-
 @dataclass
 class Fault:
     """Messages that fail; see `EmulatedI2cBus.fail`."""
@@ -192,7 +172,6 @@ class EmulatedI2cBus:
     Args:
         skin: Source of the counts.
         rows: Finger of the source for each row (0 to 7).
-        adapter: Adapter that drives it.
         conversion: Duration of a conversion (ns).
         now: Clock of the source (ns).
 
@@ -200,9 +179,10 @@ class EmulatedI2cBus:
         fingertips: Fingertips by row.
         busy: Addresses that a kernel driver owns (errno 16).
         away: The adapter has been taken away.
-        lost: The errno with which connections opened before that fail.
-        generation: How often the adapter has been taken away.
-        transfers, octets: Transfers, and bytes that they sent, addresses included.
+        lost, generation: Errno of connections that were opened before, and how often it was taken away.
+        quick: The adapter sends messages without data, as SMBus's quick command is; others refuse (errno 95).
+        speed: Bits per second; None: messages take no time.
+        transfers: Transactions.
     """
 
     def __init__(
@@ -210,16 +190,15 @@ class EmulatedI2cBus:
         skin: Skin,
         rows: Mapping[int, int] | None = None,
         *,
-        adapter: Adapter = RASPBERRY_PI,
         conversion: int = CONVERSION,
         now: Callable[[], int] = time_ns,
     ) -> None:
         served = {0: 0} if rows is None else rows
         self.fingertips = {row: Fingertip(row, finger, skin, conversion) for row, finger in served.items()}
-        self.adapter, self._now = adapter, now
+        self.quick, self.speed, self._now = True, cast("float | None", None), now
         self.busy = set[int]()
         self.away, self.lost = False, errno.ENODEV
-        self.generation = self.transfers = self.octets = 0
+        self.generation = self.transfers = 0
         self._faults: list[Fault] = []
         self._flowing = Event()
         self._flowing.set()
@@ -262,57 +241,160 @@ class EmulatedI2cBus:
         """Put the adapter back, to be opened again."""
         self.away = False
 
-    def transfer(self, messages: Sequence[Message]) -> list[bytes]:
-        """Send messages in one transfer; return the bytes read by each, empty for a write.
+    def write(self, address: int, data: bytes = b"") -> None:
+        """Send a message that writes.
 
         Raises:
-            OSError: if the adapter cannot send them, no device acknowledges an address, or a fault strikes.
+            OSError: if the adapter cannot send it, no device acknowledges the address, or a fault strikes.
         """
+        self._begin(address, 1 + len(data))
+        if not data and not self.quick:
+            raise os_error(errno.EOPNOTSUPP)
+        if address == BAROMETER:
+            cells, now = self._connected(), self._now()
+            for cell in cells:
+                cell.write(data, now)
+        elif not self._switch(address, on=True) or data:  # the ATtinys act on the address and refuse data
+            raise os_error(errno.EREMOTEIO)
+
+    def read(self, address: int, length: int) -> bytes:
+        """Send a message that reads, and return the bytes; errors are those of `write`."""
+        self._begin(address, 1 + length)
+        if address == BAROMETER:
+            cells, now = self._connected(), self._now()
+            answers = [cell.read(length, now) for cell in cells]
+            return bytes(reduce(int.__and__, octets) for octets in zip(*answers, strict=True))
+        if not self._switch(address, on=False):
+            raise os_error(errno.EREMOTEIO)
+        return bytes([RELEASED]) * length
+
+    def _begin(self, address: int, octets: int) -> None:
         if not self._flowing.is_set():
             self._flowing.wait()
             raise os_error(errno.ETIMEDOUT)
-        if not self.adapter.empty and any(not message.data and not message.length for message in messages):
-            raise os_error(errno.EOPNOTSUPP)
-        self.transfers += 1
-        return [self._send(message) for message in messages]
-
-    def _send(self, message: Message) -> bytes:
-        """Send one message; return the bytes read."""
         for fault in self._faults:
-            if fault.strikes(message.address):
+            if fault.strikes(address):
                 raise os_error(fault.number)
-        octets = 1  # the address
-        try:
-            answer = self._access(message) if message.address == BAROMETER else self._switch(message)
-            octets += len(message.data) or len(answer)
-            return answer
-        finally:
-            self.octets += octets
-            if self.adapter.speed is not None:
-                sleep(9 * octets / self.adapter.speed)  # 8 bits and an acknowledgement each
+        if self.speed is not None:
+            sleep(9 * octets / self.speed)  # 8 bits and an acknowledgement each
 
-    def _access(self, message: Message) -> bytes:
-        """Write to the connected barometers, or read from them."""
+    def _connected(self) -> list[Cell]:
+        """Return the barometers that answer; they answer together."""
         cells = [cell for fingertip in self.fingertips.values() for cell in fingertip.connected]
         if not cells:
             raise os_error(errno.EREMOTEIO)
-        now = self._now()
-        if message.length is None:
-            for cell in cells:
-                cell.write(message.data, now)
-            return b""
-        answers = [cell.read(message.length, now) for cell in cells]
-        return bytes(reduce(int.__and__, octets) for octets in zip(*answers, strict=True))
+        return cells
 
-    def _switch(self, message: Message) -> bytes:
-        """Connect or disconnect barometers; the ATtinys act on the address and never acknowledge data."""
-        on = message.length is None
-        acknowledged = [fingertip.switch(message.address, on=on) for fingertip in self.fingertips.values()]
-        if message.data or not any(acknowledged):
-            raise os_error(errno.EREMOTEIO)
-        return bytes([RELEASED]) * (message.length or 0)
+    def _switch(self, address: int, *, on: bool) -> bool:
+        """Connect or disconnect barometers; return whether an ATtiny acknowledges the address."""
+        acknowledged = [fingertip.switch(address, on=on) for fingertip in self.fingertips.values()]
+        return True in acknowledged
 
 
 def os_error(number: int) -> OSError:
     """Return the OSError of an errno."""
     return OSError(number, os.strerror(number))
+
+
+_SLAVE, _FUNCTIONS, _SMBUS = 0x0703, 0x0705, 0x0720  # requests
+_READ: Final = 1
+_LONGEST: Final = 32  # bytes of a block
+_EMULATED: Final = 0x0CFF0009  # functions of an adapter that sends messages, block data excepted
+_EMULATED_QUICK: Final = 0x00010000  # among them
+
+_Argument: TypeAlias = int | Structure | c_ulong
+
+
+class _Transaction(Structure):
+    """struct i2c_smbus_ioctl_data; the union it points to holds a byte or a block: here its bytes."""
+
+    _fields_: ClassVar = [
+        ("read_write", c_uint8),
+        ("command", c_uint8),
+        ("size", c_uint32),
+        ("data", POINTER(c_uint8)),
+    ]
+
+
+@contextmanager
+def served(bus: EmulatedI2cBus, path: str) -> Generator[EmulatedI2cBus]:
+    """Let smbus2 find a bus at a path, in all threads; at the end a wedged bus is released."""
+    names = smbus2.smbus2.__dict__
+    system, control = names["os"], names["ioctl"]
+    backing = os.memfd_create("i2c")
+    device = _Device(bus, path, backing, system, control)
+    names["os"], names["ioctl"] = device, device.ioctl
+    try:
+        yield bus
+    finally:
+        names["os"], names["ioctl"] = system, control
+        os.close(backing)
+        bus.release()
+
+
+class _Device:
+    """Stand-in for the module ``os`` and the function ``ioctl`` in smbus2."""
+
+    O_RDWR = os.O_RDWR
+
+    def __init__(self, bus: EmulatedI2cBus, path: str, backing: int, system: Any, control: Any) -> None:
+        self._bus, self._path, self._backing = bus, path, backing
+        self._system, self._control = system, control  # that smbus2 had before
+        self._generations = dict[int, int]()  # by descriptor, of the bus when it was opened
+        self._addresses = dict[int, int]()  # by descriptor
+
+    def open(self, path: str, flags: int) -> int:
+        """Return a new descriptor, which smbus2 may lock and close as any other."""
+        if path != self._path:
+            return int(self._system.open(path, flags))
+        if self._bus.away:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
+        descriptor = os.open(f"/proc/self/fd/{self._backing}", flags)
+        self._generations[descriptor] = self._bus.generation
+        return descriptor
+
+    def close(self, descriptor: int) -> None:
+        self._generations.pop(descriptor, None)
+        self._system.close(descriptor)
+
+    def ioctl(self, descriptor: int, request: int, argument: _Argument = 0) -> int:
+        """Execute one request of ``i2c-dev.h``."""
+        if descriptor not in self._generations:
+            return int(self._control(descriptor, request, argument))
+        if self._generations[descriptor] != self._bus.generation:
+            raise os_error(self._bus.lost)
+        if request == _SLAVE and isinstance(argument, int):
+            if argument in self._bus.busy:
+                raise os_error(errno.EBUSY)
+            self._addresses[descriptor] = argument
+        elif request == _FUNCTIONS and not isinstance(argument, int):
+            quick = 0 if self._bus.quick else _EMULATED_QUICK
+            c_ulong.from_buffer(argument).value = _EMULATED & ~quick
+        elif request == _SMBUS and not isinstance(argument, int):
+            self._transact(self._addresses[descriptor], _Transaction.from_buffer(argument))
+        else:
+            raise os_error(errno.ENOTTY)
+        return 0
+
+    def _transact(self, address: int, asked: _Transaction) -> None:
+        """Execute an SMBus transaction, as messages; a block begins with its length."""
+        bus, reads = self._bus, asked.read_write == _READ
+        bus.transfers += 1
+        match asked.size:
+            case 0 if reads:  # quick
+                bus.read(address, 0)
+            case 0:
+                bus.write(address)
+            case 1 if reads:  # byte
+                asked.data[0] = bus.read(address, 1)[0]
+            case 1:
+                bus.write(address, bytes([asked.command]))
+            case 8 if reads:  # block
+                bus.write(address, bytes([asked.command]))
+                for octet, value in enumerate(bus.read(address, asked.data[0]), 1):
+                    asked.data[octet] = value
+            case 8:
+                block = string_at(asked.data, _LONGEST + 2)
+                bus.write(address, bytes([asked.command]) + block[1 : 1 + block[0]])
+            case _:
+                raise os_error(errno.EOPNOTSUPP)

@@ -13,8 +13,7 @@ from connectors.takktile.scanner import Scan, Scanner, Schedule
 from connectors.takktile.takktile_protocol import Coefficients
 from operators import ms, us
 from operators.batch import Counts
-from tests.emulators.i2c_bus import EmulatedI2cBus
-from tests.emulators.i2c_device import served
+from tests.emulators.i2c_bus import EmulatedI2cBus, served
 
 PATH = "/dev/i2c-1"
 

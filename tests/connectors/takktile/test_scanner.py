@@ -14,14 +14,12 @@ from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
 from connectors.takktile.takktile_protocol import Coefficients
 from operators.batch import Counts, us
 from tests.emulators.i2c_bus import (
-    DESIGNWARE,
-    RASPBERRY_PI,
     Cell,
     Defect,
     EmulatedI2cBus,
     Fingertip,
+    served,
 )
-from tests.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 CELL, ALL = 0x60, 0x06
@@ -189,8 +187,8 @@ def test_an_adapter_without_quick_writes_a_byte_instead(
     rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if claims == "quick":
-        monkeypatch.setattr("tests.emulators.i2c_device._EMULATED_QUICK", 0)
-    rig.bus.adapter = DESIGNWARE
+        monkeypatch.setattr("tests.emulators.i2c_bus._EMULATED_QUICK", 0)
+    rig.bus.quick = False
     with closing(rig.open()) as scanner:
         for _ in range(2):
             rig.sound(scanner.scan())
@@ -204,7 +202,6 @@ def test_an_adapter_without_quick_writes_a_byte_instead(
 
 def test_coefficients_are_read_once(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        assert rig.bus.adapter == RASPBERRY_PI
         assert rig.coefficients[1][0] == Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
         known = [cell.a0 for cell in rig.coefficients[0] if cell]
         assert known == pytest.approx([2009.75 + cell for cell in range(6)])

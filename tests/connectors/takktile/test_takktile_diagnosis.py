@@ -9,8 +9,7 @@ from flows.run.diagnosis import diagnose
 from operators import us
 from operators.batch import Counts
 from operators.ports import Finding
-from tests.emulators.i2c_bus import Defect, EmulatedI2cBus
-from tests.emulators.i2c_device import served
+from tests.emulators.i2c_bus import Defect, EmulatedI2cBus, served
 
 PATH = "/dev/i2c-1"
 
@@ -89,7 +88,7 @@ async def test_a_missing_bus_or_fingertip_is_bad_with_its_remedy(bus: EmulatedI2
 
 
 async def test_a_slow_bus_is_bad(bus: EmulatedI2cBus) -> None:
-    bus.adapter = type(bus.adapter)(speed=20_000)
+    bus.speed = 20_000
     rate = (await found(0, 5))[-1]
     assert rate.state == "bad"
     assert "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate" in rate.text

@@ -19,8 +19,7 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Clock, EndpointError, ParameterError, Touch, us
 from operators.batch import Batch, Counts, concat
-from tests.emulators.i2c_bus import EmulatedI2cBus
-from tests.emulators.i2c_device import served
+from tests.emulators.i2c_bus import EmulatedI2cBus, served
 
 PATH = "/dev/i2c-1"
 SILENT = f"{PATH}: no fingertip answers: check the power and the rows (errno 121)"

@@ -15,8 +15,7 @@ from flows.run.clocks import LoopClock
 from operators import EVERY, SLIP, Labelled, Motion, Touch, concat
 from operators.batch import Counts
 from storage import Session
-from tests.emulators.i2c_bus import EmulatedI2cBus
-from tests.emulators.i2c_device import served
+from tests.emulators.i2c_bus import EmulatedI2cBus, served
 from tests.emulators.ur_controller import CB3, UrController
 from tests.emulators.ur_program import Drive
 from tests.flows.lab.collection.test_collector import QUICK, STROKES
