@@ -101,4 +101,4 @@ async def main(folder: Path, how: str, full: float, room: float) -> object:
 if __name__ == "__main__":
     place, method, *seconds = sys.argv[1:]
     report = asyncio.run(main(Path(place), method, *map(float, seconds)))
-    os.write(1, json.dumps(report).encode())
+    os.write(1, json.dumps(report).encode() + b"\n")

@@ -15,7 +15,7 @@ from storage import Session, verify
 from storage.verification import LOSSY
 from tests.chaos import fill
 from tests.chaos.numbered import alike, motion, touch
-from tests.chaos.processes import finish, scratch, start
+from tests.chaos.processes import Child, scratch
 from tests.chaos.run import Promise, Scale
 
 SIZE = "1m"
@@ -59,7 +59,10 @@ def full_for_a_while(scale: Scale) -> Sequence[Promise]:
 
 
 def _run(folder: Path, how: str, full: float, room: float) -> Any:  # noqa: ANN401 - JSON
-    return json.loads(finish(start("fill", folder, how, f"{full}", f"{room}"), full + room))
+    child = Child(folder, "fill", folder, how, f"{full}", f"{room}")
+    child.start()
+    child.stop(None)
+    return json.loads(child.lines[-1])
 
 
 def _read(folder: Path) -> Kept:

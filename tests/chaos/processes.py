@@ -16,48 +16,12 @@ PATIENCE: Final = 120.0  # s, for anything that a process is expected to do
 ROOT: Final = Path(__file__).parents[2]
 
 
-def start(name: str, *arguments: str | Path) -> subprocess.Popen[str]:
-    """Start ``python -m tests.chaos.<name>`` in the repository's root."""
-    command = [sys.executable, "-m", f"tests.chaos.{name}", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment
-    )
-
-
-def kill(child: subprocess.Popen[str]) -> None:
-    """Kill a process with SIGKILL.
-
-    Raises:
-        RuntimeError: with its stderr, if it had ended by itself.
-    """
-    child.kill()
-    _, stderr = child.communicate()
-    if child.returncode != -signal.SIGKILL:
-        raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {stderr}")
-
-
-def finish(child: subprocess.Popen[str], seconds: float = 0) -> str:
-    """Wait for the end of a process, due in `seconds`, and return its stdout.
-
-    Raises:
-        RuntimeError: with its stderr, if it failed.
-    """
-    try:
-        stdout, stderr = child.communicate(timeout=seconds + PATIENCE)
-    finally:
-        child.kill()
-    if child.returncode:
-        raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {stderr}")
-    return stdout
-
-
 class Child:
     """Process ``python -m tests.chaos.<name>`` whose lines of output are kept over restarts."""
 
-    def __init__(self, folder: Path, name: str, *arguments: str) -> None:
-        """Prepare to run the module; its stderr goes to a file in `folder`."""
-        self._command = [sys.executable, "-m", f"tests.chaos.{name}", *arguments]
+    def __init__(self, folder: Path, name: str, *arguments: str | Path) -> None:
+        """Prepare to run the module, with its state in `folder`."""
+        self._command = [sys.executable, "-m", f"tests.chaos.{name}", *map(str, arguments)]
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self._reader: Thread | None = None
@@ -67,22 +31,20 @@ class Child:
     def start(self) -> None:
         """Start the process."""
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(self._folder / "state")}
-        with (self._folder / "stderr").open("ab") as stderr:
-            self._process = subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=stderr, env=environment, cwd=ROOT
-            )
+        self._process = subprocess.Popen(self._command, stdout=subprocess.PIPE, env=environment, cwd=ROOT)
         self._reader = Thread(target=self._read, args=(self._process,), daemon=True)
         self._reader.start()
 
-    def stop(self, number: signal.Signals = signal.SIGKILL) -> None:
-        """Send a signal that ends the process, and read the rest of its output.
+    def stop(self, number: signal.Signals | None = signal.SIGKILL) -> None:
+        """Send a signal that ends the process (None: it ends by itself), and read the rest of its output.
 
         Raises:
             subprocess.TimeoutExpired: if it does not end.
         """
         process, reader, self._process = self._process, self._reader, None
         if process and reader:
-            process.send_signal(number)
+            if number is not None:
+                process.send_signal(number)
             process.wait(PATIENCE)
             reader.join()
 

@@ -17,7 +17,7 @@ from operators import EVERY, Labelled, Motion, SlipflowError, Touch, concat, ms
 from storage import Session, verify
 from tests.chaos import record
 from tests.chaos.numbered import Numbers, motion, prefix, touch
-from tests.chaos.processes import PATIENCE, kill, scratch, start
+from tests.chaos.processes import PATIENCE, Child, scratch
 from tests.chaos.run import Promise, Scale
 
 BOUND = 10  # rows of a stream
@@ -83,16 +83,17 @@ def _wave(
             path.write_bytes(bytes(COUNTS * 8))
         counts = [np.memmap(path, np.int64, "r") for path in count_files]
         children = [
-            start("record", dataset, path, f"{rate:g}")
+            Child(folder, "record", dataset, path, f"{rate:g}")
             for dataset, path, rate in zip(datasets, count_files, rates, strict=True)
         ]
         for child in children:
-            stack.callback(child.kill)
+            child.start()
+            stack.callback(child.stop)
         _wait_for_rows(counts)
         began, durations = time.monotonic(), [SHORTEST + random.uniform(0, SPREAD) for _ in rates]
         for end, child in sorted(zip(durations, children, strict=True), key=itemgetter(0)):
             time.sleep(max(0.0, began + end - time.monotonic()))
-            kill(child)
+            child.stop()
         for dataset, each, rate in zip(datasets, counts, rates, strict=True):
             yield rate, _read(dataset, np.array(each), rate)
 
