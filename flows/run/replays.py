@@ -117,13 +117,6 @@ class Replayed:
     error: str = ""  # reason of a failure; empty: none
 
 
-@dataclass(frozen=True)
-class _Task:
-    source: FlowSource
-    recording: str  # path
-    session: str
-
-
 class Replays:
     """Replays of one flow over many recordings.
 
@@ -182,14 +175,14 @@ class Replays:
         log_replay_destinations(self.flow)
         local = executor is None or isinstance(executor, LocalProcesses)
         source = self._source if local else self._source.with_files()
-        tasks = [_Task(source, str(path), session_of(path)) for path in self.recordings]
+        paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
         with ExitStack() as stack:
             for root in self._roots:
                 with write_errors(root):
                     make_folder(root, parents=True)
                     describe_dataset(root)
-                stack.callback(remove_partial, root, [task.session for task in tasks])
-            yield from map_tasks(replay, tasks, executor, progress=progress, lost=_lost)
+                stack.callback(remove_partial, root, names)
+            yield from map_tasks(partial(replay, source), paths, executor, progress=progress, lost=_lost)
 
     def _exists(self, path: Path) -> bool:
         """Return True if all datasets have the session that this flow derives from a recording."""
@@ -214,32 +207,33 @@ class Replays:
         return min(first, default=0)
 
 
-def replay(task: _Task) -> Replayed:
+def replay(source: FlowSource, path: str) -> Replayed:
     """Replay one recording; any error becomes part of the result."""
     runner, printed, error = None, StringIO(), ""
     with _LOCK:
         try:
             with ExitStack() as stack:
-                if task.source.directory != str(Path.cwd()):
-                    stack.enter_context(chdir(task.source.directory))
+                if source.directory != str(Path.cwd()):
+                    stack.enter_context(chdir(source.directory))
                 with redirect_stdout(StringIO()):  # the command has printed it
-                    flow = task.source.flow()
+                    flow = source.flow()
+                session = session_of(Path(path))
                 stack.enter_context(redirect_stdout(printed))
                 scratch = {
-                    node: stack.enter_context(new_session(root, task.session))
+                    node: stack.enter_context(new_session(root, session))
                     for node, root in _roots(flow).items()
                 }
-                recording = open_recording(Path(task.recording), log.warning)
+                recording = open_recording(Path(path), log.warning)
                 flow = flow.replaced(partial(_written_to, scratch))
-                runner = ReplayRunner(flow, recording, task.session)
+                runner = ReplayRunner(flow, recording, session)
                 asyncio.run(runner.execute())
         except (SlipflowError, OSError) as failure:
             error = reason_of(failure)
         except Exception as failure:
-            log.exception("%s", task.recording)
+            log.exception("%s", path)
             error = reason_of(failure)
     summary = None if runner is None else Summary.of(runner.run)
-    return Replayed(task.recording, summary, printed.getvalue(), error)
+    return Replayed(path, summary, printed.getvalue(), error)
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
@@ -327,5 +321,5 @@ def _check_names(paths: Sequence[Path]) -> None:
         raise InputError(same[1], f"has the same name as {same[0]}: replay it into another dataset")
 
 
-def _lost(task: _Task, reason: str) -> Replayed:
-    return Replayed(task.recording, None, error=reason)
+def _lost(path: str, reason: str) -> Replayed:
+    return Replayed(path, None, error=reason)

@@ -13,7 +13,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.executor import workers
 from flows.run.replay_runner import ReplayRunner
-from flows.run.replays import FlowSource, Replayed, Replays, _Task, check_outputs, recordings
+from flows.run.replays import FlowSource, Replayed, Replays, check_outputs, recordings
 from flows.run.replays import replay as replay_task
 from operators import Debounce, Score, Touch, Zero
 from operators.detectors import Psd
@@ -138,16 +138,17 @@ def test_a_flow_takes_its_file_and_modules_along_and_newer_ones_replace_them(
 def test_a_repeated_task_changes_nothing_and_another_flow_is_refused(
     felt: str, four: list[Path], tmp_path: Path
 ) -> None:
-    [first] = replay(felt, four[:1], tmp_path)
-    before = written(tmp_path)
-    again = Replays(source(felt, out=str(tmp_path)), four[:2])
+    out = tmp_path / "out"
+    [first] = replay(felt, four[:1], out)
+    before, same = written(out), source(felt, out=str(out))
+    again = Replays(same, four[:2])
     assert (again.existing, again.recordings) == (four[:1], four[1:2])
-    task = _Task(source(felt, out=str(tmp_path)), str(four[0]), four[0].name)
-    assert replay_task(task) == first  # as after the loss of the worker that had finished it
-    assert written(tmp_path) == before
-    assert "another session has this name" in replay_task(replace(task, recording=str(four[1]))).error
-    assert written(tmp_path) == before
-    other = source(felt, out=str(tmp_path), least="0.6")
+    assert replay_task(same, str(four[0])) == first  # as after the loss of the worker that had finished it
+    assert written(out) == before
+    renamed = copytree(four[1], tmp_path / four[0].name)
+    assert "another session has this name" in replay_task(same, str(renamed)).error
+    assert written(out) == before
+    other = source(felt, out=str(out), least="0.6")
     with pytest.raises(InputError, match="is of another recording or flow: write to another dataset"):
         Replays(other, four[:1])
 
