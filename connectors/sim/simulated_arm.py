@@ -9,25 +9,22 @@ of the surface: x right, y up, z into the surface, yaw about z::
 
 import asyncio
 import logging
+import math
 from bisect import bisect_right
-from collections.abc import AsyncIterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import count
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
 import numpy as np
 
-from connectors.sim.ride import Ride
 from connectors.sim.scene import Scene, surface_drop
+from connectors.sim.simulated_rig import SENSOR, SimulatedSource
 from connectors.ur.ur_state import ArmState, Bounds, Point, Pose, offset_pose
 from operators.batch import Motion, Reals, Touch, s
 from operators.errors import EndpointError
-from operators.fingertip import TAKKTILE, Fingertip
-from operators.ports import Clock, Description, Source
+from operators.ports import Clock
 from operators.rotation import quaternion, rotate, rotation_difference
-
-if TYPE_CHECKING:
-    from connectors.sim.finger import Finger
 
 log = logging.getLogger("slipflow")
 
@@ -36,6 +33,64 @@ HEIGHT: Final = 0.02  # m, initial height above the middle of the surface
 STEP: Final = 0.008  # s between checks of the state, as of a controller with 125 Hz
 NAME: Final = "virtual arm"
 _TICK: Final = 1e-9  # s, resolution of the clock
+_SHORTEST: Final = 1e-12  # m, rad; a leg of length 0 has no direction
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """Motion along a polyline; its speed is linear between instants, and 0 from the last one on."""
+
+    corners: Reals  # (n, 4) m, m, m, rad: x, y, z, yaw
+    instants: Reals  # (k,) s
+    speeds: Reals  # (k,) m/s; rad/s if the rotation is longer
+    acceleration: float  # m/s2, rad/s2, at which it brakes
+    begun: float = 0.0  # m or rad, travelled before the first instant
+
+    @classmethod
+    def planned(cls, corners: Sequence[Reals], start: float, speed: float, acceleration: float) -> "Ride":
+        """Return the ride from the first to the last corner, from rest to rest."""
+        ride = cls(np.array(corners), np.array([start, start]), np.zeros(2), acceleration)
+        distance = float(ride.distances[-1])
+        top = min(speed, math.sqrt(acceleration * distance))
+        if not top:
+            return ride
+        ramp, slowing = top / acceleration, distance / top
+        instants = start + np.array([0.0, ramp, slowing, slowing + ramp])
+        return replace(ride, instants=instants, speeds=np.array([0.0, top, top, 0.0]))
+
+    @property
+    def end(self) -> float:
+        """Instant at which it comes to rest, s."""
+        return float(self.instants[-1])
+
+    @property
+    def distances(self) -> Reals:
+        """Distance (n,) from the first corner to each: of the translation, or of the rotation if longer."""
+        legs = np.diff(self.corners, axis=0)
+        longer = np.maximum(np.linalg.norm(legs[:, :3], axis=1), np.abs(legs[:, 3]))
+        return np.concatenate([[0.0], np.cumsum(longer)])
+
+    def travelled(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return the distance from the first corner, and the speed, at instants (k,) (s)."""
+        t, steps = np.clip(times, self.instants[0], self.end), np.diff(self.instants)
+        speed = np.interp(t, self.instants, self.speeds)
+        covered = np.concatenate([[self.begun], steps * (self.speeds[1:] + self.speeds[:-1]) / 2]).cumsum()
+        part = np.clip(self.instants.searchsorted(t, "right") - 1, 0, len(steps) - 1)
+        return covered[part] + (self.speeds[part] + speed) / 2 * (t - self.instants[part]), speed
+
+    def at(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return place and velocity (k, 4) at instants (k,) (s)."""
+        (distance, speed), corners = self.travelled(times), self.distances
+        leg = np.clip(corners.searchsorted(distance, "right") - 1, 0, len(corners) - 2)
+        along = np.diff(self.corners, axis=0) / np.maximum(np.diff(corners), _SHORTEST)[:, None]
+        place = self.corners[leg] + (distance - corners[leg])[:, None] * along[leg]
+        return place, speed[:, None] * along[leg]
+
+    def braked(self, instant: float) -> "Ride":
+        """Return the ride that comes to rest from an instant (s) on."""
+        [distance], [speed] = self.travelled(np.array([instant]))
+        instants = instant + np.array([0.0, speed / self.acceleration])
+        return replace(self, instants=instants, speeds=np.array([speed, 0.0]), begun=float(distance))
 
 
 class SimulatedArm:
@@ -72,10 +127,11 @@ class SimulatedArm:
         self._clock, self._origin = clock, clock.now()
         above = np.array([0.0, 0.0, -HEIGHT, 0.0])
         self._starts, self._rides = [0.0], [Ride.planned([above, above], 0.0, 1.0, 1.0)]
-        self.fingertips = VirtualTouch(
-            {each: Finger(scene, seed, each, self) for each in fingers}, self._origin
+        self._fingertips = [Finger(scene, seed, each, self) for each in fingers]
+        self.fingertips = SimulatedSource(
+            "VirtualTouch", Touch, self._touch, {"sensor": SENSOR}, fingers=fingers, rate=100.0
         )
-        self.motion = VirtualMotion(self, self._origin)
+        self.motion = SimulatedSource("VirtualMotion", Motion, self._motion, {"arm": "simulated"})
 
     async def __aenter__(self) -> Self:
         """Check the initial state.
@@ -169,6 +225,20 @@ class SimulatedArm:
         self._brake()
         await self._clock.sleep_until(self._origin + round(self._rides[-1].end * s))
 
+    async def _touch(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Yield a sample of each fingertip every 10 ms; a late one shows the instant at which it was due."""
+        async for time in ticks(clock, self._origin, s // 100):
+            for fingertip in self._fingertips:
+                sample, _ = fingertip.sense((time - self._origin) / s)
+                yield replace(sample, time=sample.time + self._origin)
+
+    async def _motion(self, clock: Clock) -> AsyncIterator[Motion]:
+        """Yield a sample every 8 ms; the controller's clock shows the time since the arm was created."""
+        async for time in ticks(clock, self._origin, round(STEP * s)):
+            state = self.state_at((time - self._origin) / s)
+            stamp = np.array([time - self._origin])
+            yield Motion(np.array([time]), stamp, np.array([state.velocity]), np.array([state.pose]))
+
     @property
     def _to_surface(self) -> tuple[float, float, float, float]:
         """Rotation from the base frame to that of the surface."""
@@ -235,62 +305,6 @@ class SimulatedArm:
             self.fail(reason)
         if self.fault:
             raise EndpointError(NAME, self.fault)
-
-
-class VirtualTouch(Source[Touch]):
-    """Source of the fingertips of a `SimulatedArm`, by number: a sample of each every 10 ms."""
-
-    def __init__(self, fingertips: Mapping[int, "Finger"], origin: int) -> None:
-        self._fingertips, self._origin = fingertips, origin
-
-    @property
-    def kind(self) -> type[Touch]:
-        """Type of the batches: raw counts."""
-        return Touch
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        """Numbers of the fingertips."""
-        return tuple(self._fingertips)
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Yield the samples in turn; a late one shows the instant at which it was due."""
-        async for time in ticks(clock, self._origin, s // 100):
-            for fingertip in self._fingertips.values():
-                sample, _ = fingertip.sense((time - self._origin) / s)
-                yield replace(sample, time=sample.time + self._origin)
-
-    @property
-    def fingertip(self) -> Fingertip:
-        """A TakkTile at 100 Hz."""
-        return replace(TAKKTILE, rate=100.0)
-
-    def describe(self) -> Description:
-        """Return the sensor."""
-        return {"sensor": "TakkTile 2x3, simulated"}
-
-
-class VirtualMotion(Source[Motion]):
-    """Source of the motion of a `SimulatedArm`: a sample every 8 ms."""
-
-    def __init__(self, arm: SimulatedArm, origin: int) -> None:
-        self._arm, self._origin = arm, origin
-
-    @property
-    def kind(self) -> type[Motion]:
-        """Type of the batches."""
-        return Motion
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
-        """Yield the samples; the controller's clock shows the time since the arm was created."""
-        async for time in ticks(clock, self._origin, round(STEP * s)):
-            state = self._arm.state_at((time - self._origin) / s)
-            stamp = np.array([time - self._origin])
-            yield Motion(np.array([time]), stamp, np.array([state.velocity]), np.array([state.pose]))
-
-    def describe(self) -> Description:
-        """Return the arm."""
-        return {"arm": "simulated"}
 
 
 def start_pose(surface: Pose) -> Pose:

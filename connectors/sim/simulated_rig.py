@@ -1,22 +1,83 @@
 """Simulated rig: live sources of a fingertip, an arm and their ground truth."""
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, replace
 from itertools import count
 from math import nan, radians
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from connectors.sim.scene import Move, Scene, Timing, Vibration
-from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Episodes, Motion, Touch, Truth, s
+from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Batch, Episodes, Motion, Touch, Truth, s
 from operators.checks import check_at_least
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Source
 from operators.sliding_motion import SlidingMotion
 
+SENSOR: Final = "TakkTile 2x3, simulated"
 SLIDING: Final = SlidingMotion.speed  # m/s, true sliding that counts as slip
+
+
+class SimulatedSource(Source[AnyBatch]):
+    """Stream of a simulation.
+
+    Args:
+        name: Name in drawings of a flow.
+        kind: Type of the batches.
+        rows: Generator of the batches in the time of a clock.
+        about: Description for recordings.
+        fingers: Fingertips that the batches belong to.
+        rate: Samples of a fingertip per second, Hz; None: not touch.
+        stale_after: As in `Source`.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: type[AnyBatch],
+        rows: Callable[[Clock], AsyncIterator[AnyBatch]],
+        about: Description,
+        *,
+        fingers: tuple[int, ...] = (EVERY,),
+        rate: float | None = None,
+        stale_after: int | None = Source.stale_after,
+    ) -> None:
+        self._name, self._kind, self._rows, self._about = name, kind, rows, about
+        self._fingers, self._rate, self.stale_after = fingers, rate, stale_after
+
+    def __str__(self) -> str:
+        return f"{self._name}()"
+
+    @property
+    def kind(self) -> type[AnyBatch]:
+        """Type of the batches."""
+        return self._kind
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """Fingertips that the batches belong to."""
+        return self._fingers
+
+    @property
+    def fingertip(self) -> Fingertip | None:
+        """A TakkTile, or None if this is not touch."""
+        return None if self._rate is None else replace(TAKKTILE, rate=self._rate)
+
+    async def prepare(self) -> None:
+        """Compile the physics, which takes seconds the first time and less than one afterwards."""
+        from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
+
+        await asyncio.to_thread(compile_physics)
+
+    def batches(self, clock: Clock) -> AsyncIterator[AnyBatch]:
+        """Yield the rows."""
+        return self._rows(clock)
+
+    def describe(self) -> Description:
+        """Return the description."""
+        return self._about
 
 
 class SimulatedRig:
@@ -42,144 +103,82 @@ class SimulatedRig:
 
     def __init__(self, scene: Scene | None = None, seed: int = 0) -> None:
         check_at_least("SimulatedRig", "seed", seed, 0)
-        self.scene = scene if scene is not None else Scene(vibration=Vibration())
+        self.scene = scene = scene if scene is not None else Scene(vibration=Vibration())
         self.seed = seed
-        self.touch = SimulatedTouch(self, Touch, (0,))
-        self.motion = SimulatedMotion(self, Motion, (EVERY,))
-        self.episodes = SimulatedEpisodes(self, Episodes, (EVERY,))
-        self.truth = SimulatedTruth(self, Truth, (0,))
+        fingertip: Description = {
+            "sensor": SENSOR, "rig": "simulated", "seed": seed, "scene": asdict(scene),
+        }  # fmt: skip
+        arm: Description = {"arm": "UR10, simulated", "rate_hz": scene.motion.rate, "seed": seed}
+        self.touch = SimulatedSource(
+            "SimulatedTouch", Touch, self._touch, fingertip, fingers=(0,), rate=scene.touch.rate
+        )
+        self.motion = SimulatedSource("SimulatedMotion", Motion, self._motion, arm)
+        # moves are rare, and the touch of the truth has a status of its own
+        self.episodes = SimulatedSource("SimulatedEpisodes", Episodes, self._episodes, {}, stale_after=None)
+        self.truth = SimulatedSource("SimulatedTruth", Truth, self._truth, {}, fingers=(0,), stale_after=None)
         self._origin = 0  # ns
-        self._running: set[Source[Any]] = set()
+        self._running = set[type[Batch]]()  # types of the streams
+        self._truths: asyncio.Queue[Truth | None] | None = None  # of the current run, if its truth is read
 
-    def describe(self) -> Description:
-        """Return the description of the rig for recordings."""
-        return {"rig": "simulated", "seed": self.seed, "scene": asdict(self.scene)}
-
-    def begin(self, source: Source[Any], clock: Clock) -> int:
-        """Add a source to the current run, or to a new run if already added; return the origin (ns)."""
-        if not self._running or source in self._running:
+    def _begin(self, kind: type[Batch], clock: Clock) -> int:
+        """Add a stream to the current run, or to a new run if already added; return the origin (ns)."""
+        if not self._running or kind in self._running:
             self._running, self._origin = set(), clock.now()
-        self._running.add(source)
+        self._running.add(kind)
         return self._origin
 
-    async def arrivals(self, timing: Timing, clock: Clock) -> AsyncIterator[None]:
+    async def _arrivals(self, timing: Timing, clock: Clock) -> AsyncIterator[None]:
         """Yield at the arrival of each sample of a stream."""
         for number in count():
             await clock.sleep_until(self._origin + round((number / timing.rate + timing.latency) * s))
             yield
 
-
-class _RigStream(Source[AnyBatch]):
-    """Stream of a rig."""
-
-    def __init__(self, rig: SimulatedRig, kind: type[AnyBatch], fingers: tuple[int, ...]) -> None:
-        self._rig, self._kind, self._fingers = rig, kind, fingers
-
-    @property
-    def kind(self) -> type[AnyBatch]:
-        """Type of the batches."""
-        return self._kind
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        """The only fingertip, 0, or EVERY for the arm."""
-        return self._fingers
-
-    async def prepare(self) -> None:
-        """Compile the physics, which takes seconds the first time and less than one afterwards."""
-        from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
-
-        await asyncio.to_thread(compile_physics)
-
-
-class SimulatedTouch(_RigStream[Touch]):
-    """Source of the simulated fingertip, created by `SimulatedRig`."""
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Yield samples, one at a time."""
-        rig, origin = self._rig, self._rig.begin(self, clock)
+    async def _touch(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Yield samples of the fingertip, one at a time."""
+        origin = self._begin(Touch, clock)
         await asyncio.sleep(0)  # lets the truth begin before the first sample
         from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
 
-        fingertip = Finger(rig.scene, rig.seed)
+        fingertip = Finger(self.scene, self.seed)
         try:
-            async for _ in rig.arrivals(rig.scene.touch, clock):
+            async for _ in self._arrivals(self.scene.touch, clock):
                 if (taken := fingertip.take(1)) is None:
                     return
                 touch, truth = taken
                 if len(touch):
-                    rig.truth.add(replace(truth, time=truth.time + origin))
+                    if self._truths is not None:
+                        self._truths.put_nowait(replace(truth, time=truth.time + origin))
                     yield replace(touch, time=touch.time + origin)
         finally:
-            rig.truth.end()
+            if self._truths is not None:
+                self._truths.put_nowait(None)
+                self._truths = None
 
-    @property
-    def fingertip(self) -> Fingertip:
-        """A TakkTile at the rate of the scene."""
-        return replace(TAKKTILE, rate=self._rig.scene.touch.rate)
-
-    def describe(self) -> Description:
-        """Return the rig."""
-        return {"sensor": "TakkTile 2x3, simulated", **self._rig.describe()}
-
-
-class SimulatedMotion(_RigStream[Motion]):
-    """Source of the simulated arm's motion, created by `SimulatedRig`."""
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
+    async def _motion(self, clock: Clock) -> AsyncIterator[Motion]:
         """Yield samples of the arm, one at a time."""
-        rig, origin = self._rig, self._rig.begin(self, clock)
+        origin = self._begin(Motion, clock)
         from connectors.sim.arm_motion import Controller  # noqa: PLC0415 - loads numba: only to run
 
-        controller = Controller(rig.scene, rig.seed)
-        async for _ in rig.arrivals(rig.scene.motion, clock):
+        controller = Controller(self.scene, self.seed)
+        async for _ in self._arrivals(self.scene.motion, clock):
             if (motion := controller.take(1)) is None:
                 return
             if len(motion):
                 yield replace(motion, time=motion.time + origin)
 
-    def describe(self) -> Description:
-        """Return the arm and the rate of this stream."""
-        rig = self._rig
-        return {"arm": "UR10, simulated", "rate_hz": rig.scene.motion.rate, "seed": rig.seed}
-
-
-class SimulatedEpisodes(_RigStream[Episodes]):
-    """Source of the moves of the arm, created by `SimulatedRig`."""
-
-    stale_after = None  # episodes are rare
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:
-        """Yield each move when it begins."""
-        rig, origin = self._rig, self._rig.begin(self, clock)
-        for start, move in rig.scene.moves(rig.seed):
+    async def _episodes(self, clock: Clock) -> AsyncIterator[Episodes]:
+        """Yield each move of the arm when it begins."""
+        origin = self._begin(Episodes, clock)
+        for start, move in self.scene.moves(self.seed):
             await clock.sleep_until(origin + round(start * s))
-            yield episode(move, start, origin, rig.scene)
+            yield episode(move, start, origin, self.scene)
 
-
-class SimulatedTruth(_RigStream[Truth]):
-    """Source of the ground truth that the touch source simulates, created by `SimulatedRig`."""
-
-    stale_after = None  # an annotation of the touch, which has its own status
-    _rows: asyncio.Queue[Truth | None] | None = None  # of the current run
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Truth]:
-        """Yield the truth of each touch sample until the touch source ends."""
-        self._rig.begin(self, clock)
-        rows = self._rows = asyncio.Queue()
+    async def _truth(self, clock: Clock) -> AsyncIterator[Truth]:
+        """Yield the truth of each touch sample until the touch ends."""
+        self._begin(Truth, clock)
+        rows = self._truths = asyncio.Queue()
         while (truth := await rows.get()) is not None:
             yield truth
-
-    def add(self, truth: Truth) -> None:
-        """Queue the truth of a sample, if this source is running."""
-        if self._rows is not None:
-            self._rows.put_nowait(truth)
-
-    def end(self) -> None:
-        """End the stream."""
-        if self._rows is not None:
-            self._rows.put_nowait(None)
-            self._rows = None
 
 
 def episode(move: Move, start: float, origin: int, scene: Scene) -> Episodes:

@@ -204,7 +204,7 @@ async def _run(root: Path, planned: PlannedRecording) -> None:
         ]
         streams = [*_shifted(simulate_scene(rig.scene, rig.seed), planned.start), concat(Episodes, episodes)]
         declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), dataset)  # m/s, rad/s; paper
-        fingertip = rig.touch.fingertip
+        fingertip = rig.touch.fingertip or TAKKTILE
         sources = {"touch": dict(rig.touch.describe()), "motion": dict(rig.motion.describe())}
     finished = _FinishedScene(planned.session, streams, fingertip)
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))

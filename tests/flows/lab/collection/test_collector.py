@@ -132,7 +132,7 @@ def made(
         arm = await virtual_arm(path, clock)
         arm._surface = path.series[0].surface.at(0.0, 0.0, above)
         if steady:
-            for finger in arm.fingertips._fingertips.values():
+            for finger in arm._fingertips:
                 finger._scene = replace(finger._scene, vibration=None)
         collector = Collector(path, arm, arm.fingertips, arm.motion, out, clock)
         acting = asyncio.create_task(act_in_contact(arm))
@@ -252,7 +252,7 @@ def interrupted(done: Made, why: str) -> None:
 
 def test_a_lost_sensor_stops_the_arm(tmp_path: Path) -> None:
     def unplug(arm: SimulatedArm) -> None:
-        arm.fingertips._fingertips = {}
+        arm._fingertips = []
 
     interrupted(made(tmp_path / "data", act=unplug), "has given no sample for 0.3 s")
 
@@ -288,7 +288,7 @@ def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.Monk
         await asyncio.sleep(math.inf)
         yield Touch.empty()
 
-    monkeypatch.setattr("connectors.sim.simulated_arm.VirtualTouch.batches", silent)
+    monkeypatch.setattr("connectors.sim.simulated_arm.SimulatedArm._touch", silent)
     monkeypatch.setattr("flows.lab.collection.collector.SimulatedArm", Sampled)
     with pytest.raises(EndpointError, match="gives no sample within 10 s"):
         made(tmp_path / "data")
