@@ -10,6 +10,7 @@ from flows.cli.event_log import Format, begin_log
 from flows.cli.execution import execute
 from flows.cli.live_view import add_page
 from flows.cli.options import NoBrowser, Recordings
+from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from operators import Run
@@ -50,7 +51,8 @@ def demo(
     typer.echo("\n".join(report(done, out)))
     if mqtt:
         typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
-    if Summary.of(done).lost:
+    if error := Summary.of(done).error:
+        note(f"error: {error}")
         raise typer.Exit(1)
 
 

@@ -144,8 +144,8 @@ def _print(done: "Replayed", *, as_json: bool) -> None:
     if done.printed or not (done.error or as_json):
         typer.echo(_line(done), err=as_json)
     typer.echo(indent(done.printed, "  "), nl=False, err=as_json)
-    if done.error:
-        note(f"error: {done.recording}: {done.error.removeprefix(f'{done.recording}: ')}")
+    if error := done.error or (done.summary.error if done.summary else ""):
+        note(f"error: {done.recording}: {error.removeprefix(f'{done.recording}: ')}")
 
 
 def _line(done: "Replayed") -> str:
