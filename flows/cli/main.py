@@ -94,6 +94,9 @@ def main() -> NoReturn:
         elif text:
             with suppress(OSError):
                 note(text)
+        if _lacks_memory(error):
+            _close_output()
+            os._exit(code)  # libraries may crash while they end
     _close_output()
     sys.exit(code)
 

@@ -201,8 +201,8 @@ def _contents(session: Session) -> _Contents:
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
-    """Return whether all values (n, m) of a row are finite (n,)."""
-    return np.asarray(np.isfinite(values).all(axis=1), np.bool_)
+    """Return whether all values (n, m) of a row are finite, also as float32 (n,)."""
+    return np.asarray((np.abs(values) <= np.finfo(np.float32).max).all(axis=1), np.bool_)
 
 
 def _rows(session: Session, kind: type[SomeBatch], finger: int) -> SomeBatch:

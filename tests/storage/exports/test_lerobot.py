@@ -178,7 +178,7 @@ def test_episodes_are_ordered_by_split(tmp_path: Path) -> None:
 def test_motion_data_is_omitted_unless_every_session_has_it(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     moving, still = new_samples(time), new_samples(time)
-    still.velocity[:] = np.nan
+    moving.velocity[3], still.velocity[:] = 1e300, np.nan  # beyond float32: unknown
     sessions = [record(tmp_path, [moving, poses(time)], "a"), record(tmp_path, [still], "b")]
     assert {"action", "observation.pose"} <= set(export(sessions[:1], tmp_path / "one").features)
     done = export(sessions, tmp_path / "both")
