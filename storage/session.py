@@ -36,7 +36,7 @@ from storage.recovery import recover
 if TYPE_CHECKING:
     import polars as pl
 
-PARTS_IN_MEMORY: Final = 4  # of all sessions
+PARTS_IN_MEMORY: Final = 8  # of all sessions: one of each table
 
 _OTHER_TYPE: Final = 'its metadata "batch" is missing or differs from the other parts; restore a copy'
 
