@@ -16,8 +16,8 @@ from operators.extras import software_version
 from operators.fingertip import Fingertip
 from operators.ports import Description, Run
 from storage import files
+from storage.files import lock
 from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, Table
-from storage.lock import lock
 
 VERSION: Final = 2  # of the dataset format
 

@@ -22,8 +22,8 @@ from operators.errors import EndpointError, InputError, ParameterError, os_error
 from operators.ports import Description
 from storage import files
 from storage.description import check_identity, identity
+from storage.files import lock
 from storage.layout import FINGER_MAX, LABELS, files_of
-from storage.lock import lock
 
 FORMAT: Final = 1
 VALUES: Final = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})

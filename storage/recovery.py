@@ -15,9 +15,9 @@ from operators.errors import EndpointError, os_error_reason
 from operators.ports import Description
 from storage import files
 from storage.append_log import Damage
-from storage.buffer import Buffer
 from storage.description import describe_recovery, read_session
-from storage.journal import NumberedRows, SegmentReader, delete_journal
+from storage.files import lock
+from storage.journal import Buffer, NumberedRows, SegmentReader, delete_journal
 from storage.layout import (
     DAMAGED,
     JOURNAL,
@@ -32,7 +32,6 @@ from storage.layout import (
     segments,
     table_files,
 )
-from storage.lock import lock
 from storage.parts import Part, read_manifest, write_manifest, write_parts
 from storage.schema import to_arrow
 

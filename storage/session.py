@@ -15,6 +15,7 @@ from operators.ports import Description, SomeBatch
 from storage import schema
 from storage.arrow import pa
 from storage.description import read_session
+from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
 from storage.layout import (
     JOURNAL,
@@ -29,7 +30,6 @@ from storage.layout import (
     session_folder,
     session_names,
 )
-from storage.lock import locked
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
 

@@ -12,6 +12,7 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import files, schema
 from storage.description import VersionError, read_dataset, read_session
+from storage.files import locked
 from storage.hand_labels import HandLabels, label_file, label_versions, read_hand_labels
 from storage.layout import (
     DAMAGED,
@@ -26,7 +27,6 @@ from storage.layout import (
     may_exist,
     session_folders,
 )
-from storage.lock import locked
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import Repair, scratch_files
 

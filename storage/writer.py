@@ -13,11 +13,10 @@ from operators.batch import EVERY, Batch
 from operators.errors import EndpointError, ParameterError, os_error_reason
 from operators.ports import Description, Run
 from storage import files
-from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
-from storage.journal import Journal, NumberedRows
+from storage.files import lock
+from storage.journal import Buffer, Journal, NumberedRows
 from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, Table, new_session_folder
-from storage.lock import lock
 from storage.parts import Part, write_manifest, write_parts
 from storage.schema import to_arrow
 

@@ -24,7 +24,7 @@ from typing import Final, TypeAlias
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.append_log import AppendLog, LogReader
-from storage.lock import lock
+from storage.files import lock
 
 log = logging.getLogger("slipflow")
 

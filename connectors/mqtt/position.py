@@ -13,8 +13,7 @@ from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
 from operators.errors import EndpointError, InputError, os_error_reason
-from storage.files import read
-from storage.lock import lock_file
+from storage.files import lock_file, read
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
 Range: TypeAlias = tuple[int, int]  # first and last number

@@ -21,7 +21,7 @@ from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD_FILE
 from flows.graph.loading import load
 from flows.graph.validation import problems
 from flows.run.live_runner import CHECK_INTERVAL
-from storage.lock import lock
+from storage.files import lock
 from tests.deploy.shipped import DEPLOY, LEFT_OUT
 
 COMPOSE = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml", "dask/compose.yaml")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from connectors.mqtt import outbox as outbox_module
-from storage.buffer import Buffer
+from storage.journal import Buffer
 from tests.faults.simulated_rig import WatchedDataset, WatchedMqtt
 from tests.inside import inside
 

@@ -24,7 +24,7 @@ from connectors.mqtt import broker, broker_link, consumer, outbox, outbox_log
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
-from storage import lock
+from storage import files
 from storage.background_task import BackgroundTask
 from tests.faults.invariants import violations
 from tests.faults.memory import CAPACITY, PART_ROWS, SMALL, excess
@@ -414,7 +414,7 @@ def _simulated(world: World) -> Generator[ExitStack]:
             enter(patch.object(module, "token_hex", token))
         enter(patch.object(broker, "uniform", random.uniform))
         enter(patch.object(os, "urandom", random.randbytes))
-        enter(patch.object(lock, "_flock", world.disk.noting_locks(vars(lock)["_flock"])))
+        enter(patch.object(files, "_flock", world.disk.noting_locks(vars(files)["_flock"])))
         enter(patch.object(broker_link, "connect", world.broker.connect))
         enter(patch.object(outbox_log, "SEGMENT_EVENTS", 12))  # so that segments end within a schedule
         for module, name, small in SMALL:

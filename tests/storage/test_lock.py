@@ -3,12 +3,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from storage.lock import lock, lock_file, locked
+from storage.files import lock, lock_file, locked
 
 HOLD = """
 import sys
 from pathlib import Path
-from storage.lock import lock_file
+from storage.files import lock_file
 lock_file(Path(sys.argv[1]))
 print("held", flush=True)
 sys.stdin.read()

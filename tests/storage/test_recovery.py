@@ -11,8 +11,8 @@ import pytest
 
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
+from storage.files import lock
 from storage.layout import segments
-from storage.lock import lock
 from storage.parts import read_manifest, write_manifest
 from tests.storage.made import leave, new_run, rows, side_by_side
 

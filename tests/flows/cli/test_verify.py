@@ -12,7 +12,7 @@ from flows.run.clocks import EventClock
 from operators.batch import BAROMETERS, Touch, ms
 from operators.ports import Run
 from storage import Session
-from storage.lock import lock
+from storage.files import lock
 from storage.writer import SessionWriter
 from tests.command import slipflow
 
