@@ -54,7 +54,8 @@ class LineSource(Source[Touch]):
 
     Args:
         where: Path of the file, a serial port such as ``/dev/ttyACM0`` or ``COM3``, or a URL of pyserial.
-        columns: Complete map of the columns, such as `slipflow import` writes, or the path of its file.
+        columns: Complete map of the columns, as `slipflow import --flow` writes it, the path of its file, or
+            a text such as ``time=t,counts=p0..p5,units.time=ms,rate=100``.
         baud: Bits per second of a serial port.
         names: Names of the columns in their order, for a logger that does not send them.
 
@@ -83,6 +84,10 @@ class LineSource(Source[Touch]):
         found = columns if isinstance(columns, ColumnMap) else ColumnMap.load(str(columns))
         used = {name: each for name, each in found.columns.items() if name not in (*MOTIONS, LABEL)}
         self._columns = replace(found, columns=used)
+        cells = [name for names in self._columns.cells.values() for name in names]
+        if not cells or "*" in "".join(cells):
+            must_be = "a map that names each column of cells, as `slipflow import --flow` writes it"
+            raise ParameterError("LineSource", "columns", str(columns), must_be)
         self._fingertip = described(self._columns)
         self._serial = _is_port(self.where)
         self.extra = "serial" if self._serial else ""

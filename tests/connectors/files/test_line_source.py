@@ -281,6 +281,13 @@ async def test_rows_have_the_host_time_of_the_loggers_clock(tmp_path: Path) -> N
 # --- parameters ---
 
 
+def test_a_map_may_be_a_text_or_a_file(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(MAP.toml(), encoding="utf-8")
+    for columns in ("time=t,counts=a,b,units.time=ms,units.counts=count,rate=100", tmp_path / "own.toml"):
+        source = LineSource("log.csv", columns)
+        assert (source.fingertip, source.fingers) == (LineSource("log.csv", MAP).fingertip, (0,))
+
+
 def test_ports_are_told_from_files(tmp_path: Path) -> None:
     where = [
         "/dev/ttyACM0",
@@ -294,8 +301,15 @@ def test_ports_are_told_from_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("where", "columns", "baud"), [("", MAP, 9600), ("x", replace(MAP, rate=None), 9600), ("x", MAP, 0)]
+    ("where", "columns", "baud"),
+    [
+        ("", MAP, 9600),
+        ("x", replace(MAP, rate=None), 9600),
+        ("x", MAP, 0),
+        ("x", "time=t,rate=100", 9600),
+        ("x", "time=t,counts=p*,rate=100", 9600),
+    ],
 )
-def test_invalid_parameters_are_refused(where: str, columns: ColumnMap, baud: int) -> None:
+def test_invalid_parameters_are_refused(where: str, columns: ColumnMap | str, baud: int) -> None:
     with pytest.raises(ParameterError):
         LineSource(where, columns, baud=baud)
