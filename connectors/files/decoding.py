@@ -12,7 +12,6 @@ from connectors.files.column_map import (
     LABEL,
     LABELS,
     MOTIONS,
-    SEPARATORS,
     TIME,
     ColumnMap,
     layout_text,
@@ -21,8 +20,7 @@ from connectors.files.number_format import NumberFormat, is_missing
 from connectors.files.raw_table import Problems, RawTable
 from connectors.files.resolution import COUNT_LIMIT
 from connectors.files.roles import completed, label_values
-from connectors.files.time_axis import continued
-from connectors.files.time_format import nanoseconds
+from connectors.files.time_axis import nanoseconds
 from operators.batch import (
     EVERY,
     STATIC,
@@ -35,7 +33,6 @@ from operators.batch import (
     Times,
     Touch,
     Zeroed,
-    s,
 )
 from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
@@ -45,19 +42,12 @@ _WORDS_SHOWN: Final = 5
 
 @dataclass(frozen=True)
 class Decoded:
-    """Rows of a recording.
+    """Rows of a recording."""
 
-    Args:
-        time: (n,) ns of the clock of the file: since 1970, or since the start of its device.
-        touch: Rows of each fingertip.
-        motion: Motion of the arm; no rows if there is none.
-        labels: (n,) 1 slip, 0 static, -1 unknown.
-    """
-
-    time: Times
-    touch: Mapping[int, Touch]
-    motion: Motion
-    labels: Codes
+    time: Times  # (n,) ns of the clock of the file: since 1970, or since the start of its device
+    touch: Mapping[int, Touch]  # by fingertip
+    motion: Motion  # of the arm; no rows if there is none
+    labels: Codes  # (n,) 1 slip, 0 static, -1 unknown
 
 
 def decode(table: RawTable, columns: ColumnMap, time: Times, readings: Reals, problems: Problems) -> Decoded:
@@ -120,18 +110,16 @@ def described(columns: ColumnMap) -> Fingertip:
 
 
 class Decoder:
-    """Decoder of rows that come one after the other, such as those of a growing file.
-
-    Clocks of 32 bits go on where they wrap.
+    """Decoder of lines by a complete map, as of a `Trace` or as `slipflow import --flow` writes it.
 
     Args:
-        columns: Complete map, as of a `Trace` or as `slipflow import --flow` writes it.
-        names: Names of the columns, in the order of the fields of a row.
+        columns: The map.
+        names: Names of the columns, in the order of the fields of a line.
         where: Name of the file or device, for errors.
 
     Attributes:
         fingertip: Fingertip of the rows.
-        separator: Sign between the fields of a line.
+        kind: Type of the touch stream, Touch or Zeroed.
 
     Raises:
         InputError: if columns of the map are missing.
@@ -144,34 +132,25 @@ class Decoder:
         self._columns, _ = completed(columns, self._table((), 1), problems)
         problems.stop()
         self.fingertip = described(self._columns)
-        self.separator = SEPARATORS[self._columns.separator or "comma"]
-        self._last: int | None = None  # ns, continued time of the row before
-        self._wrapped = 0  # ns, added to the clock
-
-    @property
-    def kind(self) -> type[Touch]:
-        """Type of the touch stream: Touch or Zeroed."""
-        return Zeroed if self._columns.zeroed else Touch
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        """Fingertips of the rows."""
-        return tuple(self._columns.cells)
+        self.kind: type[Touch] = Zeroed if self._columns.zeroed else Touch
 
     def decode(self, rows: Sequence[Sequence[str]], first: int = 1) -> Decoded:
-        """Return the next rows.
+        """Return rows with the times of their clock, which may wrap or start again; 0 without a clock.
 
         Args:
             rows: Fields of each row.
             first: Number of the first row in its file, for errors.
 
         Raises:
-            InputError: on invalid values, named by line and column, or if the clock starts again.
+            InputError: on invalid values, named by line and column.
         """
-        table, problems = self._table(rows, first), Problems(self._where)
-        columns = self._columns
+        table, problems, columns = self._table(rows, first), Problems(self._where), self._columns
         numbers = NumberFormat("," if columns.decimal == "comma" else ".")
-        time = self._times(table, numbers, problems)
+        time: Times = np.zeros(len(table), np.int64)
+        if names := columns.columns.get(TIME):
+            raw = raw_times(table, columns, columns.units.get(TIME, "s"), columns.dates or "ymd", numbers)
+            problems.check(table, names[0], raw.is_not_null().to_numpy(), "a time")
+            time = raw.fill_null(0).to_numpy()
         readings = readings_of(table, columns, numbers, problems)
         readings[np.isin(readings, columns.missing or ())] = np.nan
         found = decode(table, columns, time, readings, problems)
@@ -183,35 +162,9 @@ class Decoder:
         if long := [number for number, row in enumerate(rows, first) if len(row) > wide and any(row[wide:])]:
             raise InputError(f"{self._where}, line {long[0]}", f"has more than {wide} fields")
         fields = [[row[each] if each < len(row) else "" for row in rows] for each in range(wide)]
-        columns = {
-            name: pl.Series(name, each, pl.String) for name, each in zip(self._names, fields, strict=True)
-        }
-        return RawTable(columns, self._where, "line", np.arange(first, first + len(rows)))
-
-    def _times(self, table: RawTable, numbers: NumberFormat, problems: Problems) -> Times:
-        columns = self._columns
-        if TIME not in columns.columns:
-            step = s / (columns.rate or 1.0)
-            start = 0.0 if self._last is None else self._last + step
-            time: Times = np.rint(start + np.arange(len(table)) * step).astype(np.int64)
-        else:
-            raw = raw_times(table, columns, columns.units.get(TIME, "s"), columns.dates or "ymd", numbers)
-            problems.check(table, columns.columns[TIME][0], raw.is_not_null().to_numpy(), "a time")
-            problems.stop()
-            given = raw.to_numpy() + self._wrapped
-            before = given[:1] if self._last is None else np.array([self._last])
-            time = continued(np.concatenate([before, given]), [], s / (columns.rate or 1.0))[1:]
-            ordered = np.diff(time, prepend=before) >= 0
-            problems.check(
-                table,
-                columns.columns[TIME][0],
-                ordered,
-                "no less than in the line before: the clock started again",
-            )
-            problems.stop()
-            self._wrapped += int(time[-1] - given[-1]) if len(time) else 0
-        self._last = int(time[-1]) if len(time) else self._last
-        return time
+        series = [pl.Series(name, each, pl.String) for name, each in zip(self._names, fields, strict=True)]
+        numbers = np.arange(first, first + len(rows))
+        return RawTable({each.name: each for each in series}, self._where, "line", numbers)
 
 
 def raw_times(table: RawTable, columns: ColumnMap, unit: str, order: str, numbers: NumberFormat) -> pl.Series:

@@ -12,32 +12,19 @@ from connectors.files.raw_table import Problems, RawTable
 from connectors.files.resolution import is_multiple, offsets, resolution_of
 from connectors.files.roles import completed
 from connectors.files.time_axis import TimeAxis, time_axis
-from operators.batch import Reals
 
 
 @dataclass(frozen=True)
 class Interpretation:
-    """Table whose columns and formats are known.
-
-    Args:
-        table: The table.
-        columns: Complete map.
-        stated: Quantities that the user mapped; others were recognised by their names.
-        axis: Times.
-        readings: (n, cells of all fingertips); NaN: missing.
-        decoded: Rows of each part.
-        notes: Conclusions of all stages.
-        warnings: Doubts of all stages.
-    """
+    """Table whose columns and formats are known."""
 
     table: RawTable
-    columns: ColumnMap
-    stated: frozenset[str]
+    columns: ColumnMap  # complete
+    stated: frozenset[str]  # quantities that the user mapped; others were recognised by their names
     axis: TimeAxis
-    readings: Reals
-    decoded: tuple[Decoded, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    decoded: tuple[Decoded, ...]  # rows of each part
+    notes: tuple[str, ...]  # conclusions of all stages
+    warnings: tuple[str, ...]  # doubts of all stages
 
 
 def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Interpretation:
@@ -59,17 +46,18 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Int
         problems.add("has no columns of numbers or texts")
     problems.stop()
     columns, notes = completed(stated, table, problems)
-    if columns.decimal is None:
-        used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
-        numbers = number_format(table, used, columns.unit, problems)
-    else:
-        numbers = NumberFormat("," if columns.decimal == "comma" else ".")
+    used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
+    sign = {"comma": ",", "point": "."}.get(columns.decimal or "")
+    numbers = NumberFormat(sign) if sign else number_format(table, used, columns.unit, problems)
     notes += ["decimal comma"] if numbers.decimal == "," else []
     axis = time_axis(table, columns, numbers, problems, split=split)
-    columns = replace(columns, decimal="comma" if numbers.decimal == "," else "point", dates=axis.dates)
-    columns = replace(columns, rate=columns.rate or axis.rate, separator=table.separator)
     columns = replace(
-        columns, units={**columns.units, **({TIME: axis.unit} if TIME in columns.columns else {})}
+        columns,
+        units={**columns.units, **({TIME: axis.unit} if TIME in columns.columns else {})},
+        decimal="comma" if numbers.decimal == "," else "point",
+        dates=axis.dates,
+        rate=columns.rate or axis.rate,
+        separator=table.separator,
     )
     readings = readings_of(table, columns, numbers, problems)
     names = [name for each in columns.cells.values() for name in each]
@@ -90,9 +78,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Int
     if rounded:
         doubts.append(f"the readings are rounded to steps of {columns.resolution:g} {columns.unit}")
     stages = (*table.notes, *notes, *axis.notes, *checked.notes)
-    return Interpretation(
-        table, columns, frozenset(stated.columns), axis, checked.readings, parts, stages, tuple(doubts)
-    )
+    return Interpretation(table, columns, frozenset(stated.columns), axis, parts, stages, tuple(doubts))
 
 
 def _resolved(columns: ColumnMap, checked: Plausible) -> tuple[ColumnMap, bool]:

@@ -36,21 +36,13 @@ _RARE: Final = 0.02  # share of the intervals
 
 @dataclass(frozen=True)
 class Plausible:
-    """Readings after the checks.
+    """Readings after the checks."""
 
-    Args:
-        readings: (n, cells); NaN: missing.
-        missing: Readings that mean that there is none.
-        zeroed: They are relative to the unloaded fingertip.
-        notes: Conclusions.
-        warnings: Doubts.
-    """
-
-    readings: Reals
-    missing: tuple[float, ...]
-    zeroed: bool
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
+    readings: Reals  # (n, cells); NaN: missing
+    missing: tuple[float, ...]  # readings that mean that there is none
+    zeroed: bool  # they are relative to the unloaded fingertip
+    notes: tuple[str, ...]  # conclusions
+    warnings: tuple[str, ...]  # doubts
 
 
 def plausible(

@@ -19,29 +19,17 @@ _SHOWN: Final = 8  # problems in an error
 
 @dataclass(frozen=True)
 class RawTable:
-    """Columns of a recording. A missing value is null, NaN or an empty text.
+    """Columns of a recording. A missing value is null, NaN or an empty text."""
 
-    Args:
-        columns: The columns by name, (n,) each.
-        file: Name of the file, or of the table in memory.
-        place: Word for a row in messages.
-        numbers: Numbers of the rows (n,) in messages.
-        units: Units by column, of a row below the names.
-        separator: Of a CSV file.
-        left_out: Reasons by names of what cannot be a column.
-        notes: Conclusions on how the file was read.
-        sha256: Checksum of the file, hex.
-    """
-
-    columns: Mapping[str, pl.Series]
-    file: str
-    place: str
-    numbers: NDArray[np.int64]
-    units: Mapping[str, str] = field(default_factory=dict[str, str])
-    separator: str | None = None
-    left_out: Mapping[str, str] = field(default_factory=dict[str, str])
-    notes: tuple[str, ...] = ()
-    sha256: str = ""
+    columns: Mapping[str, pl.Series]  # (n,) each
+    file: str  # name, also of a table in memory
+    place: str  # word for a row in messages
+    numbers: NDArray[np.int64]  # (n,) of the rows in messages
+    units: Mapping[str, str] = field(default_factory=dict[str, str])  # by column, of a row below the names
+    separator: str | None = None  # name, of a CSV file
+    left_out: Mapping[str, str] = field(default_factory=dict[str, str])  # reasons by names
+    notes: tuple[str, ...] = ()  # conclusions on how the file was read
+    sha256: str = ""  # of the file, hex
 
     @classmethod
     def of(
@@ -75,16 +63,11 @@ class RawTable:
 
 @dataclass
 class Problems:
-    """Problems of a file, which become one error.
-
-    Args:
-        file: Name of the file.
-        remedy: Command line or map that solves them; empty: none is known.
-    """
+    """Problems of a file, which become one error."""
 
     file: str
-    remedy: str = ""
-    found: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+    remedy: str = ""  # map that solves them; empty: none is known
+    found: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])  # place, reason
 
     def add(self, reason: str, place: str = "", *, about: str = "") -> None:
         """Add a problem at a place of the file; of each subject, by default the place, only the first."""

@@ -69,17 +69,11 @@ _SHOWN: Final = 20  # columns in an error
 
 @dataclass(frozen=True)
 class CellGroup:
-    """Columns that are numbered alike.
+    """Columns that are numbered alike."""
 
-    Args:
-        names: The columns, in the order of their numbers.
-        rows: Number of rows of a layout, from names with row and column; 0: one number.
-        sure: They have a usual name of cells.
-    """
-
-    names: tuple[str, ...]
-    rows: int
-    sure: bool
+    names: tuple[str, ...]  # in the order of their numbers
+    rows: int  # of a layout, from names with row and column; 0: one number
+    sure: bool  # they have a usual name of cells
 
 
 def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[ColumnMap, list[str]]:

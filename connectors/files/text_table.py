@@ -34,21 +34,13 @@ _VALUE: Final = re.compile(  # a number, a date, a time, or nothing
 
 @dataclass(frozen=True)
 class _Shape:
-    """Form of a text file.
-
-    Args:
-        separator: Sign between the values.
-        names: Names of the columns; an empty name: it has none.
-        units: Units of the columns, of a row below the names; empty: there is none.
-        first: Number of lines above the first row.
-        named_by: Number of the line of names; 0: there is none.
-    """
+    """Form of a text file."""
 
     separator: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    first: int
-    named_by: int
+    names: tuple[str, ...]  # of the columns; an empty one: it has none
+    units: tuple[str, ...]  # of a row below the names; empty: there is none
+    first: int  # number of lines above the first row
+    named_by: int  # number of the line of names; 0: there is none
 
     @property
     def header(self) -> str:
@@ -83,6 +75,7 @@ def parse_text(content: bytes, where: str, sha256: str = "", separator: str | No
         notes.append(f"names in line {shape.named_by}")
     if not shape.named_by:
         notes.append("without names of columns")
+    notes += [] if content.endswith(b"\n") else ["the last line has no end: was it cut off?"]
     return _parsed(content, where, shape, sha256, notes)
 
 
@@ -150,6 +143,14 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
             begin += 1
         sign = max(candidates, key=lambda each: len(split_line(lines[begin], each)))
         return _Shape(sign, tuple(split_line(lines[begin], sign)), (), begin + 1, begin + 1)
+    for number in set(range(rows[0], rows[-1])) - set(rows):  # names below rows, such as Rate,100
+        words = split_line(lines[number], sign)
+        if (
+            len(words) == width
+            and not any(map(_VALUE.fullmatch, words))
+            and lines[number] not in lines[: rows[0]]
+        ):
+            rows = [row for row in rows if row > number]
     fields = [split_line(lines[row], sign) for row in rows]
     _check_rows(fields, where)
     above = [number for number in range(begin, rows[0]) if len(split_line(lines[number], sign)) >= width - 1]

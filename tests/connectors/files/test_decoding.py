@@ -20,8 +20,7 @@ from tests.connectors.files.generated_file import generated, write
 
 NAMES = ["Zeit [us]", "p0 [kPa]", "p1 [kPa]", "v", "Zustand"]
 LINES = [
-    f"{(2**32 - 300_000 + k * 5000) % 2**32};{101 + k % 7 / 100:.2f};{99 - k / 100:.2f};0,{k % 3}5;rutscht"
-    for k in range(200)
+    f"{300_000 + k * 5000};{101 + k % 7 / 100:.2f};{99 - k / 100:.2f};0,{k % 3}5;rutscht" for k in range(200)
 ]
 
 
@@ -35,19 +34,15 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> Trace:
 @given(cuts=st.lists(st.integers(0, 200), max_size=6))
 def test_rows_in_any_pieces_give_the_trace(trace: Trace, cuts: list[int]) -> None:
     decoder = Decoder(trace.columns, NAMES, "own.csv")
-    rows = [split_line(line.replace(".", ","), decoder.separator) for line in LINES]
+    rows = [split_line(line.replace(".", ","), ";") for line in LINES]
     parts = [decoder.decode(rows[a:b], a + 2) for a, b in pairwise([0, *sorted(cuts), 200])]
     touch = concat(trace.kind, [part.touch[0] for part in parts])
-    assert touch.time.tolist() == trace.touch.time.tolist()  # over the wrap of 32 bits
+    assert touch.time.tolist() == trace.touch.time.tolist()
     assert touch.counts.tolist() == trace.touch.counts.tolist()
     motion = concat(Motion, [part.motion for part in parts])
     assert motion.velocity.tolist() == trace.motion.velocity.tolist()
     assert np.concatenate([part.labels for part in parts]).tolist() == trace.labels.tolist()
-    assert (decoder.fingertip, decoder.kind, decoder.fingers) == (
-        trace.fingertip(trace.kind),
-        trace.kind,
-        (0,),
-    )
+    assert (decoder.fingertip, decoder.kind) == (trace.fingertip(trace.kind), trace.kind)
 
 
 def test_the_complete_map_survives_its_file(trace: Trace, tmp_path: Path) -> None:
@@ -60,12 +55,12 @@ def test_the_complete_map_of_a_file_reads_it_again(seed: int, tmp_path: Path) ->
     file = generated(seed)
     path = write(file, tmp_path)
     try:
-        first = Trace(path, ColumnMap.parse(file.columns))
+        rows = len((first := Trace(path, ColumnMap.parse(file.columns))).touch)
     except InputError:
         return
     (tmp_path / "map.toml").write_text(first.columns.toml())
     again = Trace(path, ColumnMap.load(str(tmp_path / "map.toml")))
-    assert again.columns == first.columns
+    assert (len(again.touch), again.columns) == (rows, first.columns)
     assert again.touch.counts.tolist() == first.touch.counts.tolist()
     assert again.touch.time.tolist() == first.touch.time.tolist()
 
@@ -80,10 +75,6 @@ def test_invalid_rows_are_named_all_at_once() -> None:
         decoder.decode([["0.1", "x", "2"], ["0.2", "1", "y"]], 7)
     with pytest.raises(InputError, match="COM3, line 9: has more than 3 fields"):
         decoder.decode([["0.3", "1", "2", "3"]], 9)
-    with pytest.raises(
-        InputError, match=r"COM3, line 10, column t: is '0.1', must be no less .*: the clock started again"
-    ):
-        decoder.decode([["0.1", "1", "2"]], 10)
 
 
 def test_a_map_that_is_not_complete_is_refused() -> None:
@@ -91,12 +82,6 @@ def test_a_map_that_is_not_complete_is_refused() -> None:
         Decoder(ColumnMap.parse("time=t,counts=p0,p1"), ["t", "p0", "p1"], "COM3")
     with pytest.raises(InputError, match="COM3: there is no column p9; the columns are t p0 p1"):
         Decoder(ColumnMap.parse("time=t,counts=p0,p9,rate=9"), ["t", "p0", "p1"], "COM3")
-
-
-def test_rows_without_a_time_are_timed_by_the_rate() -> None:
-    decoder = Decoder(ColumnMap.parse("time=,counts=p0,p1,rate=50"), ["p0", "p1"], "COM3")
-    times = [decoder.decode([["1", "2"]] * size).time.tolist() for size in (2, 0, 1)]
-    assert times == [[0, 20_000_000], [], [40_000_000]]
 
 
 @given(st.lists(st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1), min_size=1, max_size=5))

@@ -12,8 +12,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.number_format import NumberFormat, number_format
 from connectors.files.raw_table import Problems, RawTable
-from connectors.files.time_axis import continued
-from connectors.files.time_format import nanoseconds
+from connectors.files.time_axis import continued, nanoseconds
 from operators.batch import ms, s
 from operators.errors import InputError
 
@@ -129,9 +128,10 @@ def test_other_times_are_read_or_refused(text: str, expected: int | None) -> Non
 
 def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Trace:
     count = np.arange(len(times))
-    return Trace(
-        {name: times, "p0": 500 + count % 5, "p1": 500 - count % 7, **more}, ColumnMap.parse(columns)
-    )
+    cells = {"p0": 500 + count % 5, "p1": 500 - count % 7}
+    found = Trace({name: times, **cells, **more}, ColumnMap.parse(columns))
+    assert len(found.touch) == len(times)  # reads it
+    return found
 
 
 @given(st.integers(10**18, 4 * 10**18), st.sampled_from([1, 1000, 1_000_000]))
@@ -166,7 +166,7 @@ def test_a_clock_that_starts_again_is_named_and_split_on_request(parts: list[int
     with pytest.raises(
         InputError, match=rf"--split makes {len(parts)} sessions \({', '.join(map(str, parts))} rows\)"
     ):
-        Trace(frame)
+        interpreted(frame)
     found = interpreted(frame, split=True)
     assert [len(each.time) for each in found.decoded] == parts
     assert [Trace(found, part=k).touch.counts[0, 0] for k in range(len(parts))] == [

@@ -16,21 +16,22 @@ def check(seed: int, folder: Path) -> bool:
     file = generated(seed)
     path, about = write(file, folder), f"seed {seed}: {', '.join(file.about)}"
     try:
-        trace = Trace(path, ColumnMap.parse(file.columns))
+        rows = len((trace := Trace(path, ColumnMap.parse(file.columns))).touch)
     except (InputError, ParameterError) as error:
         text = str(error)
         good = file.refusable and text.startswith(str(path)) and "\n" not in text
         return False if good else pytest.fail(f"{about}: {text}")
-    rows = len(trace.touch)
     assert rows == len(file.time) or file.refusable, about
     assert trace.columns.unit == file.unit, about
+    if "the last line has no end: was it cut off?" in trace.notes:
+        rows -= 1
     shift = trace.touch.time[0] - file.time[0] if file.time[0] < 10**18 else 0  # of a device's clock
-    assert np.abs(trace.touch.time - file.time[:rows] - shift).max() <= 2 * file.tolerance + 1, about
-    given = (trace.touch.counts + trace.offset) * trace.resolution
+    assert np.abs(trace.touch.time[:rows] - file.time[:rows] - shift).max() <= 2 * file.tolerance + 1, about
+    given = (trace.touch.counts[:rows] + trace.offset) * trace.resolution
     wrong = np.abs(given - file.readings[:rows]) > 0.51 * trace.resolution
-    assert not (wrong & trace.touch.valid).any(), about
+    assert not (wrong & trace.touch.valid[:rows]).any(), about
     assert trace.touch.valid.all() or trace.warnings, about
-    assert trace.labels.tolist() == file.labels[:rows], about
+    assert trace.labels[:rows].tolist() == file.labels[:rows], about
     return True
 
 

@@ -87,7 +87,7 @@ def test_a_case_gives_the_right_value(path: str, columns: str, expected: tuple[A
 )
 def test_a_case_is_refused_with_the_remedy(path: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        Trace(case(path))
+        assert Trace(case(path)).touch
 
 
 def test_arrays_with_a_row_per_channel_are_turned() -> None:
