@@ -143,14 +143,7 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
             begin += 1
         sign = max(candidates, key=lambda each: len(split_line(lines[begin], each)))
         return _Shape(sign, tuple(split_line(lines[begin], sign)), (), begin + 1, begin + 1)
-    for number in set(range(rows[0], rows[-1])) - set(rows):  # names below rows, such as Rate,100
-        words = split_line(lines[number], sign)
-        if (
-            len(words) == width
-            and not any(map(_VALUE.fullmatch, words))
-            and lines[number] not in lines[: rows[0]]
-        ):
-            rows = [row for row in rows if row > number]
+    rows = _below_names(lines, rows, sign, width)
     fields = [split_line(lines[row], sign) for row in rows]
     _check_rows(fields, where)
     above = [number for number in range(begin, rows[0]) if len(split_line(lines[number], sign)) >= width - 1]
@@ -190,6 +183,16 @@ def _rows(lines: Sequence[str], sign: str, begin: int) -> tuple[int, list[int]]:
     widths = Counter(rows.values())
     width = max(widths, key=lambda each: (widths[each], each), default=0)
     return width, [number for number, each in rows.items() if each == width]
+
+
+def _below_names(lines: Sequence[str], rows: list[int], sign: str, width: int) -> list[int]:
+    """Return the rows below the names; lines above them, such as Rate,100, only look like rows."""
+    for number in sorted({*range(rows[0], rows[-1])} - {*rows}):
+        texts = split_line(lines[number], sign)
+        named = len(texts) == width and not any(map(_VALUE.fullmatch, texts))
+        if named and lines[number] not in lines[: rows[0]]:
+            return [row for row in rows if row > number]
+    return rows
 
 
 def _merit(lines: Sequence[str], sign: str, begin: int, width: int, rows: Sequence[int]) -> tuple[int, ...]:
