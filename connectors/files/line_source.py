@@ -163,8 +163,9 @@ class LineSource(Source[Touch]):
             "" if good else f": {self._damage}; check the map, and the cable and baud rate of a serial port"
         )
         yield Finding(self.where, text + remedy, "good" if good else "bad")
-        if (span := float(np.ptp(time)) / s if time else 0.0) > 1:
-            rate, stated = (len(time) - 1) / span, self._fingertip.rate
+        settled = time[len(time) // 2 :]  # the conversion to host time knows the delay by then
+        if (span := float(np.ptp(settled)) / s if settled else 0.0) > 1:
+            rate, stated = (len(settled) - 1) / span, self._fingertip.rate
             text, off = f"{rate:.1f} rows per second of {stated:g}", abs(rate / stated - 1) > RATE_OFF
             remedy = ": correct the rate in the map, or the rate of the logger"
             yield Finding(self.where, text + remedy * off, "bad" if off else "good")

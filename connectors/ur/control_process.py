@@ -71,15 +71,6 @@ class Reply(NamedTuple):
     text: str = ""
 
 
-def check_ur_rtde() -> None:
-    """Check that ur-rtde is installed.
-
-    Raises:
-        InputError: if it is not installed.
-    """
-    require_extra("ur", "commanding a UR arm")
-
-
 def connect(host: str) -> Any:  # noqa: ANN401 - RTDEControlInterface, which has no types
     """Connect ur-rtde, which uploads its control script to the controller and starts it.
 
@@ -87,7 +78,7 @@ def connect(host: str) -> Any:  # noqa: ANN401 - RTDEControlInterface, which has
         InputError: if ur-rtde is not installed.
         EndpointError: if the controller does not accept it.
     """
-    check_ur_rtde()
+    require_extra("ur", "commanding a UR arm")
     library = import_module("rtde_control")
     try:
         return library.RTDEControlInterface(host)

@@ -57,8 +57,8 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
 class Packages:
     """Splitter of a byte stream, received in chunks of any size, into packages."""
 
-    def __init__(self, largest: int = LARGEST) -> None:
-        self._largest, self._rest = largest, b""
+    def __init__(self) -> None:
+        self._rest = b""
 
     def feed(self, data: bytes) -> Iterator[Package]:
         """Yield the packages that `data` completes; the caller must exhaust the iterator.
@@ -70,8 +70,8 @@ class Packages:
         try:
             while len(data) - begin >= _HEADER.size:
                 size, kind = _HEADER.unpack_from(data, begin)
-                if not _HEADER.size <= size <= self._largest:
-                    raise RtdeError(f"a package of {size} bytes, must be {_HEADER.size} to {self._largest}")
+                if not _HEADER.size <= size <= LARGEST:
+                    raise RtdeError(f"a package of {size} bytes, must be {_HEADER.size} to {LARGEST}")
                 if len(data) - begin < size:
                     break
                 begin += size

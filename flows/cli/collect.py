@@ -67,9 +67,9 @@ def collect(
         typer.echo(path_text(asyncio.run(_planned(chosen, robot, virtual=virtual))))
         return
     if not virtual:
-        from connectors.ur.control_process import check_ur_rtde
+        from operators.extras import require_extra
 
-        check_ur_rtde()
+        require_extra("ur", "commanding a UR arm")
     _report(asyncio.run(_collect(chosen, robot, bus, parse_rows(rows), out, virtual=virtual)))
 
 
