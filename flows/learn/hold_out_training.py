@@ -43,4 +43,4 @@ def _trained_tcn(recipe: Recipe, fold: Fold) -> Method:
     own = replace(recipe, crop=min(recipe.crop, *map(len, fold.train)))
     detector = Tcn(train_dense(fold.train, fold.validation, own).arrays)
     detector.fingertip = fold.train[0].fingertip
-    return Method(TRAINED, detector, f"{own.steps} steps")
+    return Method(TRAINED, detector)

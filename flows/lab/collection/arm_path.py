@@ -50,7 +50,7 @@ class Slide:
 
     def end(self, start: Pose) -> Pose:
         """Return the pose at the end: the distance lost while speeding up is gained while slowing down."""
-        x, y, z, a, b, c = (each * self._cruise for each in self.velocity)
+        x, y, z, a, b, c = (each * self.cruise for each in self.velocity)
         u, v, w = compose(start[3:], by=(a, b, c))
         return start[0] + x, start[1] + y, start[2] + z, u, v, w
 
@@ -65,7 +65,7 @@ class Slide:
         return max(math.hypot(*self.velocity[:3]), math.hypot(*self.velocity[3:])) / self.acceleration
 
     @property
-    def _cruise(self) -> float:
+    def cruise(self) -> float:
         """Time at constant velocity that covers the same distance, s."""
         return self.time if self._ramp <= self.time else self.time**2 / self._ramp
 

@@ -15,7 +15,7 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_driver import Arm, StrokeDriver
-from flows.lab.collection.stroke_plan import Limits, PlannedPath, StrokeSeries
+from flows.lab.collection.stroke_plan import PlannedPath, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
 from operators import (
@@ -95,12 +95,9 @@ class Collector:
     _runner: LiveRunner | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.driver = StrokeDriver(self.arm, self.clock, require_contact=self.limits.require_contact)
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of the plan."""
-        return self.path.plan.limits
+        self.driver = StrokeDriver(
+            self.arm, self.clock, require_contact=self.path.plan.limits.require_contact
+        )
 
     async def collect(self) -> None:
         """Record all series; if the arm has to be stopped, the part recorded so far is committed.
@@ -198,7 +195,7 @@ class Collector:
 
     async def _watch(self, monitor: ContactMonitor) -> None:
         """Stop the arm when a fingertip gives no more samples."""
-        timeout = self.limits.sensor_timeout
+        timeout = self.path.plan.limits.sensor_timeout
         while True:
             now = self.clock.now()
             for finger, newest in monitor.newest.items():

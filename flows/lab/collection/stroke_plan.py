@@ -96,11 +96,6 @@ class Stroke:
     contact: tuple[Step, ...]
     retreat: tuple[Step, ...]
 
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """All steps of the stroke."""
-        return *self.approach, *self.contact, *self.retreat
-
 
 @dataclass(frozen=True, slots=True)
 class StrokeSeries:
@@ -122,7 +117,8 @@ class StrokeSeries:
     @property
     def steps(self) -> tuple[Step, ...]:
         """Steps of the whole path, from any pose; it ends in the air."""
-        return self.begin, self.baseline, *chain.from_iterable(stroke.steps for stroke in self.strokes)
+        parts = chain.from_iterable((each.approach, each.contact, each.retreat) for each in self.strokes)
+        return self.begin, self.baseline, *chain.from_iterable(parts)
 
     def describe(self) -> dict[str, Json]:
         """Return surface, speed, press and number of strokes as JSON data."""
@@ -188,7 +184,7 @@ class CollectionPlan:
         random = np.random.default_rng(self.seed)
         speeds = [speed for speed in self.speeds for _ in range(self.repeats)] + [None] * self.rotations
         counted, series, first = dict[str, int](), list[StrokeSeries](), int(random.integers(len(TURNS)))
-        for surface in (each.located(here) for each in self.surfaces):
+        for surface in (replace(each, pose=each.pose or here) for each in self.surfaces):
             for speed in speeds:
                 group = f"{surface.shape}-{'rotation' if speed is None else f'{1000 * speed:03.0f}'}"
                 counted[group] = counted.get(group, 0) + 1
@@ -219,9 +215,7 @@ class CollectionPlan:
     def _rotation(self, surface: Surface, spin: float) -> Stroke:
         time, acceleration = self.path.rotation_time, self.path.rotation_acceleration
         slide = Slide(spin_velocity(surface.middle, spin), time, acceleration)
-        ramp = abs(spin) / acceleration
-        angle = spin * (time if ramp <= time else time**2 / ramp)
-        begin = replace(surface, pose=offset_pose(surface.middle, yaw=-angle / 2))
+        begin = replace(surface, pose=offset_pose(surface.middle, yaw=-spin * slide.cruise / 2))
         end = replace(surface, pose=slide.end(begin.middle))
         return Stroke(
             0.0,

@@ -1,7 +1,7 @@
 """Geometry of the surfaces for strokes: a plane, a sphere, or a horizontal cylinder. No I/O."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, get_args
 
 from connectors.sim.scene import Curvature, Scene, surface_drop
@@ -30,20 +30,16 @@ class Surface:
 
     shape: Curvature = "plane"  # cylinder_x and cylinder_y: axis along the fingertip's x or y
     radius: Length = RADIUS  # of a curved surface
-    pose: Pose | None = None  # of the TCP; None: the arm's pose at the start, see `located`
+    pose: Pose | None = None  # of the TCP; None: the arm's pose at the start
 
     def __post_init__(self) -> None:
         check_choice("Surface", "shape", self.shape, get_args(Curvature))
         check_between("Surface", "radius", self.radius, MIN_RADIUS, MAX_RADIUS, unit="m")
 
-    def located(self, here: Pose) -> "Surface":
-        """Return the surface for an arm at a pose."""
-        return replace(self, pose=self.pose or here)
-
     @property
     def middle(self) -> Pose:
-        """Pose of a located surface."""
-        assert self.pose, "the surface has been located"
+        """Pose of a surface that has one."""
+        assert self.pose, "a series gives it to the surface"
         return self.pose
 
     @property

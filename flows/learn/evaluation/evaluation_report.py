@@ -22,6 +22,7 @@ from flows.learn.evaluation.measures import (
 from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.stress_fields import FIELDS
 from flows.learn.evaluation.stress_study import NOMINAL, condition_name, every_condition
+from flows.learn.labelled_recordings import TARGETS
 from flows.report.report_page import Report, Section
 from flows.report.results import estimate_table, estimates
 from flows.report.table import Table, Value, counted
@@ -170,7 +171,8 @@ def _speed(of: Evaluation) -> Section:
 
 def _sliding(of: Evaluation) -> Section:
     found = estimates(pl.concat([of.label, of.results]), AGAINST_SLIDING, draws=0)
-    targets = {name: method.target for name, method in of.methods.items()}
+    baseline = {"target": TARGETS[0]}  # a baseline has no card
+    targets = {name: (method.card or baseline).get("target") for name, method in of.methods.items()}
     table = estimate_table(found, DECIMALS)
     rows = [[row[0], targets.get(str(row[0])), *row[1:]] for row in table.rows]
     head = [name.removeprefix(SLIDING) for name in table.head]

@@ -11,7 +11,6 @@ import numpy as np
 from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, Baseline, Features
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.folds import Fold
-from flows.learn.labelled_recordings import TARGETS
 from flows.learn.sampling import Sampling
 from flows.learn.scoring import labels, windows
 from operators import Debounce
@@ -19,9 +18,8 @@ from operators.batch import SLIP, STATIC, Counts
 from operators.detectors import TRAINED, Detector, Psd
 from operators.errors import InputError
 from storage import load_debounce, load_detector
-from storage.models import load_card, shipped, shipped_names
+from storage.models import load_card, shipped_names, shipped_path
 
-SHIPPED: Final = "ships"  # origin
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
 _HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
 _PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
@@ -35,9 +33,7 @@ class Method:
 
     name: str
     detector: Detector
-    origin: str
     debounce: Debounce | None = None  # None: its card has none
-    target: str | None = TARGETS[0]  # that it was trained on, by its model card; None: the card does not say
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its model; empty: it has none
 
 
@@ -83,7 +79,7 @@ def baselines(names: Collection[str] = ()) -> list[Candidate]:
 
 def default_psd(names: Collection[str] = ()) -> list[Candidate]:
     """Return the spectral detector with its default threshold, which learns nothing from a fold."""
-    psd = Method("psd", Psd(), "default threshold")
+    psd = Method("psd", Psd())
     return ready([psd]) if not names or psd.name in names else []
 
 
@@ -131,7 +127,7 @@ def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, 
     else:
         own = (features or _FITTED[name]).at(sampling)
         detector = Baseline.fitted(name, seen(own.length), slip, own)
-    return Method(name, detector, f"fitted to {len(slip)} windows")
+    return Method(name, detector)
 
 
 def _as_it_is(method: Method, _fold: Fold) -> Method:
@@ -139,14 +135,11 @@ def _as_it_is(method: Method, _fold: Fold) -> Method:
 
 
 def _shipped(name: str) -> Method:
-    path = shipped(name)
-    assert path is not None, "the caller asks for shipped ones only"
-    card = load_card(path)
-    return Method(name, load_detector(name), SHIPPED, load_debounce(path), card.get("target"), card)
+    path = shipped_path(name)
+    return Method(name, load_detector(name), load_debounce(path), load_card(path))
 
 
 def _of_file(path: Path, taken: Collection[str]) -> Method:
     """Load a model under the name of its file, or its path as given if that name is taken."""
     name = str(path) if path.stem in taken else path.stem
-    card = load_card(path)
-    return Method(name, load_detector(path), path.name, load_debounce(path), card.get("target"), card)
+    return Method(name, load_detector(path), load_debounce(path), load_card(path))

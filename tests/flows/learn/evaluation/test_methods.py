@@ -82,7 +82,7 @@ def test_without_training_a_baseline_is_refused() -> None:
 
 
 def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[LabelledRecording]) -> None:
-    own, psd = Debounce(0.8, 3, 8), Method("psd", fitted(training, "psd")["psd"], "fitted")
+    own, psd = Debounce(0.8, 3, 8), Method("psd", fitted(training, "psd")["psd"])
     fold = Fold("", training, training, training)
     assert choose_debounce(replace(psd, debounce=own), fold) == (own, "its card")
     assert choose_debounce(psd, fold) == (tuned_on(training, psd.detector), "validation")
@@ -108,7 +108,7 @@ def test_an_unknown_method_is_refused() -> None:
 def test_the_debounce_of_a_model_is_that_of_its_card(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"threshold": 0.8, "consecutive": 3, "release": 8}
     path = model(tmp_path / "slow.safetensors", debounce=settings)
-    [method] = [each for each in trained_methods([path]) if each.origin == path.name]
+    [method] = trained_methods([path], ["psd"])
     assert method.debounce == Debounce(**settings)
 
 
