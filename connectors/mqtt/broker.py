@@ -82,11 +82,9 @@ class Broker:
         if path := os.environ.get(PASSWORD_FILE):
             try:
                 password = Path(path).read_text(encoding="utf-8").rstrip("\r\n")
-            except OSError as error:
-                reason = f"cannot read the password ({PASSWORD_FILE}): {os_error_reason(error)}"
-                raise InputError(path, reason) from None
-            except UnicodeError:
-                raise InputError(path, f"the password ({PASSWORD_FILE}) must be UTF-8 text") from None
+            except (OSError, UnicodeError) as error:
+                why = os_error_reason(error) if isinstance(error, OSError) else "is not UTF-8 text"
+                raise InputError(path, f"cannot read the password ({PASSWORD_FILE}): {why}") from None
         return os.environ.get(USER), password
 
     def tls(self) -> ssl.SSLContext:
