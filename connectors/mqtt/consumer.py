@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 log = logging.getLogger("slipflow")
 
 CHECK_EVERY = 3.0  # s, between checks of all rigs for missed events
+REQUESTS_MAX = 100  # requests per check
 BEHIND = 200  # messages that wait; then the consumer is behind
 MALFORMED_MAX = 20  # malformed messages that are reported per connection
 
@@ -128,8 +129,7 @@ class Consumer(AsyncIterator[Event]):
             if asyncio.get_running_loop().time() >= self._check_due:
                 self._check_due = asyncio.get_running_loop().time() + CHECK_EVERY
                 self._save_position()
-                for rig in self._position.rigs:
-                    self._request_missed(link, rig)
+                self._check(link)
             try:
                 async with asyncio.timeout_at(self._check_due):
                     topic, payload = await link.receive()
@@ -151,6 +151,14 @@ class Consumer(AsyncIterator[Event]):
             if self._event:
                 return self._event
             self._request_missed(link, rig)
+
+    def _check(self, link: "Link") -> None:
+        """Request missed events of up to 100 rigs; the next check asks others, as these may still answer."""
+        requests = 0
+        for rig in reversed(self._position.rigs):
+            requests += self._request_missed(link, rig)
+            if requests == REQUESTS_MAX:
+                break
 
     def _report_delay(self, link: "Link") -> None:
         """Report messages that were dropped, and the first of many that wait."""
@@ -200,14 +208,15 @@ class Consumer(AsyncIterator[Event]):
         for text in lost:
             self._report(text)
 
-    def _request_missed(self, link: "Link", rig: RigId) -> None:
-        """Request missed events of a rig, unless it may still answer the latest request."""
+    def _request_missed(self, link: "Link", rig: RigId) -> bool:
+        """Request missed events of a rig if there are any, unless it may still answer the latest request."""
         gap = self._position.request(rig, asyncio.get_running_loop().time())
         if gap is None:
-            return
+            return False
         topic = rig_topic("Consumer", *rig)
         payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
         link.post(Message(f"{topic}/replay/request", payload, retain=False))
+        return True
 
     async def _reconnect(self) -> "Link":
         failures = 0

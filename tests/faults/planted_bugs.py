@@ -73,8 +73,9 @@ def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:
     return rig, event
 
 
-def _never_request(self: Any, link: object, rig: object) -> None:
+def _never_request(self: Any, link: object, rig: object) -> bool:
     del self, link, rig
+    return False
 
 
 async def _answer_missing(self: Any, now: float) -> list[Message]:
