@@ -204,15 +204,29 @@ class ColumnMap:
 
     def toml(self) -> str:
         """Return the text of a TOML file with this map, which `load` reads."""
-        values = {name: getattr(self, name) for name in _PARSERS}
-        values["layout"] = layout_text(self.layout) if self.layout else None
-        values["range"] = self.range and "{:g}:{:g}".format(*self.range)
-        values["finger"] = self.finger or None
-        given = {**self.columns, **values}.items()
+        given = {**self.columns, **self._values()}.items()
         lines = [f"{name} = {_toml(each)}" for name, each in given if each is not None]
         for table, texts in (("units", self.units), ("labels", self.labels)):
             lines += [f"{table}.{name} = {_toml(each)}" for name, each in texts.items()]
         return "\n".join([*lines, ""])
+
+    def items(self) -> list[str]:
+        """Return what is stated beside columns, as items of a text that `parse` reads."""
+        usual = type(self)()._values()  # noqa: SLF001 - of its class
+        values = {name: each for name, each in self._values().items() if each != usual[name]}
+        values |= {f"units.{name}": unit for name, unit in self.units.items()}
+        values |= {f"labels.{name}": texts for name, texts in self.labels.items()}
+        texts = {
+            name: [*map(str, each)] if isinstance(each, tuple) else [_text(each)]
+            for name, each in values.items()
+        }
+        return [f"{name}={','.join(each)}" for name, each in texts.items()]
+
+    def _values(self) -> dict[str, Any]:
+        values = {name: getattr(self, name) for name in _PARSERS}
+        values["layout"] = layout_text(self.layout) if self.layout else None
+        values["range"] = self.range and "{:g}:{:g}".format(*self.range)
+        return values | {"finger": self.finger or None}
 
     @property
     def cells(self) -> dict[int, tuple[str, ...]]:

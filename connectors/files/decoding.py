@@ -236,6 +236,10 @@ def _labels(table: RawTable, columns: ColumnMap, problems: Problems) -> Codes:
         reason = (
             f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
         )
-        problems.add(reason, f"{table.place_of(row)}, column {name}")
+        problems.add(
+            reason,
+            f"{table.place_of(row)}, column {name}",
+            fix=None if columns.labels else f"labels.slip={words[0]}",
+        )
     found: Codes = codes.fill_null(UNKNOWN).to_numpy()
     return found

@@ -71,13 +71,19 @@ def number_format(table: RawTable, names: Sequence[str], unit: str, problems: Pr
         proof = {sign: _example(table, others, _decimals(sign)) for sign in ".,"}
     if all(proof.values()):
         both = " and ".join(proof.values())
-        problems.add(f"decimals have both point and comma ({both}); state decimal=point or decimal=comma")
+        problems.add(
+            f"decimals have both point and comma ({both}); state decimal=point or decimal=comma",
+            fix="decimal=point",
+        )
     if any(proof.values()) or not any(doubt.values()) or (table.separator == "comma" and not doubt[","]):
         return NumberFormat("," if proof[","] else ".")
     sign = "," if doubt[","] else "."
     air = [is_air(float(doubt[sign].split()[-1].replace(",", ".")) * each, unit) for each in (1, 1000)]
     if air[0] == air[1] or all(doubt.values()):
-        problems.add(f"{doubt[sign]} may have decimals or thousands; state decimal=point or decimal=comma")
+        fix = f"decimal={'comma' if sign == ',' else 'point'}"
+        problems.add(
+            f"{doubt[sign]} may have decimals or thousands; state decimal=point or decimal=comma", fix=fix
+        )
     return NumberFormat(sign if air[0] else "." if sign == "," else ",")
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from shlex import quote
 from typing import Final, Self
 
 import numpy as np
@@ -66,12 +67,24 @@ class Problems:
     """Problems of a file, which become one error."""
 
     file: str
-    remedy: str = ""  # map that solves them; empty: none is known
+    columns: list[str] = field(default_factory=list[str])  # items of a map that has the table's columns
+    fixes: list[str] = field(default_factory=list[str])  # items that solve problems; a map is suggested
     found: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])  # place, reason
 
-    def add(self, reason: str, place: str = "", *, about: str = "") -> None:
-        """Add a problem at a place of the file; of each subject, by default the place, only the first."""
-        self.found.setdefault(about or place or reason, (place, reason))
+    def add(self, reason: str, place: str = "", *, about: str = "", fix: str | None = None) -> None:
+        """Add a problem at a place of the file; of each subject, by default the place, only the first.
+
+        Args:
+            reason: The problem.
+            place: Line and column; empty: the file.
+            about: Subject.
+            fix: Item of a map that solves it; empty: those of the columns do.
+        """
+        if (
+            self.found.setdefault(about or place or reason, (place, reason)) == (place, reason)
+            and fix is not None
+        ):
+            self.fixes.append(fix)
 
     def about(self, subject: str) -> bool:
         """Return True if there is a problem about a subject."""
@@ -91,7 +104,10 @@ class Problems:
         Raises:
             InputError: that lists all problems, and the remedy.
         """
-        remedy = f"; {self.remedy}" if self.remedy else ""
+        given = {fix.partition("=")[0] for fix in self.fixes}
+        items = [each for each in self.columns if each.partition("=")[0] not in given]
+        items += [fix for fix in self.fixes if fix]
+        remedy = f"; try --map {quote(','.join(items))}" if self.fixes else ""
         if len(self.found) == 1:
             [(place, reason)] = self.found.values()
             raise InputError(f"{self.file}, {place}" if place else self.file, f"{reason}{remedy}")

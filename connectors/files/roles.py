@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from shlex import quote
 from typing import Final
 
 import polars as pl
@@ -110,7 +109,8 @@ def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[C
     units = _units(found, stated, table, problems)
     layout = next((group for group in groups if group.rows and group.names in found.values()), None)
     columns = replace(stated, columns=found, units=units)
-    problems.remedy = _remedy(columns, stated, groups, table) if problems.found else ""
+    problems.fixes += [""] if problems.found else []
+    problems.columns = [*_suggested(columns, groups, table), *stated.items()]
     if layout is None or stated.layout is not None:
         return columns, []
     wide = len(layout.names) // layout.rows
@@ -252,8 +252,8 @@ def _units(
     return units
 
 
-def _remedy(columns: ColumnMap, stated: ColumnMap, groups: Sequence[CellGroup], table: RawTable) -> str:
-    """Return a map that is made of the table's own columns, as an option of `slipflow import`."""
+def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable) -> list[str]:
+    """Return the items of a map that is made of the table's own columns."""
     items = [f"{key}={_short(names)}" for key, names in columns.columns.items()]
     taken = {name for names in columns.columns.values() for name in names}
     free = [name for name in table.columns if name not in taken]
@@ -268,8 +268,7 @@ def _remedy(columns: ColumnMap, stated: ColumnMap, groups: Sequence[CellGroup], 
             items += [f"counts.{finger}={_short(names)}" for finger, names in enumerate(several)]
         else:
             items.append(f"counts={_short(several[0] if several else numbers) or 'NAME,NAME'}")
-    items += [f"units.{name}={unit}" for name, unit in stated.units.items()]
-    return f"try --map {quote(','.join(items))}"
+    return items
 
 
 def _short(names: Sequence[str]) -> str:

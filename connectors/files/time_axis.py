@@ -37,6 +37,7 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
 _MONTH, _MINUTES, _CENTURY = 12, 60, 100
 _YEARS: Final = (1970, 2262)  # of times in ns
 _LIMIT: Final = float(1 << 63)  # ns
+_ORIGINS: Final = {25_569: 80_000, 719_529: 800_000}  # days before 1970, and until a day after 2100
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 _MONTHS: Final = {name.lower(): number for number, name in enumerate(month_abbr) if name}
@@ -162,7 +163,8 @@ def _check_unit(
     ]
     if likely:
         reason = f"column {columns.columns[TIME][0]} has no unit, in seconds its rate is {rate:.4g} Hz"
-        problems.add(f"{reason}; state {' or '.join(likely)}, or units.time={unit}")
+        fix = likely[0].partition(" ")[0]
+        problems.add(f"{reason}; state {' or '.join(likely)}, or units.time={unit}", fix=fix)
 
 
 def _episodes(table: RawTable) -> Parts:
@@ -199,9 +201,8 @@ def _rate(name: str, time: Times, parts: Parts, problems: Problems, warnings: li
     if len(part) >= _ENOUGH and most > max(2, _COARSE * len(part)):
         step = f", {np.diff(shared.values).min() / s:g} s apart" if values > 1 else ""
         has = f"only {values} value{'s' * (values > 1)} in {len(part)} rows{step}"
-        problems.add(
-            f"column {name} has {has}: it tells no rate; state time=,rate=... (rows per second)", about=TIME
-        )
+        reason = f"column {name} has {has}: it tells no rate; state time=,rate=... (rows per second)"
+        problems.add(reason, about=TIME, fix="time=,rate=ROWS_PER_SECOND")
         return None
     if most > 1:
         text = (
@@ -257,7 +258,7 @@ def date_order(table: RawTable, name: str, problems: Problems) -> str:
         return "mdy"
     if short or (first != second).any():
         doubt = f"column {name}: {texts.drop_nulls()[0]!r:.40} may begin with the day or the month"
-        problems.add(f"{doubt}; state dates=dmy or dates=mdy")
+        problems.add(f"{doubt}; state dates=dmy or dates=mdy", fix="dates=dmy")
     return "dmy"
 
 
@@ -293,6 +294,10 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
         values = column.fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
     if unit == "ns":
         values = np.where(values == np.rint(values), values, np.nan)
+    if unit == "d" and np.isfinite(values).any():  # days of Excel since 1900, of MATLAB since the year 0
+        days = np.nanmedian(values) / UNITS[TIME]["d"]
+        origin = next((first for first, last in _ORIGINS.items() if first < days < last), 0)
+        values -= origin * UNITS[TIME]["d"]
     good = np.abs(values) < _LIMIT
     whole = pl.Series(np.rint(np.where(good, values, 0)).astype(np.int64))
     return whole.set(~pl.Series(good), None)

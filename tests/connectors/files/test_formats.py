@@ -1,6 +1,7 @@
 """Formats of the numbers and times of a file as a whole."""
 
 import datetime as dt
+import shlex
 
 import numpy as np
 import polars as pl
@@ -223,3 +224,39 @@ def test_dates_that_may_begin_with_day_or_month_are_refused() -> None:
 def test_ordered_times_are_not_changed(steps: list[int]) -> None:
     times = np.cumsum(steps)
     assert continued(times, []).tolist() == times.tolist()
+
+
+@pytest.mark.parametrize(
+    ("columns", "stated"),
+    [
+        ({"t": [*range(60)]}, "layout=1x2,range=0:4000"),
+        ({"t": ["14:29"] * 60}, "finger=3"),
+        ({"t": [f"03/04/2025 10:00:{k / 10:04.1f}" for k in range(60)]}, "missing=-7,-8"),
+        ({"clock": [k / 100 for k in range(60)]}, "units.time=s"),
+        ({"t": [k / 100 for k in range(60)], "label": ["north", "none", "west"] * 20}, "delay=0.1"),
+        ({"p": ["x"] * 60}, "zeroed=true"),
+    ],
+)
+def test_the_map_that_an_error_suggests_reads_the_file_and_keeps_what_was_stated(
+    columns: dict[str, list[object]], stated: str
+) -> None:
+    frame = {**columns, "left": [500 + k % 5 for k in range(60)], "right": [500 - k % 7 for k in range(60)]}
+    for _ in range(3):  # of each call, all problems that do not depend on others
+        try:
+            assert len((found := Trace(frame, ColumnMap.parse(stated))).touch) == 60
+            break
+        except InputError as error:
+            [_, suggested] = shlex.split(str(error).rpartition("; try ")[2])
+            suggested = suggested.replace("ROWS_PER_SECOND", "100")
+            assert set(ColumnMap.parse(stated).items()) <= set(ColumnMap.parse(suggested).items())
+            stated = suggested
+    else:
+        pytest.fail(f"not read with {stated}")
+    assert found.touch.cells == 2
+
+
+def test_days_of_excel_and_matlab_begin_at_their_origins() -> None:
+    start = dt.datetime(2025, 3, 26, 14, 24, tzinfo=dt.UTC).timestamp()
+    for first in (45742.6, 739702.6):
+        found = trace([first + k / 8_640_000 for k in range(60)], "units.time=d")
+        assert found.touch.time[0] / 1e9 == pytest.approx(start, abs=0.001)

@@ -159,6 +159,7 @@ def test_quoted_fields_are_read(write: Write) -> None:
 
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
 LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
+MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 AGAIN = "no less than in the line before; if the logger started again, --split makes 2 sessions (1, 2 rows)"
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
 TRY = "try --map time=column1,counts=column2..column4"
@@ -172,8 +173,8 @@ NUMBER = "must be a number or empty"
         ("1,1,inf,3,4,5,6,0", f"line 3, column s2: is 'inf', {NUMBER}"),
         ("1,1,-inf,3,4,5,6,0", f"line 3, column s2: is '-inf', {NUMBER}"),
         ("1,1,2.5,3,4,5,6,0", f"line 3, column s2: is '2.5', {WHOLE}"),
-        ("1,1,2,3,4,5,6,2", f"line 3, column label: has '2', {LABEL}"),
-        ("1,1,2,3,4,5,6,maybe", f"line 3, column label: has 'maybe', {LABEL}"),
+        ("1,1,2,3,4,5,6,2", f"line 3, column label: has '2', {LABEL}; {MAP}2"),
+        ("1,1,2,3,4,5,6,maybe", f"line 3, column label: has 'maybe', {LABEL}; {MAP}maybe"),
         ("soon,1,2,3,4,5,6,0", "line 3, column t: is 'soon', must be a time in s"),
         (",1,2,3,4,5,6,0", "line 3, column t: is '', must be a time in s"),
         ("nan,1,2,3,4,5,6,0", "line 3, column t: is 'nan', must be a time in s"),
