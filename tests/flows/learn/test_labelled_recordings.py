@@ -10,7 +10,6 @@ import pytest
 from numpy.typing import NDArray
 
 from connectors import SimulatedRig
-from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Moves, Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
@@ -24,7 +23,6 @@ from flows.learn.labelled_recordings import (
     labelled_by,
     load,
     simulated_recording,
-    simulated_recordings,
 )
 from flows.learn.training.trained_model import provenance
 from flows.run.clocks import LoopClock
@@ -190,18 +188,6 @@ def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> N
     assert tuple(parts) == SPLITS
     assert sum(map(len, parts.values())) == len(recordings)
     assert all(each.split == split for split, found in parts.items() for each in found)
-
-
-def test_the_same_seed_gives_the_same_recordings() -> None:
-    plan = PaperPlan(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
-    first, again, other = (simulated_recordings(plan, seed) for seed in (0, 0, 1))
-    counts = [
-        [recording.counts.tobytes() for recording in recordings] for recordings in (first, again, other)
-    ]
-    assert counts[0] == counts[1] != counts[2]
-    strokes = [there(recording.strokes) for recording in first]
-    assert {each.surface for each in strokes} == {"plane", "sphere"}
-    assert {each.speed for each in strokes} == {0.05, None}
 
 
 def test_recordings_can_be_read_at_another_rate_with_their_labels(tiny: Path) -> None:

@@ -6,8 +6,6 @@ from flows.learn.evaluation.event_metrics import (
     PAUSE,
     EventMetrics,
     Slips,
-    bridged,
-    filled,
     onsets,
 )
 from flows.learn.labelled_recordings import LabelledRecording
@@ -70,14 +68,6 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     assert metrics.false_alarms == 0
 
 
-def test_pauses_are_bridged_from_end_to_start() -> None:
-    flags = label(30, (3, 5), (8, 10), (20, 30)) == 1
-    assert bridged(flags, 5).tolist() == [[3, 9], [20, 29]]
-    assert filled(flags, 5).tolist() == (label(30, (3, 10), (20, 30)) == 1).tolist()
-    assert filled(flags, 1).tolist() == flags.tolist()
-    assert bridged(np.zeros(5, np.bool_)).shape == (0, 2)
-
-
 def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
     probability = sure(400, (50, 120), (200, 201), (300, 310))
     assert (onsets(probability, TWICE, Sampling()) // PERIOD).tolist() == [WARM_UP + 1, 301]
@@ -99,9 +89,3 @@ def test_a_detector_that_always_says_slip_misses_all_but_what_it_began_in() -> N
     true = slips(label(1200, (200, 250), (400, 450)))
     metrics = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
     assert (metrics.missed, metrics.false_alarms) == (100, 1)
-
-
-def test_no_recordings_are_felt_as_nothing() -> None:
-    metrics = EventMetrics.of([], [], TWICE)
-    assert metrics.slips == 0
-    assert np.isnan([metrics.missed, metrics.onset_ms, metrics.repeated]).all()

@@ -10,7 +10,6 @@ from flows.learn.evaluation.sample_metrics import (
     confusion,
     distance,
     f1,
-    percent,
     precision,
 )
 from flows.learn.sampling import Sampling
@@ -32,12 +31,6 @@ def test_known_predictions_have_the_known_scores() -> None:
     assert balanced(found) == 62.5
     assert precision(found) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
     assert f1(found) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
-
-
-def test_no_samples_have_no_score() -> None:
-    found = confusion(np.empty(0, np.bool_), np.empty(0, np.bool_))
-    assert all(np.isnan(compute(found)) for compute in (accuracy, balanced, precision, f1))
-    assert np.isnan(percent(0, 0))
 
 
 @given(PAIRS)
