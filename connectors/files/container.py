@@ -83,6 +83,8 @@ def _read(path: Path) -> bytes:
     """Return the content of a file, up to the limit."""
     try:
         mode = path.stat().st_mode
+        if (path / "data").is_dir():
+            raise InputError(str(path), f"is a folder of LeRobot: import {path}/data/*/*.parquet")
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise InputError(str(path), "is no regular file but a pipe or a device: save its content first")
         with path.open("rb") as file:

@@ -51,15 +51,7 @@ class Decoded:
 
 
 def decode(table: RawTable, columns: ColumnMap, time: Times, readings: Reals, problems: Problems) -> Decoded:
-    """Return the rows of a table by a map that states all.
-
-    Args:
-        table: The table.
-        columns: The map.
-        time: (n,) ns.
-        readings: (n, cells of all fingertips) in their unit; NaN: missing.
-        problems: Gets invalid values.
-    """
+    """Return the rows of a table with times (n,) and readings (n, cells) by a map that states all."""
     numbers = NumberFormat("," if columns.decimal == "comma" else ".")
     counts, valid = _counts(table, columns, readings, problems)
     touch, first = dict[int, Touch](), 0

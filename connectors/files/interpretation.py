@@ -28,12 +28,7 @@ class Interpretation:
 
 
 def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Interpretation:
-    """Interpret a table.
-
-    Args:
-        table: The table.
-        stated: What the user states about it.
-        split: A clock that starts again begins another part.
+    """Interpret a table by what the user states; with `split`, a clock that starts again begins another part.
 
     Raises:
         InputError: that lists all problems, with a map that solves them.

@@ -54,13 +54,9 @@ def is_missing(column: pl.Series) -> pl.Series:
 
 
 def number_format(table: RawTable, names: Sequence[str], unit: str, problems: Problems) -> NumberFormat:
-    """Conclude the format of the numbers in the columns `names`.
+    """Conclude the format of the numbers in the columns `names`, as a whole.
 
-    Args:
-        table: The table.
-        names: Columns of numbers.
-        unit: Unit of the readings; 101.325 may be a thousand times as much, but not as air pressure in kPa.
-        problems: Gets the problem that both signs occur, or that each number may have either format.
+    101.325 may be a thousand times as much, but not as air pressure in the `unit` kPa.
     """
     if not (texts := [name for name in names if table.columns[name].dtype == pl.String]):
         return NumberFormat()

@@ -10,6 +10,7 @@ from connectors.files.column_map import PRESSURES, ColumnMap, is_air
 from connectors.files.raw_table import RawTable
 from operators.batch import Reals, Times, s
 
+EXPORTED: Final = "observation.state"  # zeroed counts in the LeRobot export of slipflow
 GAP: Final = 5.0  # mean intervals; a longer interval is a gap
 MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
 
@@ -64,7 +65,7 @@ def plausible(
     warnings += _outliers(readings, names, table)
     zeroed = columns.zeroed
     if zeroed is None:
-        zeroed = is_zeroed(readings)
+        zeroed = names[0].startswith(EXPORTED) or is_zeroed(readings)
         notes += ["readings relative to the unloaded fingertip"] if zeroed else []
     start = readings[time <= time[0] + s]
     warnings += _doubts_at_rest(start, readings, columns.unit, zeroed=zeroed)
@@ -84,11 +85,8 @@ def is_zeroed(readings: Reals) -> bool:
 def motion_doubts(speeds: Reals) -> list[str]:
     """Return a doubt about speeds (n,) of the arm, m/s."""
     fastest = float(speeds.max(initial=0.0))
-    return (
-        [f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?"]
-        if fastest > MAX_SPEED
-        else []
-    )
+    text = f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?"
+    return [text] if fastest > MAX_SPEED else []
 
 
 def gap_doubts(time: Times, rate: float | None) -> list[str]:
@@ -102,9 +100,8 @@ def gap_doubts(time: Times, rate: float | None) -> list[str]:
         return []
     longest = int(gaps[np.argmax(steps[gaps])])
     many = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"
-    return [
-        f"the time has {many} of {steps[longest] / s:.3g} s after {(stamps[longest] - stamps[0]) / s:.4g} s"
-    ]
+    after = (stamps[longest] - stamps[0]) / s
+    return [f"the time has {many} of {steps[longest] / s:.3g} s after {after:.4g} s"]
 
 
 def _quantiles(readings: Reals, share: float) -> Reals:

@@ -79,11 +79,6 @@ def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[C
     """Return a map that is completed by columns with usual names, and what was concluded.
 
     A time is required unless the map has a rate.
-
-    Args:
-        stated: Map of the user.
-        table: Table of the recording.
-        problems: Gets quantities that are missing or ambiguous, and a map made of the table's columns.
     """
     given = {key: _matched(key, names, table, problems) for key, names in stated.columns.items()}
     groups, found = cell_groups(list(table.columns)), dict(given)

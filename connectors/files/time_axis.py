@@ -70,14 +70,9 @@ class TimeAxis:
 def time_axis(
     table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems, *, split: bool
 ) -> TimeAxis:
-    """Conclude the times of a table.
+    """Conclude the times of a table; with `split`, a clock that starts again begins another part.
 
-    Args:
-        table: The table.
-        columns: Map of its columns.
-        numbers: Format of its numbers.
-        problems: Gets invalid times, a unit that is not stated, and times that cannot tell the rate.
-        split: A clock that starts again begins another part.
+    Problems are invalid times, a unit that is not stated, and times that cannot tell the rate.
     """
     notes, warnings = list[str](), list[str]()
     episodes = _episodes(table)
@@ -116,12 +111,9 @@ def time_axis(
 
 
 def continued(time: Times, notes: list[str], usual: float | None = None) -> Times:
-    """Return times whose clock goes on where it wrapped, such as micros() of an Arduino after 71.6 minutes.
+    """Return times (n,) whose clock goes on where it wrapped, such as micros() of an Arduino, and note it.
 
-    Args:
-        time: (n,) ns.
-        notes: Gets a note on each wrap.
-        usual: Usual interval, ns (default: the median).
+    The step over a wrap is near the usual interval (ns; default: the median).
     """
     steps = np.diff(time)
     if not (back := np.flatnonzero(steps < 0)).size:
@@ -236,13 +228,7 @@ def is_text_of_time(column: pl.Series) -> bool:
 
 
 def date_order(table: RawTable, name: str, problems: Problems) -> str:
-    """Conclude the order of day, month and year in the dates of a column: ``ymd``, ``dmy`` or ``mdy``.
-
-    Args:
-        table: The table.
-        name: Column of dates.
-        problems: Gets the problem that day and month cannot be told apart.
-    """
+    """Conclude the order of day, month and year in the dates of a column: ``ymd``, ``dmy`` or ``mdy``."""
     texts = table.columns[name].unique()
     parts = texts.str.extract_groups(
         r"^(\d{1,2})([-/. ])(\d{1,2}|[A-Za-z]{3})[-/. ](\d{4}|\d{2})(?:\D|$)"
@@ -263,15 +249,9 @@ def date_order(table: RawTable, name: str, problems: Problems) -> str:
 
 
 def nanoseconds(column: pl.Series, unit: str, order: str, numbers: NumberFormat) -> pl.Series:
-    """Return times (n,) as whole ns; null for what is no time.
+    """Return times (n,) as whole ns, of dates since 1970 UTC; null for what is no time.
 
-    Decimal texts are converted exactly, then rounded to the nearest ns. Dates are ns since 1970 UTC.
-
-    Args:
-        column: The times.
-        unit: Unit of numbers.
-        order: Order in dates.
-        numbers: Format of numbers.
+    Decimal texts are converted exactly, then rounded to the nearest ns.
     """
     kind = column.dtype
     if is_text_of_time(column):
