@@ -10,11 +10,13 @@ import pytest
 
 from connectors import Consumer, Mqtt
 from connectors.mqtt import broker as module
+from connectors.mqtt import consumer
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.broker_link import Link, connect
 from connectors.mqtt.gap_replay import GapRequest
 from operators.batch import Slips
 from operators.ports import Run
+from storage.files import put
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.inside import inside
 from tests.waiting import until
@@ -76,14 +78,21 @@ async def test_two_runs_with_one_name_take_turns_name_the_cause_and_lose_nothing
 
 @pytest.mark.usefixtures("quiet")
 async def test_forged_heads_requests_and_topics_neither_lose_an_event_nor_report_a_loss(
-    broker: TestBroker, run: Run, tmp_path: Path
+    broker: TestBroker, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found, reports = list[str](), list[str]()
+    found, reports, saves = list[str](), list[str](), list[int]()
+
+    def noting(path: Path, payload: bytes) -> None:
+        saves.append(len(payload))
+        put(path, payload)
+
+    monkeypatch.setattr(consumer, "put", noting)
     sink = Mqtt(broker.url, rig="rig")
     await sink.open(run)
     await slip(sink, 200)
     await until(lambda: not sink.waiting)
     epoch = inside(sink, "_outbox").epoch
+    begun = asyncio.get_running_loop().time()
     attacker = await connect(Broker.parse(broker.url), "attacker")
     async with Consumer(broker.url, position_file=tmp_path / "position", report=reports.append) as events:
         following = asyncio.create_task(collect(events, found))
@@ -100,6 +109,8 @@ async def test_forged_heads_requests_and_topics_neither_lose_an_event_nor_report
         following.cancel()
         await asyncio.wait([following])
         assert len(inside(events, "_position").rigs) <= 100
+    took = asyncio.get_running_loop().time() - begun
+    assert sum(size > consumer.LARGE for size in saves) <= 2 + took / consumer.SAVE_EVERY
     await attacker.disconnect()
     await sink.close()
     assert found == [f"{epoch}-{number}" for number in range(201, 501)]
