@@ -13,12 +13,13 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import SEPARATORS
-from connectors.files.raw_table import COLUMN_LIMIT, RawTable, check_size
+from connectors.files.raw_table import RawTable, check_size
 from connectors.files.units import unit_in
 from operators.errors import InputError
 
 _HEAD: Final = 1 << 20  # bytes in which the names and the first rows must be
 _LINES: Final = 60  # that decide
+_FEW, _FIELDS = 20, 20_000  # lines at least; fields at most
 _WIDE: Final = 20  # values of a row that may be a channel
 _COMMENT: Final = re.compile(r"\s*[#%]+\s*")
 _NAMES: Final = {sign: name for name, sign in SEPARATORS.items()}
@@ -131,8 +132,9 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
         InputError: if it has too many columns, or a row per channel.
     """
     said = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE)
-    if max(line.count(sign) for line in lines for sign in _NAMES) >= COLUMN_LIMIT:
-        check_size(where, 0, COLUMN_LIMIT + 1)
+    most = max(line.count(sign) for line in lines for sign in _NAMES)
+    check_size(where, 0, most + 1)
+    lines = lines[: max(_FEW, _FIELDS // (most + 1))]
     candidates = [stated] if stated else [said[1]] if said and said[1] in _NAMES else list(_NAMES)
     begin = 1 if said else 0
     found = {sign: _rows(lines, sign, begin) for sign in candidates}
