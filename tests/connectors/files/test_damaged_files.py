@@ -1,5 +1,7 @@
 """Damaged files, and files of other formats."""
 
+import gzip
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -97,3 +99,17 @@ def test_another_format_is_named_with_the_remedy(tmp_path: Path, first: bytes, c
     path = tmp_path / "trace.csv"
     path.write_bytes(first + bytes(50))
     assert refusal(path) == f"{path}: {complaint}"
+
+
+def test_a_pipe_and_a_file_that_unpacks_to_very_much_are_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    assert refusal(tmp_path / "pipe.csv").endswith(
+        "is no regular file but a pipe or a device: save its content first"
+    )
+    for content in (bytes(1 << 25), b"t,p0,p1\n" + b"0,1,2\n" * (1 << 23)):
+        (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content))
+        assert refusal(tmp_path / "bomb.csv.gz").endswith(
+            "unpacks to more than 200 times its size: no recording does"
+        )
+    (tmp_path / "lerobot/data").mkdir(parents=True)
+    assert "is a folder of LeRobot: import" in refusal(tmp_path / "lerobot")
