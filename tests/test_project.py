@@ -160,13 +160,6 @@ def test_operators_import_no_heavy_package() -> None:
     assert done.stdout.strip() == "[]"
 
 
-def test_help_imports_no_heavy_package() -> None:
-    heavy = ("numpy", "scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba")
-    code = f"import flows.cli.main, sys; print([m for m in {heavy!r} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 def test_check_imports_no_heavy_package() -> None:
     heavy = {"scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba", "onnxruntime", "matplotlib"}
     code = f"import sys; from flows.cli.check import check; check('live'); print({heavy} & {{*sys.modules}})"

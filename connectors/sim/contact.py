@@ -29,7 +29,6 @@ Finger (rigid tip with velocity w, spin o; spring deflection e to an arm that mo
     de/dt   = V - w,   de_o/dt = O - o
 
 Steps are semi-implicit (symplectic) Euler. Frame rotation terms (m O w < 0.02 N) are left out.
-`simulate` is the compiled form; `contact_numpy.simulate` computes the same with arrays.
 """
 
 import math

@@ -23,12 +23,6 @@ def take(finger: Finger, samples: int) -> tuple[Touch, Truth]:
     return taken
 
 
-def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not() -> None:
-    counts = [take(Finger(Scene(), seed), 500)[0].counts.tobytes() for seed in (7, 7, 8)]
-    assert counts[0] == counts[1]
-    assert counts[0] != counts[2]
-
-
 SCENE = Scene(
     STROKE,
     vibration=Vibration(),

@@ -4,20 +4,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.sim.objects import OBJECTS, named
+from connectors.sim.objects import OBJECTS
 from operators.errors import ParameterError
-
-
-def test_the_six_objects_of_the_paper_go_by_the_names_that_users_type() -> None:
-    assert list(OBJECTS) == [
-        "box", "ball", "cardboard_can", "football_sleeve", "foam_sleeve", "metal_can",
-    ]  # fmt: skip
-    assert all(named(name).name == name for name in OBJECTS)
-
-
-def test_an_unknown_name_says_which_are_known() -> None:
-    with pytest.raises(ParameterError, match="'egg', must be one of box, ball"):
-        named("egg")
 
 
 @pytest.mark.parametrize("name", OBJECTS)

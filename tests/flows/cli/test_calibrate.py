@@ -25,13 +25,11 @@ def test_a_calibrated_model_runs_live_with_its_rate(tiny: Path, tmp_path: Path) 
 def test_mistakes_are_one_line_with_the_remedy(tiny: Path, tmp_path: Path) -> None:
     on = ("calibrate", "tcn", "--on", str(tiny))
     for arguments, expected in (
-        ((*on, "--false-alarms", "1/h"), "more static minutes, or allow a higher rate"),
         ((*on, "--false-alarms", "2"), "must be a rate with its unit: 1/min or 6/h"),
         ((*on, "--false-alarms", "0/min"), "must be above 0"),
         ((*on, "--confidence", "0.95"), "must be a share with its unit: 95%"),
         ((*on, "--confidence", "50%"), "must be from 0.8 to 0.999"),
         ((*on, "-o", "nowhere/tcn.safetensors"), "folder nowhere does not exist"),
-        (("calibrate", "tcn", "--on", "nowhere"), "there is no such folder"),
         (("run", "live", "--set", "false_alarms=1/min"), "run `slipflow calibrate tcn --on SESSIONS"),
     ):
         done = slipflow(*arguments, cwd=tmp_path)

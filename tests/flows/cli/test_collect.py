@@ -71,11 +71,8 @@ def test_a_printed_plan_is_a_plan(tmp_path: Path) -> None:
     ("arguments", "reason"),
     [
         (["grand", "--dry-run"], "one of paper, tiny, wide"),
-        (["none.toml", "--dry-run"], "none.toml: cannot be read"),
         (["mine.toml", "--dry-run"], "mine.toml: path.depth is '2', must be a length with its unit"),
         (["tiny"], "--robot HOST"),
-        (["steep.toml", "--dry-run"], "at least 0.0212 m"),
-        (["far.toml", "--dry-run"], "around the path"),
         (["both.toml", "--virtual"], "has several surfaces; the virtual arm has one"),
         pytest.param(["tiny", "--robot", "127.0.0.1", "--rows", "a"], "must be row numbers", marks=NEEDS_UR),
         pytest.param(["tiny", "--robot", "127.0.0.1:x"], "rtde://", marks=NEEDS_UR),
@@ -83,8 +80,6 @@ def test_a_printed_plan_is_a_plan(tmp_path: Path) -> None:
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], reason: str, tmp_path: Path) -> None:
     plan(tmp_path, "[path]\ndepth = '2'")
-    (tmp_path / "steep.toml").write_text(SPHERE.replace("60mm", "10mm"))
-    (tmp_path / "far.toml").write_text("[limits]\nworkspace = [0, 0, 0, 1, 1, 1]")
     (tmp_path / "both.toml").write_text("[[surfaces]]\n[[surfaces]]\npose = [1, 0, 0, 3, 0, 0]")
     done = slipflow("collect", *arguments, cwd=tmp_path)
     assert done.returncode == 2

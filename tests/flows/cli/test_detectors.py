@@ -6,17 +6,14 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from shutil import copytree
 
 import pytest
 
 from flows.cli.terminal import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn.training import training_loop
-from operators.batch import s
 from operators.detectors import DETECTORS
 from operators.errors import EndpointError
-from storage import LabelSpan, Session
 from storage.models import PURPOSES, shipped, shipped_names
 from tests.command import slipflow
 
@@ -105,26 +102,6 @@ def test_evaluate_notes_beforehand_that_figures_need_matplotlib_and_leaves_no_em
     )
 
 
-def test_evaluate_and_train_use_labels_by_hand_and_print_how_many(tiny: Path, tmp_path: Path) -> None:
-    copy = copytree(tiny, tmp_path / "tiny")
-    names = sorted(path.name for path in (copy / "sessions").iterdir())
-    for name in names:
-        session = Session.open(copy / "sessions" / name)
-        begin = session.frame("samples")["time"][200]
-        session.write_hand_labels([LabelSpan(begin, begin + s, 0, "slip")], based_on=0)
-    options = ("--method", "psd")
-    done = slipflow("evaluate", str(copy), *options, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "labels by hand: 200 of" in done.stderr
-    assert "Labels by hand: 200 of" in (tmp_path / "evaluation/evaluation.md").read_text()
-    train = ("train", str(copy), "--filters", "2", "--steps", "1")
-    done = slipflow(*train, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "labels by hand: 1,200 of" in done.stderr
-    [data] = json.loads((tmp_path / "model.json").read_text())["data"]
-    assert data["hand_labels"] == 1200
-
-
 HIDING = """
 import sys
 from importlib.machinery import PathFinder
@@ -147,10 +124,7 @@ main()
          {"torch", "onnx", "sklearn"},
          "not evaluated: logistic: needs scikit-learn: in the clone, pip install -e '.[baselines]'"),
         (["train", "DATA", "--filters", "2", "--steps", "1"], {"onnx", "sklearn"}, ""),
-        (["train", "DATA"], {"torch"}, "train: needs torch: in the clone, pip install -e '.[train]'"),
         (["export", "tcn", "tcn.onnx", "--to", "onnx"], {"torch", "sklearn"}, ""),
-        (["export", "tcn", "tcn.onnx", "--to", "onnx"], {"onnx"},
-         "ONNX export: needs onnx: in the clone, pip install -e '.[onnx]'"),
     ],
 )  # fmt: skip
 def test_a_command_needs_only_the_packages_that_it_uses(

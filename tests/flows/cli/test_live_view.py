@@ -2,17 +2,12 @@ import sys
 from io import StringIO
 from pathlib import Path
 from queue import Queue
-from typing import get_type_hints
 
 import pytest
 
 from connectors import Page
 from flows import demo as ready_made
-from flows.cli.demo_command import demo
 from flows.cli.live_view import add_page, announce_page, page_streams
-from flows.cli.options import NoBrowser
-from flows.cli.run import run
-from flows.cli.show import show
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
@@ -87,11 +82,6 @@ def test_a_browser_is_opened_only_if_no_program_reads_the_output(
     announce_page("page", "http://two", "http://two", browse=False)
     announce_page("page", "http://three", "http://three/?token=secret", browse=True)
     assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
-
-
-def test_run_demo_and_show_share_the_option_no_browser() -> None:
-    for command in (run, demo, show):
-        assert get_type_hints(command, include_extras=True)["no_browser"] is NoBrowser
 
 
 def test_a_page_for_other_machines_without_a_token_is_a_one_line_error(

@@ -60,12 +60,6 @@ def test_a_lost_part_is_reported_as_text_and_json(dataset: Path) -> None:
     assert "recorded data is lost" in done.stdout.splitlines()[-1]
 
 
-def test_a_complete_session_is_good_in_json(dataset: Path) -> None:
-    done = slipflow("verify", dataset / "sessions/closed", "--json")
-    found = json.loads(done.stdout)
-    assert (done.returncode, found["code"], found["worst"], found["repaired"]) == (0, 0, "good", [])
-
-
 def test_a_session_being_recorded_is_not_repaired(dataset: Path) -> None:
     held = lock(dataset / "sessions/crashed")
     assert held is not None

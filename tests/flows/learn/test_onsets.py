@@ -1,10 +1,10 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.learn.onsets import match_onsets, runs
 from operators import ms
+from operators.batch import Flags
 
 
 def test_the_first_onset_of_a_slip_gives_its_delay() -> None:
@@ -30,16 +30,10 @@ def test_every_slip_is_caught_or_missed(onsets: list[int], starts: list[int]) ->
     assert 0 <= found.false <= len(onsets)
 
 
-@pytest.mark.parametrize("count", [0, 1, 7])
-def test_all_true_is_one_run_and_all_false_is_none(count: int) -> None:
-    assert runs(np.ones(count, np.bool_)).tolist() == ([[0, count]] if count else [])
-    assert runs(np.zeros(count, np.bool_)).shape == (0, 2)
-
-
-def test_runs_cover_what_is_true_and_nothing_else() -> None:
-    flags = np.random.default_rng(0).random(500) < 0.5
-    covered = np.zeros(500, np.bool_)
-    for first, end in runs(flags).tolist():
+@given(st.lists(st.booleans()).map(np.array))
+def test_runs_cover_what_is_true_and_nothing_else(flags: Flags) -> None:
+    covered = np.zeros(len(flags), np.bool_)
+    for first, end in runs(flags == 1).tolist():
         assert not covered[max(first - 1, 0)], "runs do not touch"
         covered[first:end] = True
     assert np.array_equal(covered, flags)

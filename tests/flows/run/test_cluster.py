@@ -102,14 +102,6 @@ def children(process: subprocess.Popen[bytes]) -> list[int]:
     return [int(pid) for pid in found if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
 
 
-def test_four_processes_give_the_files_and_lines_of_one(
-    lab: Path, expected: tuple[dict[str, bytes], list[str]], tmp_path: Path
-) -> None:
-    done = slipflow(*command(lab, tmp_path / "out"), "--jobs", "4")
-    assert done.returncode == 0, done.stderr
-    assert (contents(tmp_path / "out"), lines(done.stdout)) == expected
-
-
 def test_a_killed_worker_and_a_later_one_change_nothing(
     lab: Path, expected: tuple[dict[str, bytes], list[str]], cluster: DaskCluster, tmp_path: Path
 ) -> None:

@@ -2,7 +2,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from pathlib import Path
 from time import sleep
@@ -12,16 +11,6 @@ import pytest
 from flows.run.executor import map_tasks, one_thread, workers
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from tests.flows.run.worked import work
-
-
-@pytest.fixture(params=["two processes", "two Dask workers"])
-def two(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
-    if request.param == "two processes":
-        with workers(2) as executor:
-            yield executor
-    else:
-        with workers(cluster=request.getfixturevalue("dask")) as executor:
-            yield executor
 
 
 def ended(pid: int) -> bool:

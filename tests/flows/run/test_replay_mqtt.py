@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,10 @@ from flows.graph.testing import TestSource
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, first_time, replayed
-from operators import Batch, Operator, Slips, Touch, ms, s
-from operators.batch import AnyBatch
-from operators.ports import Clock, Description, Run, Source
+from operators import Operator, Slips, Touch, ms, s
+from operators.ports import Clock, Run, Source
 from tests.connectors.mqtt.broker_process import Received, TestBroker
+from tests.flows.run.live import Memory
 from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
@@ -49,25 +49,9 @@ def given(rows: int = 0) -> TestSource[Touch]:
     return TestSource(Touch, [pressed(0, rows)], fingers=(0,))
 
 
-class Recorded:
+def recorded() -> Memory:
     """A recording of one fingertip."""
-
-    name = "stroke-9"
-
-    def __init__(self, rows: int) -> None:
-        self._touch = pressed(RECORDED, rows)
-
-    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        return (0,) if kind is Touch else ()
-
-    def read(self, kind: type[AnyBatch], finger: int, rows: int = 1000) -> Iterator[AnyBatch]:
-        touch = self._touch
-        if isinstance(touch, kind) and finger == touch.finger:
-            for start in range(0, len(touch), rows):
-                yield touch[start : start + rows]
-
-    def describe(self) -> Description:
-        return {}
+    return Memory(pressed(RECORDED, 7))
 
 
 def declared(url: str, source: Source[Touch], rig: str = "rig", outbox: Path | None = None) -> Flow:
@@ -78,11 +62,11 @@ def declared(url: str, source: Source[Touch], rig: str = "rig", outbox: Path | N
 
 
 async def at_full_speed(flow: Flow) -> Run:
-    return await ReplayRunner(flow, Recorded(7), "again").execute()
+    return await ReplayRunner(flow, recorded(), "again").execute()
 
 
 async def at_a_pace(flow: Flow) -> Run:
-    recording = Recorded(7)
+    recording = recorded()
     clock = LoopClock(first_time(recording), 10)
     return await LiveRunner(replayed(flow, recording), "again", clock=clock).execute()
 

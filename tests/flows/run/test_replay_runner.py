@@ -1,5 +1,4 @@
 import asyncio
-from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +10,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from flows.run.replay_runner import ReplayRunner, first_time, in_slices, log_replay_destinations, replayed
+from flows.run.replay_runner import ReplayRunner, first_time, in_slices, replayed
 from operators import (
     EVERY,
     Align,
@@ -26,29 +25,8 @@ from operators import (
     ms,
     s,
 )
-from operators.batch import AnyBatch, columns
-from operators.ports import Description
-
-
-class Memory:
-    """A recording held in memory."""
-
-    name = "memory"
-
-    def __init__(self, *batches: Batch) -> None:
-        self._batches = batches
-
-    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        return tuple(batch.finger for batch in self._batches if isinstance(batch, kind))
-
-    def read(self, kind: type[AnyBatch], finger: int, rows: int = 1000) -> Iterator[AnyBatch]:
-        for batch in self._batches:
-            if isinstance(batch, kind) and batch.finger == finger:
-                for start in range(0, len(batch), rows):
-                    yield batch[start : start + rows]
-
-    def describe(self) -> Description:
-        return {}
+from operators.batch import columns
+from tests.flows.run.live import Memory
 
 
 def recording(seconds: float = 5.0, finger: int = 0) -> Memory:
@@ -106,20 +84,6 @@ def test_a_replay_counts_rows_and_shows_event_time() -> None:
     run = asyncio.run(ReplayRunner(flow, recording(2), "x").execute())
     assert {name: status.rows for name, status in run.sources.items()} == {"touch": 200, "motion": 250}
     assert run.clock.now() - run.start == 250 * 8 * ms - 8 * ms + 3 * ms
-
-
-def test_other_destinations_of_a_replay_are_logged(caplog: pytest.LogCaptureFixture) -> None:
-    class Moved(TestSink):
-        @property
-        def replay_destination(self) -> str:
-            return "the attic"
-
-    flow, sink = Flow("f"), Moved()
-    source = flow.source(TestSource(Touch))
-    source.to(sink)
-    source.to(TestSink())
-    log_replay_destinations(flow)
-    assert caplog.messages == [f"{next(iter(flow.sinks())).name}: the replay is written to the attic"]
 
 
 def test_a_stream_that_the_recording_lacks_is_named() -> None:

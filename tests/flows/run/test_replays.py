@@ -1,5 +1,4 @@
 import sys
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -88,13 +87,6 @@ def written(out: Path) -> list[tuple[str, dict[str, bytes]]]:
         for name in session_names(out)
         for folder in [session_folder(out, name)]
     ]
-
-
-@pytest.fixture(params=["two processes", "two Dask workers"])
-def two(request: pytest.FixtureRequest) -> Iterator[Executor | None]:
-    local = request.param == "two processes"
-    with workers(2) if local else workers(cluster=request.getfixturevalue("dask")) as executor:
-        yield executor
 
 
 def test_two_workers_give_the_bytes_and_lines_that_one_process_gives(

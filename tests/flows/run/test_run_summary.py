@@ -1,6 +1,5 @@
 import json
 import logging
-from collections.abc import Callable
 
 import pytest
 
@@ -40,28 +39,23 @@ def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
     ]
 
 
-def dropped(run: Run) -> None:
-    run.sinks["dataset"].dropped = 1
-
-
-def failed(run: Run) -> None:
-    run.sources["touch"].error = "bus stuck"
-
-
-def full(run: Run) -> None:
-    run.sinks["dataset"].error = "disk full"
-
-
-def ended_early(run: Run) -> None:
-    run.error = "was interrupted"
-
-
-@pytest.mark.parametrize("spoil", [dropped, failed, full, ended_early])
-def test_a_loss_at_the_end_is_an_error_of_the_whole_run(ended: Run, spoil: Callable[[Run], None]) -> None:
+@pytest.mark.parametrize(
+    ("part", "name", "value"),
+    [
+        ("sink", "dropped", 1),
+        ("sink", "error", "disk full"),
+        ("source", "error", "bus stuck"),
+        ("run", "error", "was interrupted"),
+    ],
+)
+def test_a_loss_at_the_end_is_an_error_of_the_whole_run(
+    ended: Run, part: str, name: str, value: object
+) -> None:
     assert (Summary.of(ended).level, Summary.of(ended).as_dict()["error"]) == (logging.WARNING, None)
     ended.sources["touch"].late = 0
     assert Summary.of(ended).level == logging.INFO
-    spoil(ended)
+    parts = {"sink": ended.sinks["dataset"], "source": ended.sources["touch"], "run": ended}
+    setattr(parts[part], name, value)
     summary = Summary.of(ended)
     assert (summary.lost, summary.level, summary.as_dict()["error"]) == (True, logging.ERROR, summary.error)
     assert summary.error

@@ -102,13 +102,6 @@ def test_a_closed_output_ends_the_run_orderly_and_quietly(caplog: pytest.LogCapt
     assert not caplog.records
 
 
-def test_a_sink_that_never_works_blocks_no_other_and_its_rows_are_counted() -> None:
-    dead, other = TestSink(failures=[OSError("dead")] * 10_000, capacity=10), TestSink()
-    status = execute(flow_of(TestSource(Scores, scores(0, 1000)), dead, other)).sinks["testsink"]
-    assert times(other) == list(range(1000))
-    assert (status.rows, status.dropped, status.queued, status.error) == (0, 1000, 0, "dead")
-
-
 def test_a_stuck_lossless_sink_blocks_no_other_and_works_again_once_its_write_ends(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -72,7 +72,7 @@ class ShortPlan(CollectionPlan):
         return [replace(each, strokes=each.strokes[: self.count]) for each in whole]
 
 
-QUICK = ShortPlan("quick", (0.1,), repeats=1, rotations=0, rounds=1, seed=1, path=PATH, count=4)
+QUICK = ShortPlan("quick", (0.1,), repeats=1, rotations=0, rounds=1, seed=1, path=PATH)
 ROTATIONS = ShortPlan("rotations", (), rotations=1, rounds=1, path=PATH)
 CURVED = ShortPlan("curved", (0.05,), repeats=1, rotations=0, rounds=1, path=PATH)
 
@@ -311,7 +311,7 @@ def test_a_path_outside_the_workspace_is_refused() -> None:
     down: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
 
     def planned(limits: Limits, here: Pose | None = None) -> PlannedPath:
-        return PlannedPath.of(replace(QUICK, seed=0, limits=limits), down, here)
+        return PlannedPath.of(replace(QUICK, seed=0, count=4, limits=limits), down, here)
 
     with pytest.raises(ParameterError, match=r"from -0\.0200 to 0\.0200 m along x"):
         planned(Limits(workspace=(-0.01, -1.0, -1.0, 0.01, 1.0, 1.0)))

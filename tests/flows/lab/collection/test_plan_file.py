@@ -37,16 +37,6 @@ def test_the_shipped_plans_can_be_read() -> None:
         assert load_plan(name).name == name
 
 
-def test_the_papers_plan_shows_the_defaults_of_all_keys() -> None:
-    assert load_plan("paper") == CollectionPlan()
-    text = SHIPPED["paper"].read_text()
-    for settings in (CollectionPlan, Surface, PathSettings, Limits):
-        missing = [
-            key for key in settings.__slots__ if f"\n{key} =" not in text and f"\n# {key} =" not in text
-        ]
-        assert not set(missing) - {"surfaces", "path", "limits"}
-
-
 def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
     assert load_plan(written(tmp_path, OWN)) == CollectionPlan(
         name="mine",
@@ -69,6 +59,10 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("speeds = [0.1]", "speeds[0] is 0.1, must be text with a unit"),
         ("speeds = ['500mm/s']", "speeds is (0.5,), must be above 0 and below 0.3 m/s"),
         ("speeds = '50mm/s'", "speeds is '50mm/s', must be a list"),
+        ("speeds = []\nrotations = 0", "1 or more, or give rotations"),
+        ("rounds = 0", "rounds is 0, must be at least 1"),
+        ("[path]\nclearance = '0mm'", "path.clearance is 0.0, must be"),
+        ("[limits]\nforce = '0N'", "limits.force is 0.0, must be"),
         ("repeats = 1.5", "repeats is 1.5, must be a whole number"),
         ("repeats = true", "repeats is True, must be a whole number"),
         ("path = 3", "path is 3, must be a table, [path]"),

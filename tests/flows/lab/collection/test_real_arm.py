@@ -40,7 +40,7 @@ class Skin:
 @pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
 def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
     limits = Limits(margin=0.05, sensor_timeout=5.0, watchdog=0.1)  # for a busy host
-    plan = replace(QUICK, limits=limits, count=STROKES)
+    plan = replace(QUICK, limits=limits)
 
     async def main() -> Collector:
         controller = UrController(TOUCHING, host=HOST, version=CB3, now=LoopClock().now)

@@ -1,7 +1,6 @@
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,13 +10,10 @@ from flows.lab.collection.arm_path import Extent, Line, Slide, Trace
 from flows.lab.collection.plan_file import load_plan
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
-    Limits,
-    PathSettings,
     PlannedPath,
     StrokeSeries,
 )
 from flows.lab.collection.surfaces import Surface
-from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 
@@ -91,38 +87,6 @@ def test_the_seed_determines_the_order_of_directions() -> None:
         for seed in (0, 0, 1)
     ]
     assert orders[0] == orders[1] != orders[2]
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"speeds": (0.3,)},
-        {"speeds": (0.0,)},
-        {"speeds": ()},
-        {"rounds": 0},
-        {"surfaces": ()},
-        {"surfaces": (Surface(), Surface("sphere"))},
-    ],
-)
-def test_an_invalid_plan_is_refused(change: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError):
-        replace(STROKES, **change)
-
-
-@pytest.mark.parametrize(
-    ("settings", "change"),
-    [
-        (PathSettings(), {"depth": -0.001}),
-        (PathSettings(), {"depth": 0.0061}),
-        (PathSettings(), {"clearance": 0.0}),
-        (Limits(), {"force": 0.0}),
-        (Limits(), {"sensor_timeout": 0.04}),
-        (Limits(), {"watchdog": 0.0}),
-    ],
-)
-def test_invalid_settings_are_refused(settings: PathSettings, change: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match=next(iter(change))):
-        replace(settings, **change)
 
 
 def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:

@@ -86,13 +86,6 @@ def test_without_control_a_weak_grip_loses_the_object() -> None:
     assert outcome.slide > 10
 
 
-def test_the_same_trial_gives_the_same_trace() -> None:
-    trial = Trial.draw(named("box"), 2, Conditions())
-    (first, _), (second, _) = lift(trial, [(NullDetector(), Grip())] * 2)
-    assert (first.counts == second.counts).all()
-    assert (first.slide == second.slide).all()
-
-
 @pytest.mark.parametrize("rate", [10.0, 25.0])
 def test_the_gripper_has_closed_before_the_lift_at_every_rate(rate: float) -> None:
     [(trace, _)] = lift(Trial.draw(BALL, 1, Conditions(rate=rate)), [(load_detector("tcn_grasp"), Grip())])

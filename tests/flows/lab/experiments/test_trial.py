@@ -30,12 +30,6 @@ def test_a_condition_that_is_not_positive_is_refused(name: str) -> None:
         Conditions(**cast("Any", {name: 0}))
 
 
-def test_a_seed_draws_the_same_trial_and_the_next_seed_another() -> None:
-    first, again, other = (Trial.draw(BALL, seed, Conditions()) for seed in (5, 5, 6))
-    assert first == again
-    assert first.position != other.position
-
-
 def test_mass_and_friction_vary_by_ten_percent() -> None:
     drawn = [Trial.draw(BALL, seed, Conditions()) for seed in range(200)]
     for values in ([trial.mass for trial in drawn], [trial.friction for trial in drawn]):

@@ -6,10 +6,8 @@ from flows.learn.evaluation.baselines import (
     FITS,
     STROKES,
     Baseline,
-    activity,
-    activity_and_steps,
 )
-from flows.learn.sampling import USUAL, Sampling
+from flows.learn.sampling import Sampling
 from flows.run.executor import one_thread
 from operators.batch import Counts, Flags
 
@@ -29,13 +27,6 @@ def test_a_baseline_detects_shaking_of_any_cell(name: str) -> None:
         fitted = Baseline.fitted(name, *shaking(0), ACTIVITY)
     other, truth = shaking(1)
     assert ((fitted.score(other[:, :, ::-1]) > 0.5) == truth).mean() > 0.95
-
-
-def test_features_do_not_depend_on_the_order_of_the_cells() -> None:
-    windows, _ = shaking(0)
-    for features, number in ((activity, 48), (activity_and_steps, 88)):
-        assert features(windows, USUAL).shape == (400, number)
-        np.testing.assert_allclose(features(windows, USUAL), features(windows[:, :, ::-1], USUAL))
 
 
 def test_features_cover_the_same_times_at_another_rate() -> None:

@@ -1,5 +1,3 @@
-from dataclasses import astuple
-
 import numpy as np
 
 from flows.learn.evaluation.debounce_tuning import tuned
@@ -48,7 +46,3 @@ def test_where_no_setting_keeps_the_budget_the_fewest_false_alarms_win() -> None
     fewest = EventMetrics.of(found, slips, chosen).false_alarms
     for other in (Debounce(), Debounce(0.9, 3, 3), Debounce(0.95, 5, 12)):
         assert fewest <= EventMetrics.of(found, slips, other).false_alarms
-
-
-def test_without_recordings_the_settings_are_valid() -> None:
-    assert len(astuple(tuned([], []))) == len(astuple(Debounce()))

@@ -3,6 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate, judge_all
@@ -11,7 +12,6 @@ from flows.learn.evaluation.measures import BALANCED
 from flows.learn.evaluation.methods import Candidate, Method, default_psd
 from flows.learn.hold_out_training import learners
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.scoring import probabilities
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trainer import train
 from flows.report.results import estimates
@@ -24,20 +24,9 @@ from tests.flows.learn.evaluation.conftest import Having
 SMALL = Recipe(filters=4, units=4, steps=40, batch=8, checks=2, rate=2e-2)
 
 
-def sums(found: Evaluation, method: str = "psd") -> dict[str, float]:
-    parts = found.results.filter(method=method).group_by("metric")
+def sums(found: Evaluation) -> dict[str, float]:
+    parts = found.results.group_by("metric")
     return {str(name): float(part["value"].sum()) for (name,), part in parts}
-
-
-def test_the_scores_are_those_of_the_test_split(found: Evaluation, tiny: Path) -> None:
-    recordings = [recording for recording in load(tiny) if recording.split == "test"]
-    detector = found.methods["psd"].detector
-    called = np.concatenate([probabilities(detector, each)[99:] >= 0.5 for each in recordings])
-    truth = np.concatenate([each.slip[99:] for each in recordings])
-    counts = sums(found)
-    assert counts["slip as slip"] == (called & truth).sum()
-    assert counts["static as slip"] == (called & ~truth).sum()
-    assert found.results["recording"].n_unique() == len(recordings)
 
 
 def test_the_most_accurate_comes_first(found: Evaluation) -> None:
@@ -46,16 +35,11 @@ def test_the_most_accurate_comes_first(found: Evaluation) -> None:
     assert found.leader == "tcn"
 
 
-def test_the_label_itself_is_compared_with_the_truth(found: Evaluation) -> None:
-    counts = found.label.filter(metric="slip as static")["value"].sum()
-    assert counts == 0
-    assert found.label.filter(metric="sliding: slip as static")["value"].sum() > 0
-
-
 def test_tasks_on_processes_give_the_same_results(found: Evaluation, tiny: Path) -> None:
+    names = ["tcn", "psd"]
     with workers(2) as executor:
-        again = evaluate(tiny, names=["psd", "logistic", "tcn"], executor=executor)
-    assert again.results.equals(found.results)
+        again = evaluate(tiny, names=names, executor=executor)
+    assert again.results.equals(found.results.filter(pl.col("method").is_in(names)))
 
 
 def test_without_a_validation_split_the_papers_debounce_is_used(tiny: Path, having: Having) -> None:
@@ -67,15 +51,6 @@ def test_without_a_validation_split_the_papers_debounce_is_used(tiny: Path, havi
     found = evaluate(dataset, names=["psd"])
     assert found.methods["psd"].debounce == Debounce(0.5, 2, 2)
     assert found.chosen_on == {"psd": "the paper"}
-
-
-def test_a_missing_split_dataset_or_method_is_refused(tiny: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="has no split 'holdout'; it has test, train, validation"):
-        evaluate(tiny, split="holdout")
-    with pytest.raises(InputError, match="holds no labelled samples"):
-        evaluate(tmp_path)
-    with pytest.raises(InputError, match="oracle: is not a method"):
-        evaluate(tiny, names=["oracle"])
 
 
 def test_with_all_recordings_judged_nothing_is_fitted_or_tuned(tiny: Path) -> None:
@@ -111,16 +86,8 @@ def test_a_recording_in_two_splits_is_named_and_not_fitted_to(tiny: Path, having
 def test_a_model_that_was_trained_on_judged_recordings_is_named(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "small.safetensors"
     train([tiny], out, recipe=Recipe(filters=4, units=4, steps=2, batch=4))
-    notes = {
-        split: evaluate(tiny, names=["psd"], models=[out], split=split).notes
-        for split in ("train", "validation", "test")
-    }
-    line = ["small was trained on this dataset"]
-    assert {split: [*each] for split, each in notes.items()} == {
-        "train": line,
-        "validation": line,
-        "test": [],
-    }
+    for split, notes in (("validation", ["small was trained on this dataset"]), ("test", [])):
+        assert [*evaluate(tiny, names=["psd"], models=[out], split=split).notes] == notes
 
 
 def test_detectors_are_judged_on_groups_that_they_did_not_see(
@@ -130,18 +97,16 @@ def test_detectors_are_judged_on_groups_that_they_did_not_see(
     found = evaluate(
         dataset,
         hold_out=["all"],
-        learners=learners(recipe=SMALL),
+        learners=learners(["logistic", "tcn"], SMALL),
         names=["psd"],
         progress=lambda number, of: done.append((number, of)),
     )
-    assert done[-1] == (12, 12)
-    assert set(found.methods) == {"psd", "logistic", "gradient_boosting", "tcn, trained"}
+    assert done[-1] == (9, 9)
+    assert set(found.methods) == {"psd", "logistic", "tcn, trained"}
     balanced = estimates(found.results, BALANCED, ("method", "fold"))
     assert balanced.filter(method="logistic")["fold"].to_list() == ["steel", "wood", "wool"]
-    for method in ("logistic", "gradient_boosting", "tcn, trained"):
+    for method in ("logistic", "tcn, trained"):
         assert min(balanced.filter(method=method)["value"]) > 90
-    one = evaluate(dataset, hold_out=["wood"], learners=learners(["logistic"]), names=["psd"])
-    assert sums(one, "logistic")["slip as slip"] < sums(found, "logistic")["slip as slip"]
 
 
 def test_a_learner_that_fails_on_one_group_is_missing(

@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,9 +8,8 @@ from flows.learn.evaluation.measures import (
     SAMPLES,
     SHARES,
     judged,
-    motion_name,
 )
-from flows.learn.labelled_recordings import LabelledRecording, Strokes
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce
@@ -71,24 +68,6 @@ def test_samples_without_a_label_or_an_answer_do_not_count() -> None:
     assert sums["minutes"] == pytest.approx(5.01 / 60)
     far = sum(place // 10 not in (19, 20, 39) for place in range(150, 400))
     assert sums["far: static as slip"] + sums["far: slip as slip"] == far
-
-
-def test_each_kind_of_motion_is_a_condition() -> None:
-    codes = label(400, (150, 200), (300, 340))
-    oblique = np.arange(400) >= 250
-    stroke = replace(recorded(codes), strokes=Strokes("plane", 0.05, oblique))
-    results = judged(stroke, sure(codes), TWICE, method="psd")
-    parts = {name: part for (name,), part in results.filter(metric="slip as slip").group_by("condition")}
-    assert {name: part["value"].sum() for name, part in parts.items()} == {
-        motion_name("plane", "primary", 0.05): 50,
-        motion_name("plane", "oblique", 0.05): 40,
-    }
-    turned = judged(
-        replace(stroke, strokes=Strokes("plane", None, oblique)), sure(codes), TWICE, method="psd"
-    )
-    assert "plane, rotation" in turned["condition"].to_list()
-    stressed = judged(stroke, sure(codes), TWICE, method="psd", condition="noise 14")
-    assert stressed["condition"].unique().to_list() == ["noise 14"]
 
 
 def test_the_calibration_error_is_that_of_all_samples_together() -> None:

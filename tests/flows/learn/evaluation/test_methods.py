@@ -100,11 +100,6 @@ def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path
     assert alone.name == "tcn"  # the shipped one is not judged
 
 
-def test_an_unknown_method_is_refused() -> None:
-    with pytest.raises(InputError, match="oracle: is not a method; known are"):
-        trained_methods(names=["psd", "oracle"])
-
-
 def test_the_debounce_of_a_model_is_that_of_its_card(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"threshold": 0.8, "consecutive": 3, "release": 8}
     path = model(tmp_path / "slow.safetensors", debounce=settings)

@@ -23,16 +23,6 @@ def split(pairs: list[tuple[int, bool]]) -> tuple[Reals, Flags]:
     return np.array(probability) / 20, np.array(truth)
 
 
-def test_known_predictions_have_the_known_scores() -> None:
-    truth = np.array([True, True, True, True, False, False])
-    found = confusion(np.array([True, True, True, False, True, False]), truth)
-    assert found.tolist() == [[1, 1], [1, 3]]
-    assert accuracy(found) == pytest.approx(100 * 4 / 6)
-    assert balanced(found) == 62.5
-    assert precision(found) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
-    assert f1(found) == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
-
-
 @given(PAIRS)
 def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[int, bool]]) -> None:
     probability, truth = split(pairs)

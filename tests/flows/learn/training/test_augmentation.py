@@ -6,7 +6,6 @@ import torch
 from flows.learn.training.augmentation import augmented
 from flows.learn.training.recipe import PAPER_TOUCH, Augmentation
 
-NOTHING = Augmentation(flip=0.0, gain=0.0, load=0.0, noise=0.0, dead=0.0)
 COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)
 
 

@@ -1,4 +1,3 @@
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -6,15 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.learn.evaluation import evaluation_study
-from flows.learn.evaluation.evaluation_study import evaluate
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.learn.training import trainer
 from flows.learn.training.recipe import Recipe
 from operators import Score, Zeroed, ms
-from operators.detectors import Psd, Tcn
-from operators.errors import FingertipError, InputError
+from operators.detectors import Tcn
+from operators.errors import FingertipError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
 
@@ -82,17 +79,3 @@ def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(trainer, "load", loading(PAD))
     with pytest.raises(FingertipError, match=r"paper_tcn needs 6 cells"):
         trainer.train([tmp_path], tmp_path / "model.safetensors", method="paper_tcn")
-
-
-def test_a_detector_is_not_evaluated_on_another_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluation_study, "load", loading(replace(TAKKTILE, rate=200.0)))
-    misfit = r"tcn needs 100 Hz; the data has 200 Hz: Resample\(rate=100"
-    with pytest.raises(InputError, match=misfit):
-        evaluate(tmp_path, names=["tcn"])
-    log = list[str]()
-    found = evaluate(tmp_path, names=["tcn", "psd"], log=log.append)
-    assert list(found.methods) == ["psd"]
-    assert re.search(misfit, found.missing["tcn"])
-    assert f"not evaluated: tcn: {found.missing['tcn']}" in log
-    with pytest.raises(FingertipError, match="psd needs 100 Hz"):
-        probabilities(Psd(), recordings(replace(TAKKTILE, rate=50.0))[0])

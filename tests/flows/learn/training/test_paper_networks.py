@@ -45,10 +45,3 @@ def test_the_detector_of_the_exported_arrays_gives_the_networks_probabilities(na
     assert np.ptp(expected) > 0.2
     assert detector.name == name
     np.testing.assert_allclose(detector.score(counts.numpy().astype(np.int16)), expected, atol=1e-5)
-
-
-@every
-def test_it_has_as_many_parameters_as_the_papers(name: str) -> None:
-    expected = 10_070 if name == "paper_tcn" else 29_782
-    parameters = _network(name, torch.Generator()).parameters()
-    assert sum(each.numel() for each in parameters) == expected
