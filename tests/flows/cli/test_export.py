@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 import pytest
@@ -11,21 +12,29 @@ from storage.layout import session_names
 from tests.command import error, slipflow
 
 
-def test_a_dataset_becomes_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None:
-    done = slipflow("export", str(tiny), "out", "--to", "lerobot", "--json", cwd=tmp_path)
+@pytest.fixture(scope="module")
+def lerobot(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """An exported LeRobot dataset and what the command printed."""
+    folder = tmp_path_factory.mktemp("lerobot")
+    done = slipflow("export", str(tiny), "out", "--to", "lerobot", "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
-    frames = pl.read_parquet(tmp_path / "out" / "data" / "*" / "*.parquet")
-    info = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())
+    return folder / "out", json.loads(done.stdout.splitlines()[-1])
+
+
+def test_a_dataset_becomes_a_lerobot_dataset(lerobot: tuple[Path, dict[str, Any]]) -> None:
+    out, found = lerobot
+    frames = pl.read_parquet(out / "data" / "*" / "*.parquet")
+    info = json.loads((out / "meta" / "info.json").read_text())
     assert found["frames"] == info["total_frames"] == len(frames)
     assert found["episodes"] == 12
     assert found["splits"] == info["splits"] == {"train": "0:9", "validation": "9:10", "test": "10:12"}
     assert {"observation.state", "observation.pose", "action"} < set(found["features"])
 
 
-def test_an_exported_lerobot_dataset_can_be_imported_again(tiny: Path, tmp_path: Path) -> None:
-    assert slipflow("export", str(tiny), "out", "--to", "lerobot", cwd=tmp_path).returncode == 0
-    files = sorted((tmp_path / "out/data").rglob("*.parquet"))[:2]
+def test_an_exported_lerobot_dataset_can_be_imported_again(
+    lerobot: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    files = sorted((lerobot[0] / "data").rglob("*.parquet"))[:2]
     (tmp_path / "both").mkdir()
     pl.concat(map(pl.read_parquet, files)).write_parquet(tmp_path / "both/both.parquet")
     columns = (

@@ -1,13 +1,17 @@
-"""Weights of an untrained network."""
+"""Weights of an untrained network, and a small trained one."""
 
 import math
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.trained_model import Check, Model
+from flows.learn.training.trainer import train
 from operators.detectors.tcn import shapes
 
 
@@ -28,3 +32,19 @@ def unlearned() -> Callable[[int], dict[str, NDArray[Any]]]:
         }
 
     return weights
+
+
+class Trained(NamedTuple):
+    """A small network that has learned from the tiny dataset, and the progress that it reported."""
+
+    model: Model
+    progress: list[tuple[int, int, Check | None]]
+
+
+@pytest.fixture(scope="session")
+def small(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    progress = list[tuple[int, int, Check | None]]()
+    recipe = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
+    out = tmp_path_factory.mktemp("small") / "small.safetensors"
+    model = train([tiny], out, recipe=recipe, progress=lambda *each: progress.append(each))
+    return Trained(model, progress)

@@ -13,12 +13,12 @@ from flows.learn.evaluation.methods import Candidate, Method, default_psd
 from flows.learn.hold_out_training import learners
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trainer import train
 from flows.report.results import estimates
 from flows.run.executor import workers
 from operators import Debounce
 from operators.errors import InputError
 from operators.fingertip import TAKKTILE
+from tests.flows.learn.conftest import Trained
 from tests.flows.learn.evaluation.conftest import Having
 
 SMALL = Recipe(filters=4, units=4, steps=40, batch=8, checks=2, rate=2e-2)
@@ -83,11 +83,9 @@ def test_a_recording_in_two_splits_is_named_and_not_fitted_to(tiny: Path, having
     assert sums(found) == sums(clean)
 
 
-def test_a_model_that_was_trained_on_judged_recordings_is_named(tiny: Path, tmp_path: Path) -> None:
-    out = tmp_path / "small.safetensors"
-    train([tiny], out, recipe=Recipe(filters=4, units=4, steps=2, batch=4))
+def test_a_model_that_was_trained_on_judged_recordings_is_named(small: Trained, tiny: Path) -> None:
     for split, notes in (("validation", ["small was trained on this dataset"]), ("test", [])):
-        assert [*evaluate(tiny, names=["psd"], models=[out], split=split).notes] == notes
+        assert [*evaluate(tiny, names=["psd"], models=[small.model.path], split=split).notes] == notes
 
 
 def test_detectors_are_judged_on_groups_that_they_did_not_see(

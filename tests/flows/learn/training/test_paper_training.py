@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from flows.learn.evaluation.sample_metrics import balanced, confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import training_loop
-from flows.learn.training.paper_networks import paper_network
+from flows.learn.training.paper_networks import PaperNetwork, paper_network
 from flows.learn.training.paper_training import Windows, train_windowed
 from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.trained_model import Arrays
@@ -140,3 +141,31 @@ def test_recordings_of_one_class_are_refused(slip: bool) -> None:  # noqa: FBT00
     recording = replace(_noise(0, 400), label=np.full(400, slip, np.int8))
     with pytest.raises(InputError, match="must have windows of slip and of static"):
         Windows([recording], CPU)
+
+
+def _network(name: str, generator: torch.Generator) -> PaperNetwork:
+    """Return a network with weights and running statistics that are nowhere 0 or 1."""
+    network = paper_network(name, np.linspace(-200, 0, 6), np.linspace(180, 60, 6), PaperRecipe())
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(torch.randn(parameter.shape, generator=generator), alpha=0.1)
+        for _ in range(20):
+            network(_counts(64, generator))
+    return network.eval()
+
+
+def _counts(windows: int, generator: torch.Generator) -> Tensor:
+    levels = -300 * torch.rand(windows, 1, 6, generator=generator)
+    return (levels + 40 * torch.randn(windows, 100, 6, generator=generator)).round()
+
+
+@both
+def test_the_detector_of_the_exported_arrays_gives_the_networks_probabilities(name: str) -> None:
+    generator = torch.Generator().manual_seed(0)
+    network, counts = _network(name, generator), _counts(200, generator)
+    detector: Detector = DETECTORS[name](network.arrays())
+    with torch.no_grad():
+        expected = network(counts).softmax(1)[:, 1].numpy()
+    assert np.ptp(expected) > 0.2
+    assert detector.name == name
+    np.testing.assert_allclose(detector.score(counts.numpy().astype(np.int16)), expected, atol=1e-5)

@@ -1,4 +1,3 @@
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +8,10 @@ from scipy.special import expit, logit
 
 from flows.learn.labelled_recordings import by_split, load
 from flows.learn.training.probability_calibration import Calibration, calibration_of
-from flows.learn.training.recipe import Recipe
-from flows.learn.training.trainer import train
 from operators.detectors import FrequencyCnn, PaperTcn, Tcn
 from storage import load_detector, load_weights
 from storage.models import load_card, shipped
+from tests.flows.learn.conftest import Trained
 
 
 @given(st.floats(0.3, 3), st.floats(-2, 2), st.integers(0, 99))
@@ -53,10 +51,8 @@ def test_separated_and_contradicting_data_give_a_positive_finite_temperature(sli
     assert np.isfinite(found.bias)
 
 
-def test_the_card_states_the_calibration_that_the_weights_contain(tiny: Path, tmp_path: Path) -> None:
-
-    out = tmp_path / "model.safetensors"
-    train([tiny], out, recipe=replace(Recipe(), filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2))
+def test_the_card_states_the_calibration_that_the_weights_contain(small: Trained, tiny: Path) -> None:
+    out = small.model.path
     assert load_card(out)["calibration"]["temperature"] != 1
     again = calibration_of(load_detector(out), by_split(load(tiny))["validation"])
     assert again.temperature == pytest.approx(1, abs=0.02)

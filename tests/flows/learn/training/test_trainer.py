@@ -9,21 +9,21 @@ import pytest
 from flows.learn.labelled_recordings import LabelledRecording, by_split, labelled_by, load
 from flows.learn.training import trainer
 from flows.learn.training.recipe import PaperRecipe, Recipe
-from flows.learn.training.trained_model import Check, label_scores, provenance
+from flows.learn.training.trained_model import label_scores, provenance
 from flows.learn.training.trainer import train
 from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
 from storage import load_detector
 from storage.description import describe_dataset
+from tests.flows.learn.conftest import Trained
 
-SMALL = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
+SMALL = Recipe(filters=4, units=4, steps=6, batch=8, checks=3, rate=2e-2)
 
 
-def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Path) -> None:
-    reported: list[tuple[int, int, Check | None]] = []
-    out = tmp_path / "model.safetensors"
-    model = train([tiny], out, recipe=SMALL, progress=lambda *each: reported.append(each))
-    card = json.loads((tmp_path / "model.json").read_text())
+def test_a_model_and_its_card_say_where_they_come_from(small: Trained) -> None:
+    model, reported = small
+    out = model.path
+    card = json.loads(out.with_suffix(".json").read_text())
     assert card["sha256"] == hashlib.sha256(out.read_bytes()).hexdigest()
     assert (card["detector"], card["target"], card["seed"]) == ("tcn", "arm-speed", 0)
     assert card["data"][0]["recordings"]["train"] > card["data"][0]["recordings"]["test"]
@@ -33,7 +33,7 @@ def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Pat
     assert sum(each[2] is not None for each in reported) == len(card["curve"]) == 3
     assert model.report().startswith(f"wrote {out} and its card\nvalidation: accuracy ")
     assert isinstance(load_detector(out), Tcn)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
+    assert sorted(path.name for path in out.parent.iterdir()) == ["small.json", "small.safetensors"]
 
 
 def test_a_network_of_the_paper_is_trained_by_its_recipe(
@@ -52,7 +52,7 @@ def test_a_network_can_learn_true_sliding(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "model.safetensors"
-    model = train([tiny], out, recipe=replace(SMALL, steps=6), target="sliding")
+    model = train([tiny], out, recipe=SMALL, target="sliding")
     assert model.card["target"] == "sliding"
     test = [recording for recording in load(tiny) if recording.split == "test"]
     assert model.card["scores"]["test"] == label_scores(load_detector(out), labelled_by("sliding", test))
@@ -96,7 +96,7 @@ def test_a_split_without_labels_after_the_warm_up_is_refused(
 
     monkeypatch.setattr(trainer, "load", short)
     with pytest.raises(ParameterError, match=f"{split} recordings with labels after their warm-up of 0.99 s"):
-        train([tiny], tmp_path / "model.safetensors", recipe=replace(SMALL, steps=6))
+        train([tiny], tmp_path / "model.safetensors", recipe=SMALL)
 
 
 def test_a_dataset_without_samples_is_an_input_error(tmp_path: Path) -> None:
