@@ -117,17 +117,6 @@ def test_every_command_in_prose_exists_with_its_options(page: Path) -> None:
         assert {word for word in rest if word.startswith("-")} <= options, words
 
 
-def test_an_unknown_command_or_option_is_found(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("    slipflow simulate OUT --plann tiny  # no such option\n\n`slipflow dance`\n")
-    [words], [named] = commands(page), mentioned(page)
-    command, rest = resolved(words)
-    with pytest.raises(Exception, match="--plann"):
-        command.make_context("slipflow", rest)
-    with pytest.raises(AssertionError, match="dance"):
-        resolved(named)
-
-
 # --- links, figures, index -------------------------------------------------------------------------------
 
 

@@ -27,7 +27,6 @@ from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
 from operators import Debounce, Faults, Run, Scores, Slips
 from tests.command import slipflow
-from tests.flows.run.live import flow_of
 
 
 @pytest.fixture
@@ -87,20 +86,6 @@ def test_the_log_has_the_start_failures_and_result_of_a_run(log_text: StringIO) 
     assert touch["gaps"] == [gap]
     assert by_event["run_ends"]["sinks"]["testsink"]["rows"] == 3
     assert (by_event["run_ends"]["level"], by_event["run_ends"]["error"]) == ("warning", None)
-
-
-def test_a_run_that_dropped_rows_ends_with_an_error_that_names_the_sink(log_text: StringIO) -> None:
-    flow = flow_of(TestSource(Scores, [scores(0.1, 0.2)]), TestSink(failures=[OSError("disk full")] * 99))
-
-    async def main() -> None:
-        runner = LiveRunner(flow, "run1")
-        with logged(runner.run):
-            await runner.execute()
-
-    run_virtually(main())
-    last = objects(log_text.getvalue())[-1]
-    assert (last["event"], last["level"]) == ("run_ends", "error")
-    assert last["error"] == "testsink dropped rows (2): disk full"
 
 
 def test_a_run_that_could_not_begin_ends_with_an_error(log_text: StringIO, run: Run) -> None:

@@ -33,16 +33,6 @@ def test_a_session_is_named_after_its_flow_and_start_time() -> None:
     assert re.fullmatch(r"pressed-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("pressed")))
 
 
-def test_a_recording_gives_the_same_rows_at_any_pace(trace: Trace) -> None:
-    given = list[list[int]]()
-    for pace in (2.0, 0.5):
-        made, sink = flow()
-        run = run_virtually(execute(made, recording=trace, pace=pace))
-        assert run.recording == "trace.csv"
-        given.append(sink.rows(Touch, 0).counts[:, 5].tolist())
-    assert given[0] == given[1] == list(range(200))
-
-
 @pytest.mark.parametrize("declared", [False, True])
 def test_a_replay_names_another_destination_at_its_start(
     trace: Trace, *, declared: bool, caplog: pytest.LogCaptureFixture

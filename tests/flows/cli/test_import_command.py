@@ -43,17 +43,10 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     ("arguments", "message"),
     [
         (["import", "lab.csv", "out", "--map", "time"], "must be written as time=t,counts=p0..p5"),
-        (["import", "lab.csv", "out", "--map", "units.time=w"], "unit of time is 'w', must be one of s, ms"),
-        (
-            ["import", "lab.csv", "out", "--map", "label=p9"],
-            "lab.csv: there is no column p9; the columns are t p0",
-        ),
         (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: has '500', '501'"),
-        (["import", "lab.csv", "out", "--map", "rate=50"], "has 100.0 rows per second, not 50"),
         (["import", "lab.csv", "out", "--map", "mine.toml"], "mine.toml: cannot be read: No such file"),
         (["import", "lab.csv", "out", "--map", "delay=soon"], "delay is 'soon', must be a number, in s"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
-        (["import", "lab.csv", "out", "--map", "labels.slip=0,static=1"], "key is 'static', must be one of"),
         (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
         (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
         (["import", "lab.csv", "out", "--map", "layout=3x3"], "must be of 6 cells"),

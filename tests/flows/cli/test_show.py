@@ -97,16 +97,6 @@ def serve(folder: Path, visit: Callable[[Ask], None]) -> subprocess.CompletedPro
     return done
 
 
-def test_a_session_is_served_until_ctrl_c(session: Session) -> None:
-    def visit(ask: Ask) -> None:
-        about = ask("/about.json")
-        assert (about["mode"], about["session"], about["scored"]) == ("recorded", "test", True)
-
-    done = serve(session.folder, visit)
-    assert done.returncode == 0
-    assert "http://127.0.0.1:" in done.stderr
-
-
 def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_without_scores(
     tmp_path: Path,
 ) -> None:

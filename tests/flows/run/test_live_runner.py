@@ -380,14 +380,6 @@ def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:
     assert (run.sinks["testsink"].dropped, len(sink.written)) == (0, 1000)
 
 
-def test_batches_read_before_the_end_of_the_run_are_delivered() -> None:
-    # each sink is five times slower than the source, which waits most of the time
-    slow, other = (TestSink(capacity=2, before_write=lambda: asyncio.sleep(0.05)) for _ in range(2))
-    run = execute(flow_of(TestSource(Scores, scores(0, 1000)), slow, other), duration=s)
-    assert times(slow) == times(other) == list(range(run.sources["scores"].rows))
-    assert 10 < run.sources["scores"].rows < 100
-
-
 def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> None:
     class Device(Endless):
         open = 0

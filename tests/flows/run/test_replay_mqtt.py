@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors import Consumer, Mqtt
+from connectors import Mqtt
 from connectors.mqtt.rig_names import outbox_path
 from flows.graph import Flow
 from flows.graph.testing import TestSource
@@ -21,7 +21,6 @@ from operators import Operator, Slips, Touch, ms, s
 from operators.ports import Clock, Run, Source
 from tests.connectors.mqtt.broker_process import Received, TestBroker
 from tests.flows.run.live import Memory
-from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -150,16 +149,3 @@ def test_a_replay_keeps_retained_messages_and_files_of_the_rig(
     asyncio.run(replay(declared(broker.url, given(), "other", named)))
     assert not named.exists()
     assert (tmp_path / "named-replay.outbox").exists()
-
-
-def test_a_consumer_of_all_rigs_is_given_no_old_event_and_one_of_the_replay_is(broker: TestBroker) -> None:
-    async def main() -> None:
-        async with Consumer(broker.url) as everything, Consumer(broker.url, rig="rig-replay") as old:
-            await at_full_speed(declared(broker.url, given()))
-            async with asyncio.timeout(PATIENCE):
-                assert [(await anext(old)).session for _ in range(7)] == ["again"] * 7
-                live = declared(broker.url, given(2))
-                await LiveRunner(live, "live").execute()
-                assert [(await anext(everything)).session for _ in range(2)] == ["live", "live"]
-
-    asyncio.run(main())

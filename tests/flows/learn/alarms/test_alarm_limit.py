@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from flows.learn.alarms.alarm_limit import TooLittleDataError, alarm_limit
+from flows.learn.alarms.alarm_limit import alarm_limit
 
 Ints = NDArray[np.int64]
 DRAWS = 600
@@ -79,10 +79,3 @@ def test_the_limit_is_at_least_that_of_unclustered_alarms_and_independent_of_the
     assert limit >= alarm_limit(np.array([counts.sum()]), np.ones(1), 0.95) - 1e-9
     assert limit == pytest.approx(alarm_limit(counts, scale * minutes, 0.95), rel=1e-9)
     assert limit < alarm_limit(counts, minutes, 0.99)
-
-
-def test_the_error_says_how_much_is_missing() -> None:
-    error = TooLittleDataError(0.1, 0.95, 1, 20.0, 47.4)
-    assert "the strictest setting had 1 false alarm in 20.0 static minutes, but 47.4 are needed" in str(error)
-    assert "record 27.4 more static minutes" in str(error)
-    assert (error.minutes, error.needed) == (20.0, 47.4)

@@ -91,18 +91,18 @@ def test_a_model_that_was_trained_on_judged_recordings_is_named(small: Trained, 
 def test_detectors_are_judged_on_groups_that_they_did_not_see(
     surfaces: list[LabelledRecording], having: Having
 ) -> None:
-    dataset, done = having(surfaces), list[tuple[int, int]]()
+    done = list[tuple[int, int]]()
     found = evaluate(
-        dataset,
-        hold_out=["all"],
+        having(surfaces),
+        hold_out=["wood"],
         learners=learners(["logistic", "tcn"], SMALL),
         names=["psd"],
         progress=lambda number, of: done.append((number, of)),
     )
-    assert done[-1] == (9, 9)
+    assert done[-1] == (3, 3)
     assert set(found.methods) == {"psd", "logistic", "tcn, trained"}
     balanced = estimates(found.results, BALANCED, ("method", "fold"))
-    assert balanced.filter(method="logistic")["fold"].to_list() == ["steel", "wood", "wool"]
+    assert balanced.filter(method="logistic")["fold"].to_list() == ["wood"]
     for method in ("logistic", "tcn, trained"):
         assert min(balanced.filter(method=method)["value"]) > 90
 
@@ -113,9 +113,9 @@ def test_a_learner_that_fails_on_one_group_is_missing(
     still = [
         each if each.group == "steel" else replace(each, label=np.zeros_like(each.label)) for each in surfaces
     ]
-    found = evaluate(having(still), hold_out=["all"], learners=learners(["tcn"], SMALL), names=["psd"])
+    found = evaluate(having(still), hold_out=["all"], learners=learners(["logistic"]), names=["psd"])
     assert list(found.methods) == ["psd"]
-    assert found.missing["tcn, trained"] == "none of the recordings to learn from has slip"
+    assert found.missing["logistic"]
 
 
 def test_fingertips_of_a_session_are_recordings_of_their_own(

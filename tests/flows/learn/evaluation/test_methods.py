@@ -76,11 +76,6 @@ def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(
         fitted(slow, "psd")
 
 
-def test_without_training_a_baseline_is_refused() -> None:
-    with pytest.raises(InputError, match="no training with slip and static is left"):
-        fitted([], "gradient_boosting")
-
-
 def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[LabelledRecording]) -> None:
     own, psd = Debounce(0.8, 3, 8), Method("psd", fitted(training, "psd")["psd"])
     fold = Fold("", training, training, training)
