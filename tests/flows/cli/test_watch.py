@@ -13,6 +13,21 @@ from tests.connectors.mqtt.broker_process import TestBroker
 pytestmark = pytest.mark.broker
 
 
+def started(*arguments: str) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen([*SLIPFLOW, *arguments], stdout=pipe, stderr=pipe, text=True)
+
+
+def test_an_event_is_printed_as_received_in_json(broker: TestBroker) -> None:
+    event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=time_ns(), probability=0.93, latency=8)
+    broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
+    watch = started("watch", broker.url, "--json")
+    assert watch.stdout
+    assert watch.stdout.readline() == event.encode().decode() + "\n"
+    watch.terminate()
+    watch.communicate()
+
+
 @pytest.mark.parametrize(
     ("rig", "age", "latency", "end"),
     [
@@ -28,12 +43,7 @@ def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
     event = Event("lab", rig, "0", "ab", 7, onset=True, time=time, probability=0.93, latency=latency)
     broker.publish(f"slip/v1/lab/{rig}/0/event", event.encode().decode(), "-r")
     broker.publish(f"slip/v1/lab/{rig}/1/event", "{}", "-r")
-    watch = subprocess.Popen(
-        [*SLIPFLOW, "watch", broker.url, "--rig", rig],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    watch = started("watch", broker.url, "--rig", rig)
     assert watch.stdout
     assert watch.stderr
     line = watch.stdout.readline()

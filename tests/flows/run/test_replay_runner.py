@@ -69,16 +69,6 @@ def test_a_paced_replay_equals_a_full_speed_replay() -> None:
     assert identical(full.rows(Labelled, 0), live.rows(Labelled, 0))
 
 
-@pytest.mark.parametrize("rows", [1, 7, 1000])
-def test_the_size_of_the_slices_changes_nothing(rows: int) -> None:
-    results: list[Labelled] = []
-    for size in (100, rows):
-        flow, sink = labelling()
-        asyncio.run(ReplayRunner(flow, recording(2), "x", rows=size).execute())
-        results.append(sink.rows(Labelled, 0))
-    assert identical(*results)
-
-
 def test_a_replay_counts_rows_and_shows_event_time() -> None:
     flow, _ = labelling()
     run = asyncio.run(ReplayRunner(flow, recording(2), "x").execute())

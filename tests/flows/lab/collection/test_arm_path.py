@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Extent, Line, Slide, Wait, spin_velocity
+from flows.lab.collection.arm_path import Line, Slide, spin_velocity
 from operators.rotation import rotation_difference
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
@@ -26,18 +26,6 @@ def test_the_angle_of_a_slide_includes_its_ramps(time: float, angle: float, seco
     assert math.hypot(*rotation_difference(START[3:], end[3:])) == pytest.approx(angle)
     assert slide.seconds(START) == pytest.approx(seconds)
     assert end[:3] == START[:3]
-
-
-def test_an_extent_spans_all_ends_and_adds_all_times() -> None:
-    steps = (
-        Line((0.5, 0.1, 0.2, math.pi, 0, 0), 0.1, 0.5),
-        Wait(0.7),
-        Line((0.4, 0, 0.3, math.pi, 0, 0), 1, 10),
-    )
-    extent = Extent.of(steps, START)
-    assert (extent.low, extent.high) == ((0.4, 0.0, 0.2), (0.5, 0.1, 0.3))
-    assert extent.end == steps[2].pose
-    assert extent.seconds == pytest.approx(1.2 + 0.7 + math.sqrt(0.03) + 0.1)
 
 
 @pytest.mark.parametrize("pose", [START, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])

@@ -10,19 +10,11 @@ from flows.learn.evaluation.event_metrics import (
 )
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP, Sampling
-from operators import Debounce, ms
+from operators import ms
 from operators.batch import Codes, Reals
+from tests.flows.learn.evaluation.conftest import TWICE, label
 
 PERIOD = 10 * ms
-TWICE = Debounce(0.5, consecutive=2, release=2)
-
-
-def label(samples: int, *runs: tuple[int, int]) -> Codes:
-    """Slip from the first to before the second of each run."""
-    result = np.zeros(samples, np.int8)
-    for first, end in runs:
-        result[first:end] = 1
-    return result
 
 
 def sure(samples: int, *runs: tuple[int, int]) -> Reals:

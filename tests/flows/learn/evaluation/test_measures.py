@@ -14,16 +14,7 @@ from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce
 from operators.batch import Codes, Reals
-
-TWICE = Debounce(0.5, consecutive=2, release=2)
-
-
-def label(samples: int, *runs: tuple[int, int]) -> Codes:
-    """Slip from the first to before the second of each run."""
-    result = np.zeros(samples, np.int8)
-    for first, end in runs:
-        result[first:end] = 1
-    return result
+from tests.flows.learn.evaluation.conftest import TWICE, label
 
 
 def recorded(codes: Codes, sliding: Codes | None = None, name: str = "one") -> LabelledRecording:
