@@ -19,7 +19,7 @@ def started(*arguments: str) -> subprocess.Popen[str]:
 
 
 def test_an_event_is_printed_as_received_in_json(broker: TestBroker) -> None:
-    event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=time_ns(), probability=0.93, latency=8)
+    event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=time_ns(), probability=0.93, latency=8.5)
     broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
     watch = started("watch", broker.url, "--json")
     assert watch.stdout
