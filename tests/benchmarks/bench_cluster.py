@@ -4,8 +4,6 @@ The flow `relabel` replays recordings of many fingertips: in one process, then o
 and with two. The start of a job is the time for one short recording. All outputs must be the same bytes.
 """
 
-import argparse
-import os
 import tempfile
 from importlib.metadata import distribution
 from pathlib import Path
@@ -15,10 +13,11 @@ from time import perf_counter
 from flows.run.executor import workers
 from flows.run.replays import FlowSource, Replays
 from storage.layout import session_folder, session_names
-from tests.benchmarks.machine import commit, machine
+from tests.benchmarks.machine import print_head
 from tests.dask_cluster import DaskCluster
 from tests.flows.run.recorder import Recorder
 
+SESSIONS, SECONDS, TURNS = 8, 600, 3  # seconds of each session
 PACKAGES = [
     *("distributed", "dask", "tornado", "msgpack", "cloudpickle", "toolz", "partd", "locket", "zict"),
     *("tblib", "psutil", "sortedcontainers", "click", "fsspec", "pyyaml"),
@@ -48,19 +47,13 @@ def installed_size() -> float:
 
 def main() -> None:
     """Measure and print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sessions", type=int, default=8)
-    parser.add_argument("--seconds", type=int, default=600)
-    parser.add_argument("--turns", type=int, default=3)
-    options = parser.parse_args()
-    samples = options.sessions * options.seconds * 100 * 8
-    print(f"seed 0, medians of {options.turns} turns, commit {commit()}, load {os.getloadavg()[0]:.1f}")
-    print(f"{machine()}; {options.sessions} sessions, {samples:,} samples of 8 fingertips")
+    samples = SESSIONS * SECONDS * 100 * 8
+    print_head(f"{SESSIONS} sessions, {samples:,} samples of 8 fingertips, medians of {TURNS} turns")
     print(f"installation of the extra `cluster`: {installed_size():.0f} MB")
     print(f"{'':16}{'start, s':>10}{'all, s':>10}{'samples/s':>12}{'relative':>10}{'same bytes':>12}")
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        for number, seconds in enumerate([1, *[options.seconds] * options.sessions]):
+        for number, seconds in enumerate([1, *[SECONDS] * SESSIONS]):
             recorder = Recorder(root / "in", f"s{number:02d}", seed=number)
             recorder.record(seconds, tuple(range(8)))
             recorder.close()
@@ -75,7 +68,7 @@ def main() -> None:
                     cluster.wait(count)
                     replay(long[:2], root / f"warm-{count}", url)
                 walls, starts = list[float](), list[float]()
-                for turn in range(options.turns):
+                for turn in range(TURNS):
                     out = root / f"{count}-{turn}"
                     starts.append(replay([short], out / "short", url))
                     walls.append(replay(long, out / "long", url))

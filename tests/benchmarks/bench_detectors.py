@@ -7,34 +7,59 @@ The live path is `Score` with the operators around it. All variants take turns, 
 machine's speed affects all of them; tables show medians.
 """
 
-import argparse
 import gc
-import os
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from flows.learn.training.onnx_export import export_onnx
 from operators import Debounce, Score, Touch, Zero, Zeroed, ms
-from operators.batch import Batch, Counts, Scores
+from operators.batch import Batch, Counts, Reals, Scores
 from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.operator import Operator
-from tests.benchmarks.machine import commit, machine
-from tests.benchmarks.windowed_runtimes import OnnxWindowed
+from tests.benchmarks.machine import print_head
 
 FILTERS = (4, 8, 12, 16, 24)
 FINGERS = (64, 1000)
 SAMPLES = 2000  # of one fingertip
+DEFAULT = 16  # filters
+TURNS = 15
 Run = Callable[[], int]  # says how many samples it scored
 
 
-def network(filters: int, seed: int) -> Tcn:
+class OnnxWindowed:
+    """`Tcn` run by onnxruntime on whole windows, on one thread."""
+
+    name = "onnxruntime_windowed"
+
+    def __init__(self, tcn: Tcn) -> None:
+        runtime: Any = import_module("onnxruntime")  # an extra without type annotations
+        options = runtime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        self.length = tcn.length
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "tcn.onnx"
+            export_onnx(tcn, path)
+            self._session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        """Return the probability of slip of each window (n, length, 6) of zeroed counts; (n,)."""
+        inputs = {"counts": windows.astype(np.float32, order="C")}
+        probability: Reals = self._session.run(None, inputs)[0].astype(np.float64)
+        return probability
+
+
+def network(filters: int) -> Tcn:
     """Our TCN with random weights: a receptive field of 100 samples."""
-    rng = np.random.default_rng([seed, filters])
+    rng = np.random.default_rng([0, filters])
     sizes = shapes(taps=8, filters=filters, units=24, blocks=3)
     weights = {name: rng.normal(size=shape) / np.sqrt(np.prod(shape[:-1])) for name, shape in sizes.items()}
     scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
@@ -72,11 +97,11 @@ def in_rows(step: Operator[Any, Any], batch: Batch) -> Run:
     return run
 
 
-def around(counts: Counts, seed: int) -> dict[str, Run]:
+def around(counts: Counts) -> dict[str, Run]:
     """Operators before and after `Score` on the live path of one fingertip."""
     time = np.arange(len(counts)) * 10 * ms
     touch = Touch(time, counts + 700, counts, np.ones_like(counts, np.bool_), finger=0)
-    probability = np.random.default_rng(seed).random(len(counts))
+    probability = np.random.default_rng(0).random(len(counts))
     return {
         "Zero": in_rows(Zero(), touch),
         "Debounce": in_rows(Debounce(), Scores(time, probability, finger=0)),
@@ -95,9 +120,9 @@ def windowed(detector: Detector, counts: Counts, number: int) -> Run:
     return run
 
 
-def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
+def variants(filters: int, counts: Counts) -> dict[str, Run]:
     """What is measured for one size."""
-    tcn = network(filters, seed)
+    tcn = network(filters)
     runtime = OnnxWindowed(tcn)
     windows = sliding_window_view(counts, tcn.length, axis=0)[:50].swapaxes(1, 2)
     streamed = tcn.stream().push(counts[:, None])[tcn.length - 1 :][:50, 0]
@@ -117,49 +142,32 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
 
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--turns", type=int, default=15)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--filters", type=int, nargs="+", default=FILTERS)
-    options = parser.parse_args()
-    rng = np.random.default_rng(options.seed)
+    print_head(f"medians of {TURNS} turns")
+    rng = np.random.default_rng(0)
     counts = (-250 + np.cumsum(rng.integers(-20, 21, (SAMPLES, 6)), axis=0) % 250).astype(np.int16)
-    runs = {
-        (name, filters): run
-        for filters in options.filters
-        for name, run in variants(filters, counts, options.seed).items()
-    }
-    runs |= {(name, 0): run for name, run in around(counts, options.seed).items()}
+    runs = {(name, each): run for each in FILTERS for name, run in variants(each, counts).items()}
+    runs |= {(name, 0): run for name, run in around(counts).items()}
     cost: dict[tuple[str, int], list[float]] = {key: [] for key in runs}
     gc.disable()
-    for turn in range(options.turns + 1):  # the first one warms up
+    for turn in range(TURNS + 1):  # the first one warms up
         for key, run in runs.items():
             began = time.process_time()
             samples = run()
             if turn:
                 cost[key].append((time.process_time() - began) / samples * 1e6)
         gc.collect()
-    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
-    print(f"{machine()}, numpy {np.__version__}")
-    print(f"load {os.getloadavg()[0]:.1f} at the end")
-    print(f"{'us per sample, by filters':46}" + "".join(f"{filters:9}" for filters in options.filters))
+    print(f"{'us per sample, by filters':46}" + "".join(f"{filters:9}" for filters in FILTERS))
     for name in dict.fromkeys(name for name, filters in cost if filters):
-        medians = [statistics.median(cost[name, filters]) for filters in options.filters]
+        medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
         print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
-    pairs = [(cost["windowed, onnxruntime", each], cost["streaming", each]) for each in options.filters]
+    pairs = [(cost["windowed, onnxruntime", each], cost["streaming", each]) for each in FILTERS]
     ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
     print(f"{'windowed, onnxruntime : streaming':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
-    print_live_path({key: statistics.median(found) for key, found in cost.items()}, options.filters)
-
-
-def print_live_path(cost: dict[tuple[str, int], float], filters: Sequence[int]) -> None:
-    """Print the cost of each operator of one fingertip, by filters."""
-    scores = "live, through Score"
-    for each in filters:
-        costs = {"Zero": cost["Zero", 0], "Score": cost[scores, each], "Debounce": cost["Debounce", 0]}
-        print(f"us per sample, live, {each} filters")
-        for name, value in {**costs, "all": sum(costs.values())}.items():
-            print(f"{name:46}{value:9.2f}")
+    path = {"Zero": ("Zero", 0), "Score": ("live, through Score", DEFAULT), "Debounce": ("Debounce", 0)}
+    costs = {name: statistics.median(cost[key]) for name, key in path.items()}
+    print(f"us per sample, live, {DEFAULT} filters")
+    for name, value in {**costs, "all": sum(costs.values())}.items():
+        print(f"{name:46}{value:9.2f}")
 
 
 if __name__ == "__main__":

@@ -6,9 +6,7 @@ ratio to the reference within the same turn. What a stage adds is what the flow 
 flow up to the one before; what is left without any is the plan, which hands the rows to sinks.
 """
 
-import argparse
 import gc
-import os
 import statistics
 import time
 from collections.abc import Callable
@@ -23,11 +21,12 @@ from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Counts, Reals, Times
 from operators.row_loop import row_loop
-from tests.benchmarks.machine import commit, machine
-from tests.benchmarks.peers.job import Job, Meter
+from tests.benchmarks.machine import print_head
+from tests.benchmarks.peers.job import MOTION, Chunk, Job, Meter
 from tests.benchmarks.peers.push_graph import prepare
 
 LENGTH = 100  # samples
+SAMPLES, TURNS = 20_000, 5
 STAGES = ("Zero", "Align", "Label", "StepEnergy")
 ALIGN = 2  # stages up to the join
 SPLIT = (1, 1000)  # samples of a batch, at which the stages are told apart
@@ -106,7 +105,7 @@ def plain(touch: Touch, motion: Motion) -> Reals:
 def flow(stages: int = len(STAGES)) -> Flow:
     """The job as a flow, or no more than its first stages."""
     job = Flow("job")
-    touch, motion = job.source(TestSource(Touch)), job.source(TestSource(Motion))
+    touch, motion = job.source(TestSource(Touch, fingers=(0,))), job.source(TestSource(Motion))
     if not stages:
         touch.to(TestSink())
         motion.to(TestSink())
@@ -127,9 +126,9 @@ def through_flow(rows: int, stages: int = len(STAGES)) -> Callable[[Touch, Motio
 
     def run(touch: Touch, motion: Motion) -> Reals:
         plan, out = CompiledFlow(flow(stages)), list[Delivery]()
-        pushes = cut(plan.entries, touch, motion, rows)
+        given = pushes(job_of(touch, motion), plan.entries, rows)
         began = time.process_time()
-        for push in pushes:
+        for push in given:
             out += plan.push(push)
         out += plan.flush()
         timed.append(time.process_time() - began)
@@ -139,27 +138,38 @@ def through_flow(rows: int, stages: int = len(STAGES)) -> Callable[[Touch, Motio
     return run
 
 
-def cut(entries: list[Entry], touch: Touch, motion: Motion, rows: int) -> list[dict[Entry, Batch]]:
-    """What is pushed: each row by itself in the order of time, as live, or spans of `rows` touch samples."""
-    left, right = entries
-    if rows == 1:
-        order = np.argsort(np.concatenate((touch.time, motion.time)), kind="stable")
-        return [
-            ({left: touch[i : i + 1]} if i < len(touch) else {right: motion[i - len(touch) :][:1]})
-            for i in order.tolist()
-        ]
-    edges = np.arange(0, len(touch) + rows, rows) * 10 * ms
-    first, second = (np.searchsorted(batch.time, edges).tolist() for batch in (touch, motion))
-    return [
-        {left: touch[first[i] : first[i + 1]], right: motion[second[i] : second[i + 1]]}
-        for i in range(len(edges) - 1)
-    ]
+def batch(chunk: Chunk) -> Batch:
+    """A chunk as our type; what no peer is given is what a rig without it gives."""
+    finger, time, rows = chunk
+    if finger == MOTION:
+        return Motion(time, time, rows, np.full(rows.shape, np.nan))
+    return Touch(time, rows, rows, np.ones(rows.shape, np.bool_), finger=finger)
+
+
+def pushes(job: Job, entries: list[Entry], rows: int) -> list[dict[Entry, Batch]]:
+    """Each row by itself in the order of time, or spans of time as a replay gives them."""
+    entry = {finger: (node, finger) for node, finger in entries}  # the arm's is EVERY, which is MOTION
+    if rows > 1:
+        return [{entry[chunk[0]]: batch(chunk) for chunk in span} for span in job.spans(rows)]
+    streams = [(MOTION, job.motion_time, job.velocity)]
+    streams += [(finger, job.time[finger], job.counts[finger]) for finger in range(len(job.time))]
+    single: list[tuple[int, dict[Entry, Batch]]] = []
+    for finger, stamps, values in streams:
+        whole = batch((finger, stamps, values))
+        single += [(t, {entry[finger]: whole[i : i + 1]}) for i, t in enumerate(stamps.tolist())]
+    single.sort(key=lambda push: push[0])  # stable
+    return [push for _, push in single]
+
+
+def job_of(touch: Touch, motion: Motion) -> Job:
+    """The streams as every engine is given them."""
+    return Job(touch.time[None], touch.counts[None], motion.time, motion.velocity)
 
 
 def plain_python(touch: Touch, motion: Motion) -> Reals:
     """The job by functions that call each other with each record, of tuples, floats and a deque."""
     meter = Meter()
-    run = prepare(Job(touch.time[None], touch.counts[None], motion.time, motion.velocity), 1)
+    run = prepare(job_of(touch, motion), 1)
     scores = np.array([score for _, _, score in run(meter)])
     timed.append(meter.spent)
     gc.disable()  # the meter enabled it
@@ -171,20 +181,16 @@ timed: list[float] = []  # s, of the newest run: making its input is not its cos
 
 def main() -> None:
     """Measure and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=20_000)
-    parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    touch, motion = streams(options.samples, options.seed)
+    print_head(f"{SAMPLES} samples, {TURNS} turns")
+    touch, motion = streams(SAMPLES, 0)
     variants: dict[str, Callable[[Touch, Motion], Reals]] = {"plain Python, per record": plain_python}
     variants |= {f"slipflow, batches of {rows}": through_flow(rows) for rows in (1, 10, 100, 1000)}
-    variants["slipflow, whole"] = through_flow(options.samples)
+    variants["slipflow, whole"] = through_flow(SAMPLES)
     expected = plain(touch, motion)
     cost: dict[str, list[float]] = {name: [] for name in ("polars join_asof + numpy", *variants)}
     upto = {(rows, stages): list[float]() for stages in range(len(STAGES) + 1) for rows in SPLIT}
     gc.disable()
-    for _ in range(options.turns + 1):  # the first turn warms up
+    for _ in range(TURNS + 1):  # the first turn warms up
         began = time.process_time()
         plain(touch, motion)
         cost["polars join_asof + numpy"].append(time.process_time() - began)
@@ -197,16 +203,13 @@ def main() -> None:
             through_flow(rows, stages)(touch, motion)
             spent.append(timed.pop())
         gc.collect()
-    print(f"{options.samples} samples, {options.turns} turns, seed {options.seed}, commit {commit()}")
-    print(f"{machine()}, numpy {np.__version__}")
-    print(f"load {os.getloadavg()[0]:.1f} at the end")
     print(f"{'':28}{'us/sample':>10}{'ratio':>8}")
     reference = cost["polars join_asof + numpy"][1:]
     for name, seconds in cost.items():
         ratio = statistics.median(a / b for a, b in zip(seconds[1:], reference, strict=True))
-        print(f"{name:28}{statistics.median(seconds[1:]) / options.samples * 1e6:10.2f}{ratio:8.1f}")
+        print(f"{name:28}{statistics.median(seconds[1:]) / SAMPLES * 1e6:10.2f}{ratio:8.1f}")
     print(f"{'each stage adds, batches of':28}" + "".join(f"{rows:10}" for rows in SPLIT))
-    totals = {key: statistics.median(spent[1:]) / options.samples * 1e6 for key, spent in upto.items()}
+    totals = {key: statistics.median(spent[1:]) / SAMPLES * 1e6 for key, spent in upto.items()}
     for stages, name in enumerate(("plan", *STAGES)):
         added = [totals[rows, stages] - totals.get((rows, stages - 1), 0.0) for rows in SPLIT]
         print(f"{name:28}" + "".join(f"{each:10.2f}" for each in added))

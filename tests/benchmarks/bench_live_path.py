@@ -8,10 +8,8 @@ is timed in a second run, at smbus2's calls into the operating system, and subtr
 there, too. The first seconds of a run do not count. CPU is that of the process, in % of one core.
 """
 
-import argparse
 import asyncio
 import multiprocessing
-import os
 import sys
 import tempfile
 import threading
@@ -49,9 +47,9 @@ from operators import (
 )
 from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
-from tests.benchmarks.machine import commit, machine
+from tests.benchmarks.machine import print_head
 from tests.emulators.i2c_bus import EmulatedI2cBus, served
-from tests.emulators.ur_controller import E_SERIES, Ports, UrController
+from tests.emulators.ur_controller import ANYWHERE, E_SERIES, UrController
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -59,26 +57,24 @@ T = TypeVar("T")
 HOST = "127.0.0.6"
 BUS = "/dev/i2c-99"
 FINGERS = (0, 1, 2)
+SECONDS = 20.0  # that each of the two runs is measured
 WARM = 3.0  # s of a run that do not count: `Zero` learns its baseline
 
 
 class Table:
-    """What the fingertips feel, made before; it begins again when it ends."""
+    """Presses and strokes that the fingertips feel, made before; they begin again when they end."""
 
-    def __init__(self, touch: dict[int, Touch], now: Callable[[], int]) -> None:
-        self._touch, self._began = touch, now()
+    def __init__(self) -> None:
+        rows = round((SECONDS + WARM) * 100)
+        taken = {finger: Finger(Scene(), 0, finger).take(rows) for finger in FINGERS}
+        self._touch = {finger: each[0] for finger, each in taken.items() if each is not None}
+        self._began = time.time_ns()
 
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
         """Counts of pressure and temperature at an instant (ns), (6,) each."""
         touch = self._touch[finger]
         row = max(0, time - self._began) // (10 * ms) % len(touch)
         return touch.counts[row], touch.temperature[row]
-
-
-def felt(seconds: float, seed: int) -> dict[int, Touch]:
-    """What the simulated rig's fingertips feel: presses and strokes."""
-    taken = {finger: Finger(Scene(), seed, finger).take(round(seconds * 100)) for finger in FINGERS}
-    return {finger: each[0] for finger, each in taken.items() if each is not None}
 
 
 class Noting(TakkTile):
@@ -178,12 +174,11 @@ class Seen(NamedTuple):
     delays: list[tuple[float, float]]  # ms, of each event: since its sample arrived, and was converted
 
 
-def serve(seed: int, port: Connection, over: Event) -> None:
+def serve(port: Connection, over: Event) -> None:
     """Be the controller."""
 
     async def main() -> None:
-        pose = np.random.default_rng(seed).normal(size=6)
-        async with UrController(pose, host=HOST, ports=Ports(0, 0, 0), version=E_SERIES) as controller:
+        async with UrController(np.zeros(6), host=HOST, ports=ANYWHERE, version=E_SERIES) as controller:
             port.send(controller.ports.rtde)
             while not over.is_set():  # noqa: ASYNC110 - set by another process
                 await asyncio.sleep(0.1)
@@ -204,11 +199,11 @@ def declared(touch: TakkTile, motion: UrMotion, told: Told, out: str) -> Flow:
     return flow
 
 
-async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
+async def run(port: int, *, apart: bool) -> Seen:
     """One run; `apart`: what it is made of is timed."""
     spent, touch, told = Spent(), Noting(), Told()
     motion = UrMotion(HOST, 500.0, port=port)
-    bus = EmulatedI2cBus(Table(felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS})
+    bus = EmulatedI2cBus(Table(), {each: each for each in FINGERS})
     with tempfile.TemporaryDirectory() as out, served(bus, BUS):
         runner = LiveRunner(declared(touch, motion, told, out), "path")
         if apart:
@@ -221,7 +216,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
         first = Used.now(spent)
-        await asyncio.sleep(seconds)
+        await asyncio.sleep(SECONDS)
         last = Used.now(spent)
         runner.stop()
         result = await running
@@ -248,9 +243,9 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
     )
 
 
-def measure(port: int, seconds: float, seed: int, result: Connection, *, apart: bool) -> None:
+def measure(port: int, result: Connection, *, apart: bool) -> None:
     """One run, for a process of its own."""
-    result.send(asyncio.run(run(port, seconds, seed, apart=apart)))
+    result.send(asyncio.run(run(port, apart=apart)))
 
 
 def report(whole: Seen, apart: Seen) -> str:
@@ -281,23 +276,16 @@ def report(whole: Seen, apart: Seen) -> str:
 
 def main() -> None:
     """Measure and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0, help="that each of the two runs is measured")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    print(f"seed {options.seed}, {options.seconds:.0f} s, commit {commit()}")
-    print(f"{machine()}, numpy {np.__version__}")
-    print(f"load {os.getloadavg()[0]:.1f} at the beginning")
+    print_head(f"{SECONDS:.0f} s")
     context = multiprocessing.get_context("spawn")
     over, seen = context.Event(), list[Seen]()
     taken, given = context.Pipe(duplex=False)
-    controller = context.Process(target=serve, args=(options.seed, given, over))
+    controller = context.Process(target=serve, args=(given, over))
     controller.start()
     try:
         port = taken.recv()
         for apart in (False, True):
-            work = partial(measure, port, options.seconds, options.seed, given, apart=apart)
-            process = context.Process(target=work)
+            process = context.Process(target=partial(measure, port, given, apart=apart))
             process.start()
             while not taken.poll(1):
                 if not process.is_alive():

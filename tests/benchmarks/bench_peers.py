@@ -7,11 +7,9 @@ medians of CPU time, and its ratio to slipflow's in batches of 1 and of 1000 wit
 engine is cheaper. What each program does is in the folder `peers`.
 """
 
-import argparse
-import os
 import sys
 import tempfile
-from collections import defaultdict
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -20,31 +18,21 @@ import numpy as np
 
 from operators.batch import Codes, Motion, Reals, Touch, ms
 from tests.benchmarks.bench_engine import LENGTH, plain, streams
-from tests.benchmarks.machine import commit, machine
-from tests.benchmarks.peers.environments import PINS, PeerError, carry_out
+from tests.benchmarks.machine import print_head
+from tests.benchmarks.peers.environments import PINS, PeerError, Variant, carry_out, take_turns
 
-FINGERS = (1, 64)
+SAMPLES = {1: 20_000, 64: 2000}  # of each fingertip, by their number
+TURNS = 5
 PATIENCE = 900.0  # s, for one run
 LIVE, BATCHED = "slipflow, batches of 1", "slipflow, batches of 1000"  # what the ratios are to
 
 
-class Variant(NamedTuple):
-    """A row of the table."""
-
-    name: str
-    peer: str  # whose environment it runs in
-    module: str
-    rows: int = 1  # of a batch or chunk
-
-
 VARIANTS = (
-    *(Variant(f"slipflow, batches of {n}", "slipflow", "slipflow_batches", n) for n in (1, 10, 100, 1000)),
-    Variant("slipflow, whole", "slipflow", "slipflow_batches", 10_000_000),
+    *(Variant(f"slipflow, batches of {n}", "slipflow", "slipflow_batches", str(n)) for n in (1, 100, 1000)),
     Variant("plain Python push graph, records", "plain", "push_graph"),
     Variant("csp, Python nodes, records", "csp", "csp_python"),
     Variant("bytewax, records", "bytewax", "bytewax_flow"),
-    Variant("bytewax, chunks of 100", "bytewax", "bytewax_flow", 100),
-    Variant("bytewax, chunks of 1000", "bytewax", "bytewax_flow", 1000),
+    Variant("bytewax, chunks of 1000", "bytewax", "bytewax_flow", "1000"),
 )
 
 
@@ -72,9 +60,9 @@ def labels(touch: Touch, motion: Motion) -> Codes:
     return np.where(speed < 0.3, speed > 0.003, -1).astype(np.int8)
 
 
-def written(path: Path, fingers: int, samples: int, seed: int) -> Expected:
+def written(path: Path, fingers: int) -> Expected:
     """Write the input, and say what must come of it."""
-    made = [streams(samples, seed + finger) for finger in range(fingers)]
+    made = [streams(SAMPLES[fingers], finger) for finger in range(fingers)]
     motion = made[0][1]
     touches = [touch for touch, _ in made]
     np.savez(
@@ -90,16 +78,13 @@ def written(path: Path, fingers: int, samples: int, seed: int) -> Expected:
     )
 
 
-def spent(variant: Variant, source: Path, expected: Expected) -> float:
+def spent(source: Path, expected: Expected, variant: Variant) -> float:
     """CPU time of one run, s.
 
     Raises:
         PeerError: if it fails, or gives something else than the reference.
     """
-    target = source.with_name("result.npz")
-    target.unlink(missing_ok=True)
-    carry_out(variant.peer, variant.module, str(source), str(target), str(variant.rows), limit=PATIENCE)
-    with np.load(target, allow_pickle=False) as result:
+    with np.load(carry_out(variant, source, PATIENCE), allow_pickle=False) as result:
         if difference := expected.difference(result["label"], result["score"]):
             raise PeerError(difference)
         return float(result["spent"])
@@ -113,57 +98,27 @@ def cells(cost: list[float], one: list[float], thousand: list[float], samples: i
     return text
 
 
+def column(fingers: int) -> tuple[dict[str, str], bool]:
+    """Return the cells of each variant at one number of fingertips, and whether one failed."""
+    with tempfile.TemporaryDirectory(prefix="slipflow-bench-") as name:
+        source = Path(name) / "job.npz"
+        cost, failed = take_turns(VARIANTS, TURNS, partial(spent, source, written(source, fingers)))
+    one, thousand = (cost.get(each, []) for each in (LIVE, BATCHED))
+    samples = SAMPLES[fingers] * fingers
+    found = {name: cells(each, one, thousand, samples) for name, each in cost.items()}
+    return found | {name: f"  {why}" for name, why in failed.items()}, bool(failed)
+
+
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=20_000, help="of one fingertip; of each of 64 a tenth")
-    parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--peer", action="append", choices=sorted(PINS), help="only these, beside slipflow")
-    options = parser.parse_args()
-    chosen = {"slipflow", *(options.peer or PINS)}
-    variants = [variant for variant in VARIANTS if variant.peer in chosen]
-    lengths = {fingers: options.samples // (1 if fingers == 1 else 10) for fingers in FINGERS}
-    cost = defaultdict[tuple[str, int], list[float]](list)
-    failed = dict[tuple[str, int], str]()
-    load = os.getloadavg()[0]
-    with tempfile.TemporaryDirectory(prefix="slipflow-bench-") as name:
-        sources = {fingers: Path(name) / f"{fingers}.npz" for fingers in FINGERS}
-        expected = {f: written(sources[f], f, lengths[f], options.seed) for f in FINGERS}
-        for turn in range(options.turns):
-            for fingers in FINGERS:
-                for variant in variants:
-                    key = variant.name, fingers
-                    if key in failed:
-                        continue
-                    try:
-                        cost[key].append(spent(variant, sources[fingers], expected[fingers]))
-                    except PeerError as error:
-                        failed[key] = str(error)
-                        cost.pop(key, None)  # an engine that fails once has no figure
-                        print(f"{variant.name}, {fingers} fingertips: {error}", file=sys.stderr)
-            print(f"turn {turn + 1} of {options.turns}", file=sys.stderr)
-    print(
-        f"{lengths[1]} samples of one fingertip, {lengths[64]} of each of 64; {options.turns} turns", end=""
-    )
-    print(f", seed {options.seed}, commit {commit()}")
-    print(f"{machine()}, numpy {np.__version__}")
-    print(
-        f"load {load:.1f} at the beginning; {', '.join(pin for p in sorted(chosen) for pin in PINS[p][1:])}"
-    )
-    print(f"{'CPU us per barometer sample':36}" + "".join(f"{f'{f} fingertip(s)':>28}" for f in FINGERS))
-    print(f"{'':36}" + f"{'us':>10}{': of 1':>9}{': 1000':>9}" * len(FINGERS))
-    for variant in variants:
-        row = f"{variant.name:36}"
-        for fingers in FINGERS:
-            key = variant.name, fingers
-            if key in failed:
-                row += f"  {failed[key]}"
-            else:
-                one, thousand = (cost[each, fingers] for each in (LIVE, BATCHED))
-                row += cells(cost[key], one, thousand, lengths[fingers] * fingers)
-        print(row)
-    sys.exit(1 if failed else 0)
+    print_head(f"{SAMPLES[1]} samples of one fingertip, {SAMPLES[64]} of each of 64; {TURNS} turns")
+    print(", ".join(pin for pins in PINS.values() for pin in pins[1:]))
+    columns, failed = zip(*map(column, SAMPLES), strict=True)
+    print(f"{'CPU us per barometer sample':36}" + "".join(f"{f'{f} fingertip(s)':>28}" for f in SAMPLES))
+    print(f"{'':36}" + f"{'us':>10}{': of 1':>9}{': 1000':>9}" * len(SAMPLES))
+    for variant in VARIANTS:
+        print(f"{variant.name:36}" + "".join(each[variant.name] for each in columns))
+    sys.exit(any(failed))
 
 
 if __name__ == "__main__":

@@ -5,9 +5,7 @@ imports and the detector's compilation, for which another replay comes first. `b
 recordings and several processes.
 """
 
-import argparse
 import asyncio
-import os
 import statistics
 import tempfile
 import time
@@ -19,22 +17,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import recordings
 from operators import Batch, Debounce, Operator, Score, Sink, Slips, Touch, Zero
-from operators.fingertip import Fingertip
-from operators.ports import Description
 from storage import Dataset, Session, load_debounce, load_detector
-from tests.benchmarks.machine import commit, machine
+from tests.benchmarks.machine import print_head
 
 RATE = 100  # Hz
-MINUTE = 60 * RATE  # rows
-BLOCK = MINUTE  # rows of a part
+BLOCK = 60 * RATE  # rows of a part
+TURNS, ROWS = 5, 1000  # rows of a batch
 STAGES = ("open", "check and plan", "read", "Zero", "Score", "Debounce", "the rest")
 
 
@@ -63,45 +57,22 @@ class Watch:
             self.seconds[name] += time.process_time() - began
 
 
-@dataclass
-class Watched:
-    """A session whose reading is timed."""
+@contextmanager
+def timed(watch: Watch) -> Generator[None]:
+    """Operators, by the names of their classes, and the reading of sessions are timed meanwhile."""
+    kinds: list[Any] = [Zero, Score, Debounce]
+    session: Any = Session
+    real = session.read
 
-    session: Session
-    watch: Watch
-
-    @property
-    def name(self) -> str:
-        """Its name."""
-        return self.session.name
-
-    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        """As the session."""
-        return self.session.fingers(kind)
-
-    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
-        """As the session."""
-        return self.session.fingertip(kind)
-
-    def read(self, kind: Any, finger: int, rows: int = 1000) -> Iterator[Any]:  # noqa: ANN401 - as the protocol
-        """As the session, timed."""
-        batches = self.session.read(kind, finger, rows)
+    def read(*asked: Any) -> Iterator[Any]:  # noqa: ANN401
+        batches = real(*asked)
         while True:
-            with self.watch.stage("read"):
+            with watch.stage("read"):
                 batch = next(batches, None)
             if batch is None:
                 return
             yield batch
 
-    def describe(self) -> Description:
-        """As the session."""
-        return self.session.describe()
-
-
-@contextmanager
-def timed(watch: Watch) -> Generator[None]:
-    """Operators and sinks are timed meanwhile, by the names of their classes."""
-    kinds: list[Any] = [Zero, Score, Debounce]
     before = [kind.process for kind in kinds]
 
     def wrapped(kind: Any, process: Callable[..., Any]) -> Callable[..., Any]:  # noqa: ANN401
@@ -114,14 +85,16 @@ def timed(watch: Watch) -> Generator[None]:
 
     for kind, process in zip(kinds, before, strict=True):
         kind.process = wrapped(kind, process)
+    session.read = read
     try:
         yield
     finally:
+        session.read = real
         for kind, process in zip(kinds, before, strict=True):
             kind.process = process
 
 
-def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], rows: int, watch: Watch) -> int:
+def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], watch: Watch) -> int:
     """Replay sessions one after the other, with one flow and event loop as `slipflow run`; gives the rows."""
     total, began, wall = 0, time.process_time(), time.perf_counter()
     with watch.stage("check and plan"):
@@ -131,7 +104,7 @@ def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], rows: int, wa
             with watch.stage("open"):
                 session = Session.open(path)
             with watch.stage("check and plan"):
-                runner = ReplayRunner(job, Watched(session, watch), f"again-{number}", rows=rows)
+                runner = ReplayRunner(job, session, f"again-{number}", rows=ROWS)
             total += loop.run(runner.execute()).sources["touch"].rows
     cpu = time.process_time() - began
     watch.waited = time.perf_counter() - wall - cpu
@@ -139,23 +112,23 @@ def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], rows: int, wa
     return total
 
 
-def paper(paths: Sequence[Path], turns: int, rows: int) -> None:
+def paper(paths: Sequence[Path]) -> None:
     """Print the stages of the paper plan's replay."""
     watches, plain, recorded = list[Watch](), list[float](), list[Watch]()
     samples = 0
-    for turn in range(turns + 1):  # the first one warms up
+    for turn in range(TURNS + 1):  # the first one warms up
         bare, staged, written = Watch(), Watch(), Watch()
-        samples = replay(paths, TestSink, rows, bare)
+        samples = replay(paths, TestSink, bare)
         with timed(staged):
-            replay(paths, TestSink, rows, staged)
+            replay(paths, TestSink, staged)
         with tempfile.TemporaryDirectory() as out:
-            replay(paths, partial(Dataset, out), rows, written)
+            replay(paths, partial(Dataset, out), written)
         if turn:
             watches.append(staged)
             plain.append(sum(bare.seconds.values()))
             recorded.append(written)
     print(f"the paper plan: {len(paths)} sessions, {samples / RATE / 60:.0f} minutes, {samples:,} samples")
-    print(f"{'CPU s, batches of ' + str(rows):32}{'s':>8}{'us/sample':>12}")
+    print(f"{'CPU s, batches of ' + str(ROWS):32}{'s':>8}{'us/sample':>12}")
     for name in STAGES:
         if seconds := statistics.median(watch.seconds[name] for watch in watches):
             print(f"  {name:30}{seconds:8.3f}{seconds / samples * 1e6:12.2f}")
@@ -170,17 +143,9 @@ def paper(paths: Sequence[Path], turns: int, rows: int) -> None:
 
 def main() -> None:
     """Measure and print the stages."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--turns", type=int, default=5)
-    parser.add_argument("--rows", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
-    print(f"{machine()}, numpy {np.__version__}")
-    print(f"load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
+    print_head(f"medians of {TURNS} turns")
     with tempfile.TemporaryDirectory() as folder:
-        paths = recordings([simulate(Path(folder) / "paper", "paper", options.seed).out])
-        paper(paths, options.turns, options.rows)
+        paper(recordings([simulate(Path(folder) / "paper", "paper", 0).out]))
 
 
 if __name__ == "__main__":

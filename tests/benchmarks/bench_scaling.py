@@ -42,11 +42,12 @@ from storage.layout import TOUCH, session_folder
 from storage.parts import Part, write_manifest, write_part
 from storage.schema import to_arrow
 from tests.benchmarks.bench_replay import BLOCK, RATE, Watch, replay
-from tests.benchmarks.machine import commit, machine
+from tests.benchmarks.machine import print_head
 
 BASELINE: Final = 700  # counts
 SAMPLES: Final = 20_000  # at least, of a live run
-HOURS: Final = (1, 3, 10, 30)
+HOURS: Final = (1, 30)
+TURNS: Final = 3
 FLOW = """
 from connectors import Console
 from flows.graph import Flow
@@ -133,17 +134,17 @@ def live(touch: Touch, fingers: int = 1, rows: int = 1, sinks: int = 1) -> float
     return source.cpu / size / fingers * 1e6
 
 
-def lives(touch: Touch, turns: int) -> list[Point]:
+def lives(touch: Touch) -> list[Point]:
     """Measure fingertips, rows per batch and sinks, in turns."""
     values = {
-        "fingertips": (1, 10, 100, 1000),
-        "rows per batch": (1, 10, 100, 1000),
-        "sinks": (1, 2, 4, 8),
+        "fingertips": (1, 100, 1000),
+        "rows per batch": (1, 100, 1000),
+        "sinks": (1, 8),
     }
     names = dict(zip(values, ("fingers", "rows", "sinks"), strict=True))
     costs: dict[tuple[str, int], list[float]] = {(of, n): [] for of, many in values.items() for n in many}
     gc.disable()
-    for turn in range(turns + 1):  # the first one warms up
+    for turn in range(TURNS + 1):  # the first one warms up
         for (of, number), found in costs.items():
             cost = live(touch, **{names[of]: number})
             gc.collect()
@@ -170,24 +171,11 @@ def tiled(touch: Touch, out: Path, hours: int) -> Path:
     return folder
 
 
-def shorter(folder: Path, hours: int) -> Path:
-    """Write a session of the first hours of another, with the same files."""
-    other = folder.with_name(f"hours-{hours:03d}")
-    (other / TOUCH.name).mkdir(parents=True)
-    session = Session.open(folder)
-    parts = [session.listed[TOUCH.file(number)] for number in range(hours * 60)]
-    for part in parts:
-        os.link(folder / part.path, other / part.path)
-    describe_session(other, Run(other.name, "tiled", EventClock(parts[0].first), parts[0].first, live=False))
-    write_manifest(other, parts)
-    return other
-
-
 def one(first: Path, path: Path) -> None:
     """Replay a recording in this process after another, and print what it took."""
-    replay([first], Forgetful, 1000, Watch())
+    replay([first], Forgetful, Watch())
     watch = Watch()
-    samples = replay([path], Forgetful, 1000, watch)
+    samples = replay([path], Forgetful, watch)
     peak = getrusage(RUSAGE_SELF).ru_maxrss / 1024  # MiB
     print(json.dumps({"cost": sum(watch.seconds.values()) / samples * 1e6, "peak": peak}))
 
@@ -195,8 +183,7 @@ def one(first: Path, path: Path) -> None:
 def lengths(touch: Touch, first: Path, out: Path) -> list[Point]:
     """Measure recordings of several lengths."""
     with patch("os.fsync"):  # what is made only to be read need not be durable
-        longest = tiled(touch, out, max(HOURS))
-        folders = [longest if each == max(HOURS) else shorter(longest, each) for each in HOURS]
+        folders = [tiled(touch, out, hours) for hours in HOURS]
     points = list[Point]()
     for hours, folder in zip(HOURS, folders, strict=True):
         command = [sys.executable, __file__, "--one", str(first), str(folder)]
@@ -240,20 +227,16 @@ def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--one", type=Path, nargs=2, help=argparse.SUPPRESS)
-    parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if options.one:
         one(*options.one)
         return
-    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
-    print(f"{machine()}, numpy {np.__version__}")
-    print(f"load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
+    print_head(f"medians of {TURNS} turns")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        paths = recordings([simulate(out / "paper", "paper", options.seed).out])
+        paths = recordings([simulate(out / "paper", "paper", 0).out])
         touch = concat(Touch, [batch for path in paths for batch in Session.open(path).read(Touch, 0, BLOCK)])
-        points = [*lives(touch, options.turns), *lengths(touch, paths[0], out / "long")]
+        points = [*lives(touch), *lengths(touch, paths[0], out / "long")]
         points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"), out)
     print(table(points).markdown())
 

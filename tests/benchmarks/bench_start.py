@@ -4,7 +4,6 @@ Run by `make bench`. Each command runs in a process of its own, in turns; the fi
 fills caches of files, does not count. CPU is user and system time.
 """
 
-import argparse
 import os
 import statistics
 import subprocess
@@ -15,11 +14,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from tests.benchmarks.machine import commit, machine
+from tests.benchmarks.machine import print_head
 
 COMMAND: Final = [sys.executable, "-m", "flows.cli"]
 SERVED: Final = "live page: "  # begins the line that names the address of the page
 TICKS: Final = os.sysconf("SC_CLK_TCK")  # per second
+TURNS: Final = 5
 
 
 def answered(*words: str) -> float:
@@ -58,18 +58,14 @@ def page_served() -> float:
 
 def main() -> None:
     """Measure and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--turns", type=int, default=5)
-    options = parser.parse_args()
-    print(f"medians of {options.turns} turns, commit {commit()}")
-    print(f"{machine()}, load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
+    print_head(f"medians of {TURNS} turns")
     commands: dict[str, Callable[[], float]] = {
         "--help": lambda: answered("--help"),
         "check live": lambda: answered("check", "live"),
         "demo, until its page is served": page_served,
     }
     spent: dict[str, list[float]] = {name: [] for name in commands}
-    for turn in range(options.turns + 1):
+    for turn in range(TURNS + 1):
         for name, run in commands.items():
             cpu = run()
             if turn:

@@ -1,11 +1,10 @@
 """An unmodified smbus2 and the emulated bus."""
 
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from smbus2 import I2cFunc, SMBus
+from smbus2 import SMBus
 
 from operators.batch import Counts, ms
 from tests.emulators.i2c_bus import EmulatedI2cBus, served
@@ -48,12 +47,6 @@ def bench() -> Iterator[Bench]:
         yield bench
 
 
-def refused(number: int, call: Callable[..., object], *arguments: object) -> None:
-    with pytest.raises(OSError, match=os.strerror(number)) as raised:
-        call(*arguments)
-    assert raised.value.errno == number
-
-
 def test_a_conversion_shows_the_previous_sample_until_it_ends(bench: Bench) -> None:
     assert bench.read(4) == (0, 0)
     bench.convert()
@@ -72,12 +65,3 @@ def test_two_connected_cells_answer_together_as_the_logical_and(bench: Bench) ->
     bench.client.write_quick(1)
     b = bench.client.read_i2c_block_data(CELL, 0, 4)
     assert (b[0] << 8 | b[1]) >> 6 == 84
-
-
-def test_an_adapter_without_quick_refuses_it_and_a_byte_takes_effect_though_refused(bench: Bench) -> None:
-    bench.bus.quick = False
-    with SMBus(PATH) as client:
-        assert not client.funcs & I2cFunc.SMBUS_QUICK
-        refused(95, client.write_quick, ALL)
-        refused(121, client.write_byte, ALL, 0)
-        client.read_byte(CELL)

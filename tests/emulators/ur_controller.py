@@ -100,14 +100,9 @@ class UrController:
             self._running.check()
 
     def stall(self) -> None:
-        """Send nothing to the present clients of RTDE until `resume`; the cycles go on."""
+        """Send nothing more to the present clients of RTDE; the cycles go on."""
         for client in self.clients:
             client.stalled = True
-
-    def resume(self) -> None:
-        """Send again; what was held up is lost."""
-        for client in self.clients:
-            client.stalled = False
 
     def reset(self) -> None:
         """Reset the connections of all clients of RTDE."""

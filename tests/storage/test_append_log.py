@@ -3,8 +3,7 @@
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
-from errno import EIO, ENOSPC
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from operators.errors import InputError
-from storage import files
 from storage.append_log import AppendLog, Damage, LogReader
 
 RECORDS = [b"first", b"", b"SLIP" * 5, bytes(300)]
@@ -28,13 +26,6 @@ def log(tmp_path: Path) -> Iterator[AppendLog]:
 def read(path: Path) -> tuple[list[bytes], Damage | None]:
     with LogReader(path) as reader:
         return [record.data for record in reader.records()], reader.damage
-
-
-def failing(error: int) -> Callable[..., int]:
-    def fail(*_: object) -> int:
-        raise OSError(error, os.strerror(error))
-
-    return fail
 
 
 def test_records_are_read_back_with_the_offsets_that_append_returned_also_while_it_is_written(
@@ -139,50 +130,3 @@ def test_another_version_a_link_and_a_pipe_are_refused_and_leave_no_descriptor(
         with pytest.raises(InputError, match=reason):
             LogReader(tmp_path / name)
     assert len([*Path("/proc/self/fd").iterdir()]) == before
-
-
-def test_a_failed_append_leaves_nothing(log: AppendLog, monkeypatch: pytest.MonkeyPatch) -> None:
-    log.append([b"first"])
-    with monkeypatch.context() as patch:
-        write = os.pwrite
-
-        def run_full(file: int, data: memoryview, offset: int) -> int:
-            if offset > log.end:
-                raise OSError(ENOSPC, "No space left on device")
-            return write(file, data[:20], offset)
-
-        patch.setattr(files, "write_at", run_full)
-        with pytest.raises(OSError, match="No space"):
-            log.append([b"second", bytes(100)])
-    assert log.path.stat().st_size == log.end
-    log.append([b"third"])
-    assert read(log.path) == ([b"first", b"third"], None)
-
-
-def test_a_log_whose_failed_append_cannot_be_undone_refuses_further_ones(
-    log: AppendLog, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log.append([b"first"])
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "write_at", failing(EIO))
-        patch.setattr(files, "truncate", failing(EIO))
-        with pytest.raises(OSError, match="Input/output"):
-            log.append([b"second"])
-    with pytest.raises(OSError, match="could not be undone"):
-        log.append([b"third"])
-    assert read(log.path) == ([b"first"], None)
-
-
-def test_a_log_is_suspect_after_a_failed_fsync_however_often_it_is_repeated(
-    log: AppendLog, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log.append([b"first"])
-    log.sync()
-    log.append([b"second"])
-    with monkeypatch.context() as patch:
-        patch.setattr(files, "fsync", failing(EIO))
-        with pytest.raises(OSError, match="Input/output"):
-            log.sync()
-    assert log.suspect
-    with pytest.raises(OSError, match="an earlier fsync failed"):
-        log.sync()

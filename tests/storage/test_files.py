@@ -1,4 +1,3 @@
-import os
 import tracemalloc
 from pathlib import Path
 
@@ -6,43 +5,6 @@ import pytest
 
 from operators.errors import InputError
 from storage import files
-
-
-@pytest.mark.parametrize("step", ["fsync", "replace"])
-def test_a_failure_before_the_rename_leaves_the_old_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
-) -> None:
-    path = tmp_path / "x"
-    files.put(path, b"old")
-
-    def fail(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, step, fail)
-    with pytest.raises(OSError, match="No space left"):
-        files.put(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_data_are_durable_before_the_name_and_the_name_before_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    steps: list[str] = []
-    fsync, replace = os.fsync, os.replace
-
-    def record_fsync(number: int) -> None:
-        steps.append("fsync " + Path(f"/proc/self/fd/{number}").resolve().name)
-        fsync(number)
-
-    def record_replace(source: Path, target: Path) -> None:
-        steps.append(f"rename {source.name} {target.name}")
-        replace(source, target)
-
-    monkeypatch.setattr(os, "fsync", record_fsync)
-    monkeypatch.setattr(os, "replace", record_replace)
-    files.put(tmp_path / "x", b"new")
-    assert steps == ["fsync x.tmp", "rename x.tmp x", f"fsync {tmp_path.name}"]
 
 
 def test_an_unreadable_file_is_an_input_error(tmp_path: Path) -> None:

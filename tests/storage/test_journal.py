@@ -1,5 +1,4 @@
 import json
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -10,25 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from operators.batch import (
-    Clocks,
-    Episodes,
-    Faults,
-    Labelled,
-    Motion,
     Slips,
     Touch,
-    Truth,
-    Zeroed,
 )
 from operators.errors import InputError
 from storage import journal
 from storage.append_log import AppendLog
-from storage.journal import MAX_WAITING, Journal, NumberedRows, SegmentReader
+from storage.journal import Journal, NumberedRows, SegmentReader
 from storage.layout import segments
-from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch
-
-KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
 
 
 @pytest.fixture
@@ -54,22 +43,6 @@ def found(folder: Path) -> list[tuple[str, int, int]]:
     ]
 
 
-def test_no_more_than_ten_rows_of_a_table_wait(written: Journal, tmp_path: Path) -> None:
-    took = [written.add(NumberedRows(number, new_batch(Touch, 1))) for number in range(2 * MAX_WAITING)]
-    assert took == [True] * MAX_WAITING + [False] * MAX_WAITING
-    assert written.add(NumberedRows(0, new_batch(Motion, MAX_WAITING)))
-    assert not written.add(NumberedRows(0, new_batch(Slips, MAX_WAITING + 1)))
-    assert (written.waiting, found(tmp_path)) == (MAX_WAITING, [])
-    written.append(NumberedRows(MAX_WAITING, new_batch(Touch, 100)))
-    rows_of = Counter(dict.fromkeys(("Touch", "Motion"), 0))
-    for kind, first, count in found(tmp_path):
-        assert first == rows_of[kind]
-        rows_of[kind] += count
-    assert rows_of == {"Touch": MAX_WAITING + 100, "Motion": MAX_WAITING}
-    assert written.waiting == 0
-    assert written.add(NumberedRows(110, new_batch(Touch, MAX_WAITING)))
-
-
 def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete_and_keeps_all_single_rows(
     written: Journal, tmp_path: Path
 ) -> None:
@@ -82,25 +55,6 @@ def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete_and
         written.rotate([slips])
         assert list(segments(tmp_path)) == [number, number + 1]
     assert found(tmp_path) == [("Slips", 0, 2), ("Touch", 6, 1), ("Touch", 7, 1), ("Slips", 0, 2)]
-
-
-def test_a_suspect_journal_is_replaced_as_a_whole(written: Journal, tmp_path: Path) -> None:
-    def fail(step: str) -> None:
-        if step == "fsync segment":
-            raise OSError(5, "Input/output error")
-
-    slips = NumberedRows(0, new_batch(Slips, 4))
-    written.append(slips)
-    assert written.add(NumberedRows(0, new_batch(Touch, 4)))
-    with observed(fail), pytest.raises(OSError, match="Input/output"):
-        written.sync()
-    assert written.suspect
-    written.begin_commit()
-    written.rotate([slips])
-    assert (written.suspect, written.waiting) == (False, 0)
-    assert (found(tmp_path), list(segments(tmp_path))) == ([("Slips", 0, 4)], [1])
-    written.remove()
-    assert list(tmp_path.iterdir()) == []
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [

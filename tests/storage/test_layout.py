@@ -7,7 +7,6 @@ import pytest
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
 from storage.layout import (
     check_links,
-    may_exist,
     new_session_folder,
     session_folder,
     session_folders,
@@ -57,19 +56,6 @@ def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:
     (tmp_path / "sessions/lost/MANIFEST.json").touch()
     assert session_names(tmp_path) == ["a", "b"]
     assert [path.name for path in session_folders(tmp_path)] == ["a", "b", "lost"]
-
-
-@pytest.mark.parametrize("number", [errno.EIO, errno.ENOMEM])
-def test_a_file_is_missing_only_if_the_system_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
-    assert not may_exist(tmp_path / "missing")
-
-    def stat(path: Path) -> os.stat_result:
-        raise OSError(number, os.strerror(number), str(path))
-
-    monkeypatch.setattr(Path, "stat", stat)
-    assert may_exist(tmp_path / "missing")
 
 
 @pytest.mark.parametrize(("number", "kind"), [(errno.EACCES, InputError), (errno.EIO, EndpointError)])

@@ -55,15 +55,3 @@ def test_existing_files_are_neither_replaced_nor_removed(tmp_path: Path) -> None
             ):
                 raise AssertionError
         assert (tmp_path / is_there).read_text() == "mine"
-
-
-def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with (
-        pytest.raises(
-            EndpointError,
-            match=r"/a: cannot be written: File exists, .*/file; a file exists where a folder is needed",
-        ),
-        partial_file(tmp_path / "file/a"),
-    ):
-        raise AssertionError

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from operators.batch import EVERY, Episodes, Motion, Touch
-from operators.errors import EndpointError, InputError
+from operators.batch import EVERY, Episodes, Touch
+from operators.errors import BatchError, EndpointError, InputError
 from storage import arrow, files
 from storage.layout import EPISODES, MOTION, TOUCH
 from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
@@ -137,17 +137,6 @@ def test_names_with_indices_of_another_type_are_read_as_pyarrow_16_returns_them(
     same(from_arrow(EPISODES, Episodes, found)[EVERY], batch)
 
 
-def test_times_are_delta_packed_and_all_is_zstd(tmp_path: Path) -> None:
-    part = write_part(tmp_path, "x.parquet", to_arrow(MOTION, [new_batch(Motion, 1000)]))
-    assert part.sha256 == hashlib.sha256((tmp_path / "x.parquet").read_bytes()).hexdigest()
-    group = pq.ParquetFile(tmp_path / "x.parquet").metadata.row_group(0)
-    columns = [group.column(number) for number in range(group.num_columns)]
-    assert {column.compression for column in columns} == {"ZSTD"}
-    times = [column for column in columns if column.path_in_schema.endswith("time")]
-    assert all("DELTA_BINARY_PACKED" in column.encodings for column in times)
-    assert times[0].total_compressed_size < 200  # bytes, of 8000
-
-
 times = st.integers(-(2**63), 2**63 - 1)
 
 
@@ -204,3 +193,24 @@ def test_an_impossible_part_is_refused_by_its_number(tmp_path: Path, changes: di
         (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 2, "parts": [GOOD, part]}))
         with pytest.raises(InputError, match=r"MANIFEST\.json, part 1: "):
             read_manifest(tmp_path)
+
+
+def test_codes_are_stored_by_name_and_come_back_whatever_codes_the_file_uses() -> None:
+    batch = new_episodes((0, 1, "hold"), (1, 2, "tap"), (2, 3, "hold"))
+    rows: Any = to_arrow(EPISODES, [batch])
+    assert rows["motion"].to_pylist() == ["hold", "tap", "hold"]
+    [motion] = (
+        rows["motion"].cast(pa.string()).dictionary_encode().cast(rows.schema.field("motion").type).chunks
+    )
+    assert motion.indices.to_pylist() == [0, 1, 0]
+    rows = rows.set_column(2, rows.schema.field("motion"), motion)
+    same(from_arrow(EPISODES, Episodes, rows)[EVERY], batch)
+
+
+def test_a_name_without_a_code_is_refused() -> None:
+    rows: Any = to_arrow(EPISODES, [new_episodes((0, 1, "hold"))])
+    field = rows.schema.field("motion")
+    names: Any = pa.array(["dance"])
+    rows = rows.set_column(2, field, names.dictionary_encode().cast(field.type))
+    with pytest.raises(BatchError, match=r"Episodes\.motion: holds 'dance', must be one of translation"):
+        from_arrow(EPISODES, Episodes, rows)

@@ -66,20 +66,6 @@ def test_a_session_that_is_being_recorded_is_left_alone(left: Path) -> None:
     assert rows(left, BATCHES) == [20, 20, 20, 20, 0]
 
 
-def test_a_part_that_was_not_listed_yet_is_replaced_by_the_rows_of_the_journal(
-    left: Path, tmp_path: Path
-) -> None:
-    whole = copytree(left, tmp_path / "whole")
-    recover(whole)
-    for name in ("touch/part-000002.parquet", "slips.parquet"):
-        copyfile(whole / name, left / name)
-    copyfile(whole / "touch/part-000002.parquet", left / "touch/part-000003.parquet")
-    assert recover(left).rows == RECOVERED["rows"]
-    assert rows(left, BATCHES) == ALL
-    assert not (left / "touch/part-000003.parquet").exists()
-    assert not (left / "damaged").exists()
-
-
 @pytest.mark.parametrize("journal", ["none", "damaged"])
 def test_an_unlisted_part_that_the_journal_may_not_have_is_kept_aside(left: Path, journal: str) -> None:
     if journal == "none":
@@ -114,15 +100,6 @@ def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left
     assert found.worst == "lost"
     assert "MANIFEST.json" in found.findings[0].text
     assert contents(left) == before
-
-
-def test_a_recorder_killed_before_its_manifest_leaves_a_session_without_rows(left: Path) -> None:
-    for path in left.iterdir():
-        if path.is_dir():
-            rmtree(path)
-    (left / "MANIFEST.json").unlink()
-    assert recover(left).done == ("was not closed, and has no rows",)
-    assert (Session.open(left).tables, verify(left).worst) == ((), "lossy")
 
 
 def test_damage_in_the_middle_ends_the_tables_there_and_the_segment_is_kept(left: Path) -> None:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -196,22 +195,6 @@ def test_parts_without_a_batch_type_or_with_different_ones_are_reported(folder: 
             InputError, match=r"part-000001\.parquet: its metadata \"batch\" is missing or differs"
         ):
             list(Session.open(folder).read(Touch, 0))
-
-
-def test_fingertips_that_are_read_side_by_side_share_each_part(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    read = list[str]()
-
-    def watched(path: Path, *more: Any) -> pa.Table:  # noqa: ANN401 - as read_part takes them
-        read.append(path.name)
-        return read_part(path, *more)
-
-    monkeypatch.setattr("storage.session.read_part", watched)
-    session = Session.open(folder)
-    for _ in zip(session.read(Touch, 0, 10), session.read(Touch, 2, 10), strict=True):
-        pass
-    assert read == [f"part-{number:06d}.parquet" for number in range(3)]
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 from time import monotonic
 
 import pytest
@@ -13,7 +12,6 @@ from connectors.fields import Fields
 from connectors.files.column_map import ColumnMap
 from flows.lab.collection.plan_file import load_plan
 from operators.errors import InputError, SlipflowError
-from storage.files import read_json
 from storage.toml_text import parse_toml
 from tests.waiting import PATIENCE
 
@@ -82,11 +80,3 @@ def test_json_without_limits_is_an_error(value: str) -> None:
     else:
         with pytest.raises(InputError, match=r"^message: seq is "):
             Fields.parse(text.encode(), "message", largest=10**6).integer("seq")
-
-
-def test_a_json_file_without_limits_is_an_error(tmp_path: Path) -> None:
-    for number, value in enumerate(["1" * 5000, "[" * 20_000, '{"a":' * 20_000]):
-        path = tmp_path / f"{number}.json"
-        path.write_text(f'{{"a": {value}}}')
-        with pytest.raises(InputError, match="is not valid JSON"):
-            read_json(path)

@@ -1,6 +1,5 @@
 from collections.abc import Sequence
 from contextlib import suppress
-from errno import EIO
 from functools import partial
 from pathlib import Path
 
@@ -79,16 +78,6 @@ def test_a_failure_at_any_step_of_a_replay_but_the_last_fsyncs_costs_nothing_but
         assert not (root / "sessions/one/journal").exists()
 
 
-def test_the_files_of_a_replay_are_made_durable_before_their_names_and_before_its_end(tmp_path: Path) -> None:
-    steps = steps_of(partial(record, tmp_path / "data", new_run(live=False), BATCHES))
-    end = max(number for number, step in enumerate(steps) if step == "create_file new session")
-    synced = [(number, step.split()[1]) for number, step in enumerate(steps) if step.startswith("fsync ")]
-    synced = [(number, name) for number, name in synced if "dataset" not in (name, steps[number].split()[-1])]
-    content = [number for number, name in synced if name in {"part", "manifest", "session"} and number < end]
-    assert len(content) == len(list((tmp_path / "data/sessions/one").rglob("*.*")))
-    assert {"touch", "motion", "one", "sessions"} <= {name for n, name in synced if max(content) < n < end}
-
-
 def test_a_replay_whose_fsync_failed_is_never_complete(tmp_path: Path) -> None:
     def fail(step: str) -> None:
         if step == "fsync part":
@@ -106,24 +95,3 @@ def test_a_replay_whose_fsync_failed_is_never_complete(tmp_path: Path) -> None:
 
 def _open(root: Path, run: Run) -> SessionWriter:
     return SessionWriter(root, run, part_span=100 * ms, part_rows=20)
-
-
-def test_pending_rows_are_those_that_a_killed_process_would_lose(tmp_path: Path) -> None:
-    writer = _open(tmp_path, new_run())
-    writer.add(BATCHES[0])
-    assert writer.pending == 5
-    writer.append()
-    assert writer.pending == 0
-
-    def fail(step: str) -> None:
-        if step == "fsync segment":
-            raise OSError(EIO, "Input/output error")
-
-    with observed(fail), pytest.raises(EndpointError):
-        writer.sync()
-    assert writer.pending == 5  # the journal may have lost them
-    writer.begin_commit()
-    assert writer.pending == 5
-    writer.commit()
-    assert writer.pending == 0
-    writer.close()

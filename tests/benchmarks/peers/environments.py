@@ -1,10 +1,14 @@
-"""An environment for each engine, made on demand and kept: they need not go together, nor with ours."""
+"""Engines take turns, each in an environment of its own, made on demand and kept."""
 
 import os
 import subprocess
 import sys
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple, TypeVar
+
+T = TypeVar("T")
 
 ROOT: Final = Path(__file__).parents[3]
 NUMPY: Final = "numpy==2.4.6"
@@ -14,6 +18,15 @@ PINS: Final = {  # the newest of November 2026
     "csp": (NUMPY, "csp==0.19.1"),
     "bytewax": (NUMPY, "bytewax==0.21.1"),
 }
+
+
+class Variant(NamedTuple):
+    """A row of a table."""
+
+    name: str
+    peer: str  # whose environment it runs in
+    module: str
+    argument: str = "1"  # of the module's program
 
 
 class PeerError(Exception):
@@ -39,13 +52,36 @@ def python_of(name: str) -> str:
     return str(python)
 
 
-def carry_out(name: str, module: str, *arguments: str, limit: float) -> None:
-    """Run an engine's program, for `limit` seconds at most.
+def take_turns(
+    variants: Sequence[Variant], turns: int, measure: Callable[[Variant], T]
+) -> tuple[dict[str, list[T]], dict[str, str]]:
+    """Measure variants in turns; return the results of those that never fail, and why the others do."""
+    found, failed = defaultdict[str, list[T]](list), dict[str, str]()
+    for turn in range(turns):
+        for variant in variants:
+            if variant.name in failed:
+                continue
+            try:
+                found[variant.name].append(measure(variant))
+            except PeerError as error:
+                failed[variant.name] = str(error)
+                found.pop(variant.name, None)
+                print(f"{variant.name}: {error}", file=sys.stderr)
+        print(f"turn {turn + 1} of {turns}", file=sys.stderr)
+    return found, failed
+
+
+def carry_out(variant: Variant, source: Path, limit: float) -> Path:
+    """Run a variant's program on an input, for `limit` seconds at most; return the file of its result.
 
     Raises:
         PeerError: if it cannot be installed, fails, or takes longer.
     """
-    _run([python_of(name), "-m", f"tests.benchmarks.peers.{module}", *arguments], limit)
+    target = source.with_name("result.npz")
+    target.unlink(missing_ok=True)
+    command = [python_of(variant.peer), "-m", f"tests.benchmarks.peers.{variant.module}"]
+    _run([*command, str(source), str(target), variant.argument], limit)
+    return target
 
 
 def _run(command: list[str], limit: float = 900.0) -> None:

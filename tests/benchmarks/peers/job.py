@@ -74,22 +74,14 @@ class Meter:
     def __init__(self) -> None:
         self.spent = 0.0  # s
 
-    def begin(self) -> None:
-        """Enter; for an engine that must do so elsewhere than it leaves."""
+    def __enter__(self) -> None:
         gc.collect()
         gc.disable()
         self._began = _used()
 
-    def end(self) -> None:
-        """Leave."""
+    def __exit__(self, *_: object) -> None:
         self.spent = _used() - self._began
         gc.enable()
-
-    def __enter__(self) -> None:
-        self.begin()
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
 
 
 Run: TypeAlias = Callable[[Meter], Iterable[Judged]]  # enters the meter while it works

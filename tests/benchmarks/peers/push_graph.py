@@ -1,78 +1,38 @@
 """Plain Python: each operator calls the next one with each record."""
 
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable
 
-from tests.benchmarks.peers.job import MOTION, Job, Judged, Meter, Record, Run, carry_out
+from tests.benchmarks.peers.job import MOTION, Job, Judged, Meter, Run, carry_out
 from tests.benchmarks.peers.records import Counts, Energy, Newest, Velocity, label, zeroed
-
-Next = Callable[[int, int, Any, Any], None]  # fingertip, time, counts, what is known of the motion
-
-
-class Zero:
-    """Counts relative to the unloaded fingertip."""
-
-    def __init__(self, following: Callable[[int, int, Counts], None]) -> None:
-        self._following = following
-
-    def push(self, finger: int, time: int, counts: Counts) -> None:
-        """Hand on."""
-        self._following(finger, time, zeroed(counts))
-
-
-class Align:
-    """The motion of each touch."""
-
-    def __init__(self, following: Next) -> None:
-        self._following, self._newest = following, Newest()
-
-    def push_motion(self, time: int, velocity: Velocity) -> None:
-        """Remember."""
-        self._newest.take(time, velocity)
-
-    def push(self, finger: int, time: int, counts: Counts) -> None:
-        """Hand on."""
-        self._following(finger, time, counts, self._newest.at(time))
-
-
-class Label:
-    """What the motion says."""
-
-    def __init__(self, following: Next) -> None:
-        self._following = following
-
-    def push(self, finger: int, time: int, counts: Counts, velocity: Velocity | None) -> None:
-        """Hand on."""
-        self._following(finger, time, counts, label(velocity))
-
-
-class Score:
-    """What the window says."""
-
-    def __init__(self, fingers: int, following: Callable[[Judged], None]) -> None:
-        self._following, self._energies = following, [Energy() for _ in range(fingers)]
-
-    def push(self, finger: int, time: int, counts: Counts, known: int) -> None:
-        """Hand on."""
-        score = self._energies[finger].score(counts)
-        if score is not None:
-            self._following((finger, known, score))
 
 
 def prepare(job: Job, _: int) -> Run:
     """Each record by itself."""
-    records: list[Record] = job.records()
+    records = job.records()
 
     def run(meter: Meter) -> Iterable[Judged]:
-        out: list[Judged] = []
-        align = Align(Label(Score(len(job.time), out.append).push).push)
-        zero = Zero(align.push)
+        out, newest, energies = list[Judged](), Newest(), [Energy() for _ in job.time]
+
+        def zero(finger: int, time: int, counts: Counts) -> None:
+            align(finger, time, zeroed(counts))
+
+        def align(finger: int, time: int, counts: Counts) -> None:
+            judge(finger, counts, newest.at(time))
+
+        def judge(finger: int, counts: Counts, velocity: Velocity | None) -> None:
+            score(finger, counts, label(velocity))
+
+        def score(finger: int, counts: Counts, known: int) -> None:
+            value = energies[finger].score(counts)
+            if value is not None:
+                out.append((finger, known, value))
+
         with meter:
             for finger, time, values in records:
                 if finger == MOTION:
-                    align.push_motion(time, values)
+                    newest.take(time, values)
                 else:
-                    zero.push(finger, time, values)
+                    zero(finger, time, values)
         return out
 
     return run

@@ -5,12 +5,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
+from flows.graph.compiled_flow import CompiledFlow, Delivery
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Labelled, Motion, Scores, Touch, Zero, ms
-from operators.batch import Batch
-from tests.benchmarks.bench_engine import StepEnergy
-from tests.benchmarks.peers.job import LENGTH, MOTION, Chunk, Job, Judged, Meter, Run, carry_out
+from tests.benchmarks.bench_engine import StepEnergy, pushes
+from tests.benchmarks.peers.job import LENGTH, Job, Judged, Meter, Run, carry_out
 
 
 def flow(fingers: int) -> Flow:
@@ -22,29 +21,6 @@ def flow(fingers: int) -> Flow:
     labelled.to(sink)
     (labelled | StepEnergy()).to(sink)
     return job
-
-
-def batch(chunk: Chunk) -> Batch:
-    """A chunk as our type; what no peer is given is what a rig without it gives."""
-    finger, time, rows = chunk
-    if finger == MOTION:
-        return Motion(time, time, rows, np.full(rows.shape, np.nan))
-    return Touch(time, rows, rows, np.ones(rows.shape, np.bool_), finger=finger)
-
-
-def pushes(job: Job, entries: list[Entry], rows: int) -> list[dict[Entry, Batch]]:
-    """Each row by itself in the order of time, or spans of time as a replay gives them."""
-    entry = {finger: (node, finger) for node, finger in entries}  # the arm's is EVERY, which is MOTION
-    if rows > 1:
-        return [{entry[chunk[0]]: batch(chunk) for chunk in span} for span in job.spans(rows)]
-    streams = [(MOTION, job.motion_time, job.velocity)]
-    streams += [(finger, job.time[finger], job.counts[finger]) for finger in range(len(job.time))]
-    single: list[tuple[int, dict[Entry, Batch]]] = []
-    for finger, time, values in streams:
-        whole = batch((finger, time, values))
-        single += [(t, {entry[finger]: whole[i : i + 1]}) for i, t in enumerate(time.tolist())]
-    single.sort(key=lambda push: push[0])  # stable
-    return [push for _, push in single]
 
 
 def prepare(job: Job, rows: int) -> Run:

@@ -35,13 +35,8 @@ class Fingertips(Source[Touch]):
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """A batch of one for each sample, stamped in the run's time."""
-        live, rows, valid = (
-            self._live,
-            list[tuple[int, int, np.ndarray]](),
-            np.ones((1, BAROMETERS), np.bool_),
-        )
-        for finger, due, counts in live.records:
-            rows.append((finger, due, np.array([counts], np.int16)))
+        live, valid = self._live, np.ones((1, BAROMETERS), np.bool_)
+        rows = [(finger, due, np.array([counts], np.int16)) for finger, due, counts in live.records]
         self.ahead = clock.now() - perf_counter_ns()
         live.begin()
         for finger, due, counts in rows:
@@ -51,47 +46,31 @@ class Fingertips(Source[Touch]):
             yield Touch(np.array([stamp + self.ahead]), counts, counts, valid, finger=finger)
 
 
-class Nothing(Sink[Scores]):
-    """Takes the events, and does nothing."""
+class Told(Sink[Scores]):
+    """Writes down when the events come."""
 
-    def __init__(self, destination: str) -> None:
-        self._destination = destination
+    destination = "told"
 
-    @property
-    def destination(self) -> str:
-        """Memory."""
-        return self._destination
+    def __init__(self, live: Live, source: Fingertips) -> None:
+        self._live, self._source = live, source
 
     async def open(self, run: Run) -> None:
         """Nothing is needed."""
 
     def take(self, batch: Scores) -> bool:
         """Take."""
+        for time, score in zip(batch.time.tolist(), batch.probability.tolist(), strict=True):
+            self._live.told(batch.finger, time - self._source.ahead, score)  # `Zero` may have held one back
         return True
 
 
-class Told(Nothing):
-    """Writes down when the events come."""
-
-    def __init__(self, live: Live, source: Fingertips) -> None:
-        super().__init__("told")
-        self._live, self._source = live, source
-
-    def take(self, batch: Scores) -> bool:
-        """Take."""
-        self._live.told(batch.finger, batch.time.item(0) - self._source.ahead, batch.probability.item(0))
-        return True
-
-
-def run(live: Live, detector: str, sinks: int = 1) -> None:
-    """To the last event; the last of the sinks writes down when it comes."""
+def run(live: Live, detector: str) -> None:
+    """To the last event."""
 
     async def carry() -> None:
         flow, source = Flow("path"), Fingertips(live)
         score = StepEnergy() if detector == "energy" else Score(load_detector(detector))
         events = flow.source(source) | Zero(baseline=BASELINE) | score
-        for sink in range(1, sinks):
-            events.to(Nothing(f"nothing {sink}"))
         events.to(Told(live, source))
         await LiveRunner(flow, "path").execute()
 

@@ -3,7 +3,6 @@ import threading
 from collections.abc import Iterator
 from time import time_ns
 
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,15 +11,9 @@ from connectors.takktile.scan_thread import ScanThread, next_scan
 from connectors.takktile.scanner import Scan, Scanner, Schedule
 from connectors.takktile.takktile_protocol import Coefficients
 from operators import ms, us
-from operators.batch import Counts
-from tests.emulators.i2c_bus import EmulatedI2cBus, served
+from tests.emulators.i2c_bus import EmulatedI2cBus, Still, served
 
 PATH = "/dev/i2c-1"
-
-
-class Skin:
-    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        return np.full(6, 400, np.int16), np.full(6, 500, np.int16)
 
 
 class Counted(dict[str, int]):
@@ -44,7 +37,7 @@ class Counted(dict[str, int]):
 @pytest.fixture(autouse=True)
 def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedI2cBus]:
     monkeypatch.setattr("connectors.takktile.scanner.CONVERSION", 100 * us)
-    with served(EmulatedI2cBus(Skin(), conversion=50 * us), PATH) as bus:
+    with served(EmulatedI2cBus(Still(), conversion=50 * us), PATH) as bus:
         yield bus
 
 

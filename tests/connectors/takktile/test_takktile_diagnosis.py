@@ -1,31 +1,21 @@
 from collections.abc import Iterator
 
-import numpy as np
 import pytest
 
 from connectors import TakkTile
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from operators import us
-from operators.batch import Counts
 from operators.ports import Finding
-from tests.emulators.i2c_bus import Defect, EmulatedI2cBus, served
+from tests.emulators.i2c_bus import Defect, EmulatedI2cBus, Still, served
 
 PATH = "/dev/i2c-1"
-
-
-class Skin:
-    """Constant counts."""
-
-    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        del finger, time
-        return np.full(6, 400, np.int16), np.full(6, 507, np.int16)
 
 
 @pytest.fixture
 def bus() -> Iterator[EmulatedI2cBus]:
     """A bus with fingertips at the rows 0 and 5."""
-    bus = EmulatedI2cBus(Skin(), {0: 0, 5: 1}, conversion=200 * us)
+    bus = EmulatedI2cBus(Still(), {0: 0, 5: 1}, conversion=200 * us)
     with served(bus, PATH):
         yield bus
 

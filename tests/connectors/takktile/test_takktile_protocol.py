@@ -5,12 +5,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from connectors.takktile.takktile_protocol import (
-    ALL,
-    BAROMETER,
     Coefficients,
     OverloadDetector,
     Reading,
-    cell_address,
 )
 
 BYTES = "3ECE B3F9 C517 33C8"
@@ -58,17 +55,6 @@ def test_an_implausible_temperature_is_detected() -> None:
     assert Reading(0, 498).plausible  # overloaded, not dead
     for pressure, temperature in ((0, 0), (1023, 1023), (410, 0), (410, 1023)):
         assert not Reading(pressure, temperature).plausible
-
-
-def test_the_addresses_of_all_cells_differ() -> None:
-    addresses = [cell_address(row, cell) for row in range(8) for cell in range(6)]
-    assert len(set(addresses)) == 48
-    assert not {ALL, BAROMETER} & set(addresses)
-    assert cell_address(0, 6) == ALL
-    assert [address << 1 for address in addresses[6:8]] == [
-        0x10,
-        0x12,
-    ]  # on the wire: (row << 4) | (cell << 1)
 
 
 @given(st.integers(380, 511), st.lists(st.integers(-450, 450), max_size=100))

@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 
 from connectors import TakkTile
-from flows.graph import Flow
-from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
-from flows.run.live_runner import LiveRunner
 from operators import Clock, EndpointError, ParameterError, Touch, us
-from operators.batch import Batch, Counts, concat
+from operators.batch import Counts, concat
 from tests.emulators.i2c_bus import EmulatedI2cBus, served
 
 PATH = "/dev/i2c-1"
@@ -199,66 +196,6 @@ def test_the_linux_adapter_is_described(tmp_path: Path, monkeypatch: pytest.Monk
     assert TakkTile().describe()["adapter"] == "bcm2835 (i2c@7e804000)"
     (tmp_path / "i2c-1/device/of_node/clock-frequency").write_bytes((400_000).to_bytes(4, "big"))
     assert TakkTile().describe()["bus_hz"] == 400_000
-
-
-class Mender(logging.Handler):
-    """Log handler that calls a function when a failure is logged."""
-
-    def __init__(self, mend: Callable[[], None]) -> None:
-        super().__init__()
-        self._mend = mend
-
-    def emit(self, record: logging.LogRecord) -> None:
-        if "failed" in record.getMessage():
-            self._mend()
-
-
-class Limited(TestSink):
-    """Sink that ends the run after enough rows."""
-
-    def __init__(self, enough: int) -> None:
-        super().__init__()
-        self._enough = enough
-        self.runner: LiveRunner | None = None
-
-    def take(self, batch: Batch) -> bool:
-        taken = super().take(batch)
-        if self.runner is not None and len(self.rows(Touch, 0)) >= self._enough:
-            self.runner.stop()
-        return taken
-
-
-async def test_a_run_records_the_gap_and_logs_it_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
-    rig.skin.then[100] = rig.bus.unplug
-    with caplog.at_level(logging.WARNING):
-        flow, sink, plugged = Flow("plug"), Limited(300), list[int]()
-        flow.source(rig.source(), name="touch").to(sink)
-        sink.runner = runner = LiveRunner(flow, "test")
-
-        def plug() -> None:
-            plugged.append(runner.clock.now())
-            rig.bus.plug()
-
-        def mend() -> None:
-            asyncio.get_running_loop().call_later(0.3, plug)
-
-        mender = Mender(mend)
-        logging.getLogger("slipflow").addHandler(mender)
-        try:
-            run = await runner.execute()
-        finally:
-            logging.getLogger("slipflow").removeHandler(mender)
-        [gap], touch = run.sources["touch"].gaps, sink.rows(Touch, 0)
-        assert gap.reason == SILENT
-        assert gap.start < plugged[0] < gap.end
-        assert not ((touch.time > gap.start) & (touch.time < plugged[0])).any()
-        silent = ~touch.valid.any(axis=1)
-        assert (touch.time[silent] <= gap.start).all()
-        assert (touch.counts[~silent] == pressure(0)).all()
-    assert [record.message for record in caplog.records] == [
-        f"touch failed, retrying: {SILENT}",
-        "touch works again",
-    ]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,3 @@
-import struct
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
@@ -9,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.ur.rtde import (
-    LARGEST,
     Kind,
     Package,
     Packages,
@@ -55,36 +53,12 @@ def test_any_cut_of_rubbish_gives_the_same_packages_and_the_same_error(data: byt
     assert read(split(data, cuts)) == read([data])
 
 
-@pytest.mark.parametrize("size", [0, 2, LARGEST + 1, 65535])
-def test_an_invalid_size_is_an_error_after_the_packages_before_it(size: int) -> None:
-    sound = pack(Kind.START, b"\1")
-    found, error = read([sound + struct.pack(">HB", size, Kind.DATA)])
-    assert found == [Package(Kind.START, b"\1")]
-    assert str(size) in error
-
-
 def test_requests_are_the_bytes_that_the_guide_has() -> None:
     assert pack(Kind.PROTOCOL, b"\0\2").hex() == "0005560002"
     assert pack(Kind.CONTROLLER).hex() == "000376"
     assert pack(Kind.START).hex() == "000353"
     asked = pack(Kind.OUTPUTS, ask_outputs(125.0, ("timestamp", "actual_q")))
     assert asked == b"\x00\x1dO\x40\x5f\x40\0\0\0\0\0timestamp,actual_q"
-
-
-@pytest.mark.parametrize(
-    ("answer", "named"),
-    [
-        (b"\0DOUBLE,NOT_FOUND,VECTOR6D", "actual_TCP_pose NOT_FOUND"),
-        (b"\1DOUBLE,VECTOR6D,IN_USE", "actual_TCP_speed IN_USE"),
-        (b"\0DOUBLE,VECTOR6D,VECTOR6D", "timestamp, actual_TCP_pose, actual_TCP_speed"),
-        (b"\1DOUBLE,VECTOR6D", "3 fields"),
-        (b"\1", "3 fields"),
-        (b"", "timestamp"),
-    ],
-)
-def test_a_recipe_that_is_not_granted_names_the_fields_at_fault(answer: bytes, named: str) -> None:
-    with pytest.raises(RtdeError, match=named):
-        granted_types(NAMES, answer)
 
 
 def test_versions_travel_as_four_numbers() -> None:

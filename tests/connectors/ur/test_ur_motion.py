@@ -110,22 +110,6 @@ def test_every_package_is_received_once_in_order(version: Version, rate: float) 
     assert (about["missed"], about["repeated"], about["restarts"], about["connections"]) == (0, 0, 0, 1)
 
 
-def test_missing_packages_are_counted_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    async def main() -> tuple[Motion, Any]:
-        async with lab() as here:
-            loop = asyncio.get_running_loop()
-            for begin in (0.5, 1.5):
-                loop.call_later(begin, here.controller.stall)
-                loop.call_later(begin + 0.4, here.controller.resume)
-            return await here.take(300), here.source.describe()
-
-    with caplog.at_level(logging.WARNING, "slipflow"):
-        motion, about = run_virtually(main())
-    steps = np.diff(motion.device_time) // (8 * ms)
-    assert about["missed"] == (steps - 1).sum() == 100
-    assert [record.message.split(": ")[1][:25] for record in caplog.records] == ["packages are missing befo"]
-
-
 def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rtde_client, "BACKLOG", 20)
 

@@ -8,13 +8,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from operators.batch import EVERY, Motion, ms
 from operators.errors import InputError, ParameterError
 from storage import Session
-from storage.exports import lerobot
 from storage.exports.lerobot import export
 from tests.storage.made import new_samples, record
 
@@ -147,20 +144,6 @@ def test_a_frame_without_a_sample_repeats_the_values_before_it_and_says_so(tmp_p
     assert valid[:, 6:].all()
     assert found.values(0, "label")[20:23].tolist() == [[-1, each] for each in other.label[20:23]]
     assert (done.episodes, done.frames, done.repeated) == (1, 60, 3)
-
-
-@settings(deadline=None, max_examples=30)
-@given(data=st.data())
-def test_each_frame_takes_the_nearest_sample_if_it_is_near(data: st.DataObject) -> None:
-    steps = data.draw(st.lists(st.integers(1, 30), min_size=1, max_size=20))
-    known = np.cumsum(np.array(steps, np.int64))
-    time = np.array(data.draw(st.lists(st.integers(0, 400), min_size=1, max_size=20)), np.int64)
-    row, near = lerobot._nearest(known, time, 5)
-    distance = np.abs(known[:, None] - time)  # (known, n)
-    assert near.tolist() == (distance.min(axis=0) <= 5).tolist()
-    assert (np.abs(known[row] - time) == distance.min(axis=0))[near].all()
-    before = np.maximum((known[:, None] <= time).sum(axis=0) - 1, 0)
-    assert row[~near].tolist() == before[~near].tolist()
 
 
 def test_episodes_are_ordered_by_split(tmp_path: Path) -> None:
