@@ -160,15 +160,6 @@ def test_invalid_stamps_are_refused(stamp: float, monkeypatch: pytest.MonkeyPatc
     assert "sent timestamps" in run_virtually(main())
 
 
-def test_a_closed_port_is_an_error() -> None:
-    async def main() -> EndpointError:
-        async with lab() as here:
-            source = here.source
-        return (await exhaust(source, LoopClock()))[1]
-
-    assert "refuses the connection: check its address" in run_virtually(main()).reason
-
-
 # --- in a flow ---
 
 
