@@ -58,7 +58,7 @@ def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> fl
 
 @both
 def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) -> None:
-    train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(4), (5, 6), (7, 8)))
+    train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(2), (5,), (7,)))
     trained = train_windowed(name, train, validation, replace(TWICE, epochs=4))
     assert len(trained.curve) == 4
     assert trained.curve[-1].loss < 0.8 * trained.curve[0].loss
