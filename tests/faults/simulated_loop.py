@@ -3,6 +3,7 @@
 import asyncio
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from heapq import heappop
 from random import Random
@@ -30,7 +31,7 @@ class SimulatedLoop(VirtualLoop):
     def __init__(self, random: Random) -> None:
         super().__init__()
         self._random = random
-        self._turns = 0
+        self._turns, self._unfinished = 0, set[asyncio.Task[Any]]()
         self.failures: list[str] = []  # of tasks whose process was alive
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
 
@@ -58,7 +59,18 @@ class SimulatedLoop(VirtualLoop):
         task = super().create_task(coro, **options)
         if process := adopt(task, options.get("context")):
             task.add_done_callback(partial(self._note_failure, process))
+        self._unfinished.add(task)  # else those of a killed process end whenever garbage is collected
+        task.add_done_callback(self._unfinished.discard)
         return task
+
+    def close(self) -> None:
+        """End what is left of each task, whose `finally` blocks may fail or wait again, and close the loop."""
+        for task in list(self._unfinished):
+            coroutine: Any = task.get_coro()
+            for _ in range(10):
+                with suppress(Exception):
+                    coroutine.close()
+        super().close()
 
     def _note_failure(self, process: SimulatedProcess, task: "asyncio.Task[Any]") -> None:
         error = None if task.cancelled() else task.exception()
