@@ -106,7 +106,7 @@ class Console(Sink[Slips | Faults]):
     def _print(self, time: int, finger: int, text: str, style: str) -> None:
         line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}"
         if self._out.isatty():
-            from rich.console import Console as Terminal  # noqa: PLC0415 - for terminals only
+            from rich.console import Console as Terminal
 
             Terminal(file=self._out).print(line, style=style, highlight=False, markup=False, soft_wrap=True)
         else:

@@ -19,7 +19,7 @@ SIMULATED_SETTLE: Final = 300 * ms  # ns; simulated fingers close at once
 REAL_SETTLE: Final = 2 * s  # ns; real fingers close in 1.4 s
 
 
-def lift(  # noqa: PLR0917 - flow parameters are passed by name
+def lift(
     detector: str = "tcn_grasp",
     thing: str = "ball",
     force: Force = 0.0,

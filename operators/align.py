@@ -131,7 +131,7 @@ class Align(Join[Zeroed, Motion, Sample]):
 
 
 @row_loop
-def _keep(  # noqa: PLR0917 - compiled functions take no keywords
+def _keep(
     time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, state: Times, newest: int
 ) -> int:
     """Drop old rows, then store those with finite velocity; return the newest time."""
@@ -151,7 +151,7 @@ def _keep(  # noqa: PLR0917 - compiled functions take no keywords
 
 
 @row_loop
-def _match(  # noqa: PLR0917 - compiled functions take no keywords
+def _match(
     time: Times,
     /,
     stamps: Times,

@@ -50,7 +50,7 @@ class Column:
         return tuple(cells if size == CELLS else max(size, 0) for size in self.shape)
 
 
-def column(dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()) -> Any:  # noqa: ANN401
+def column(dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()) -> Any:
     """Declare a column of a batch type; checks, empty batches and Arrow schemas are derived from it.
 
     >>> class Force(Batch):

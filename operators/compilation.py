@@ -17,13 +17,13 @@ class _Announcer(event.Listener):
 
     compiled = begun = 0  # functions
 
-    def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
+    def on_start(self, event: object) -> None:
         """Log the first compilation."""
         if not self.begun:
             log.info("compiling for this machine: up to a minute, once; later runs load the result")
         self.begun += 1
 
-    def on_end(self, event: object) -> None:  # noqa: ARG002 - numba's signature
+    def on_end(self, event: object) -> None:
         """Log every tenth compilation."""
         self.compiled += 1
         if self.compiled % 10 == 0:
@@ -34,10 +34,10 @@ cast("Any", event).register("numba:compile", _Announcer())
 
 
 def compile_function(
-    signatures: Any = None,  # noqa: ANN401 - numba's
+    signatures: Any = None,
     *,
     nogil: bool = True,
-    **options: Any,  # noqa: ANN401 - numba's
+    **options: Any,
 ) -> Callable[[Function], Function]:
     """Return a decorator that compiles, by default without the GIL; `options` are those of `numba.njit`.
 

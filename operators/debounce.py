@@ -69,7 +69,7 @@ _DECISION, _LENGTH, _START, _STATE, _EARLIEST = range(5)
 
 
 @row_loop
-def _debounce(  # noqa: PLR0917 - compiled functions take no keywords
+def _debounce(
     time: Times, probability: Reals, /, threshold: float, limits: Ints, state: Times, events: Times
 ) -> int:
     """Write row, start and state of each event, and return their number."""

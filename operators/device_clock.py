@@ -154,7 +154,7 @@ _SINCE, _ROWS, _LATE, _MAPPED, _REPORTED = range(5)
 
 
 @row_loop
-def _watch(  # noqa: PLR0917 - compiled functions take no keywords
+def _watch(
     device: Times, arrival: Times, /, state: tuple[Envelope, Times], every: int, stamps: Times, lines: Reals
 ) -> int:
     """Write time and offset, drift and residual of each report, and return their number."""

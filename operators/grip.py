@@ -137,7 +137,7 @@ class StepGrip(GripController):
         check_above("StepGrip", "step", self.step, 0, "N")
         self._wanted = self.force
 
-    def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:  # noqa: ARG002
+    def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:
         """Add a step per registered slip."""
         if registered:
             self._run = 0

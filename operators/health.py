@@ -121,7 +121,7 @@ Limits: TypeAlias = tuple[float, float, float]  # floor, ceiling, drift
 
 
 @row_loop
-def _examine(  # noqa: PLR0917 - compiled functions take no keywords
+def _examine(
     time: Times, counts: Counts, valid: Flags, /, memory: Memory, after: Times, limits: Limits, changes: Codes
 ) -> bool:
     """Mark starts (1) and ends (-1) of faults in (n, cells, 4) `changes`; return whether there are any."""

@@ -177,7 +177,7 @@ def _label(velocity: Reals, pose: Reals, /, parameters: Reals, speeds: Reals, la
 
 
 @row_loop
-def _shift(  # noqa: PLR0917 - compiled functions take no keywords
+def _shift(
     time: Times, stamps: Times, speed: Reals, label: Codes, /, limits: Ints, speeds: Reals, labels: Codes
 ) -> None:
     """Label each row by the last one up to its time + delay, if that is within the limit."""

@@ -121,7 +121,7 @@ def _layout(cells: int) -> tuple[tuple[int, ...], ...]:
 
 
 @row_loop
-def _pool(  # noqa: PLR0917 - compiled functions take no keywords
+def _pool(
     counts: Counts,
     temperature: Counts,
     valid: Flags,

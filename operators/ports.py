@@ -124,7 +124,7 @@ class Endpoint:
 
     extra: str = ""  # extra of slipflow that it needs
 
-    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - for subclasses
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check devices, servers and files as a run would use them, without moving or changing anything.
 
         `slipflow doctor` reports an exception as a bad finding; its message should say how to fix the cause.
@@ -221,7 +221,7 @@ class Sink(Endpoint, ABC, Generic[Taken]):
         A sink that moves hardware must refuse a run that has a `recording`.
         """
 
-    def take(self, batch: Taken) -> bool:  # noqa: ARG002 - for sinks that implement it
+    def take(self, batch: Taken) -> bool:
         """Write one batch without waiting, or return False to get it through `write`; same exceptions.
 
         Sinks that never wait implement only this. It saves a queue and a switch of tasks. A subclass that

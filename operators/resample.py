@@ -91,7 +91,7 @@ _VALUE, _AREA, _SPAN = range(3)  # of the sums: newest counts; counts * ns and n
 
 
 @row_loop
-def _resample(  # noqa: PLR0917 - compiled functions take no keywords
+def _resample(
     time: Times,
     counts: Counts,
     temperature: Counts,

@@ -41,9 +41,9 @@ def nearest_count(value: float) -> int:
 
 def _compiled(function: FunctionType, arguments: tuple[object, ...]) -> Callable[..., Any]:
     try:
-        import numba  # noqa: PLC0415 - takes 0.4 s to import
+        import numba
 
-        from operators.compilation import compile_function  # noqa: PLC0415 - imports numba
+        from operators.compilation import compile_function
     except ModuleNotFoundError:
         return function
     signature: list[Any] = [cast("Any", numba).typeof(each) for each in arguments]
@@ -58,7 +58,7 @@ def _compiled(function: FunctionType, arguments: tuple[object, ...]) -> Callable
 
 def _with_compiled_helpers(function: FunctionType) -> FunctionType:
     """Return a copy that calls compiled helpers; its name, the key of the cache, depends on its constants."""
-    from numba import njit  # noqa: PLC0415 - takes 0.4 s to import
+    from numba import njit
 
     scope, version = dict(function.__globals__), 0
     for name in function.__code__.co_names:

@@ -109,7 +109,7 @@ class _Streamed:
 
     stream: Stream
 
-    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002
+    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:
         """Return the probability (n,)."""
         probability = self.stream.push(counts[:, None]).ravel()
         return probability if rows is None else probability[rows]
@@ -122,7 +122,7 @@ class _Windowed:
     detector: Detector
     window: Window
 
-    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002 - `Window` selects them
+    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:
         """Return the probability (n,)."""
         filled = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
         windows, score = self.window.process(filled).counts, self.detector.score

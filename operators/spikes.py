@@ -55,7 +55,7 @@ def find_spike(counts: Counts, valid: Flags, least: float, state: Reals) -> int:
                 suspect, largest, second = cell, jump, largest
             elif jump > second:
                 second = jump
-    if number < 2 or largest <= max(least, _CLEAR * second, _CLEAR * state[_JUMP, suspect]):  # noqa: PLR2004
+    if number < 2 or largest <= max(least, _CLEAR * second, _CLEAR * state[_JUMP, suspect]):
         suspect = -1
     for cell in range(len(counts)):
         if valid[cell]:

@@ -138,7 +138,7 @@ class Zero(Operator[Touch, Zeroed]):
 
 
 @row_loop
-def _subtract(  # noqa: PLR0917 - compiled functions take no keywords
+def _subtract(
     counts: Counts,
     valid: Flags,
     /,

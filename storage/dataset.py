@@ -82,7 +82,7 @@ class Dataset(Sink[Recordable]):
         span, rows, host = self._part_span, self._part_rows, self._host
         return Dataset(path, part_span=span, part_rows=rows, host=host)
 
-    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check the free space of the disk and the time of an fsync.
 
         Raises:

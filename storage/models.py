@@ -206,7 +206,7 @@ def load_debounce(name: str | Path, false_alarms: float | None = None) -> Deboun
         raise InputError(str(path.with_suffix(".json")), f"debounce: {error}") from error
 
 
-def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> Any:  # noqa: ANN401 - of the card
+def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> Any:
     """Return the settings of a card for a rate of false alarms."""
     try:
         found = {float(each["false_alarms_per_min"]): each["debounce"] for each in card.get(ALARMS, ())}

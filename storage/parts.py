@@ -193,7 +193,7 @@ def _digest(lines: str) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - any JSON
+def _part(where: str, content: Any) -> Part:
     """Return a part of a manifest.
 
     Raises:
@@ -226,7 +226,7 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
     return encodings
 
 
-def _row_size(kind: Any) -> int:  # noqa: ANN401 - a type with the attributes of its class
+def _row_size(kind: Any) -> int:
     """Return the size of a value in bytes."""
     if pa.types.is_fixed_size_list(kind):
         return int(kind.list_size) * _row_size(kind.value_type)
@@ -246,7 +246,7 @@ def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
             raise InputError(str(path), reason)
 
 
-def _with_any_index(kind: Any) -> Any:  # noqa: ANN401 - a type with the attributes of its class
+def _with_any_index(kind: Any) -> Any:
     """Return a type; if it is a dictionary, with one index type: pyarrow 16 reads int32 for all."""
     return pa.dictionary(pa.int32(), kind.value_type) if pa.types.is_dictionary(kind) else kind
 

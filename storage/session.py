@@ -174,7 +174,7 @@ class Session:
         Raises:
             InputError: as `read`, or if there is no such table.
         """
-        import polars as pl  # noqa: PLC0415 - slow to import
+        import polars as pl
 
         parts: list[pa.Table] = []
         for each in TABLES:

@@ -3,7 +3,7 @@
 from typing import Any
 
 
-def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - any attribute
+def inside(owner: object, *names: str) -> Any:
     """Return a private attribute of an object, or an attribute of that attribute."""
     for name in names:
         owner = vars(owner)[name]

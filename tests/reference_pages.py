@@ -44,7 +44,7 @@ def commands() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def leaves(command: Any, name: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN401 - click's types vary
+def leaves(command: Any, name: str) -> Iterator[tuple[str, Any]]:
     """Yield each command below `command` with its full name."""
     if hasattr(command, "commands"):
         for each, inner in command.commands.items():
@@ -53,13 +53,13 @@ def leaves(command: Any, name: str) -> Iterator[tuple[str, Any]]:  # noqa: ANN40
         yield name, command
 
 
-def parameters(command: Any) -> list[Any]:  # noqa: ANN401 - click's types vary
+def parameters(command: Any) -> list[Any]:
     """Return arguments first, then options, without --help."""
     shown = [each for each in command.params if each.name != "help" and not getattr(each, "hidden", False)]
     return sorted(shown, key=lambda each: each.param_type_name != "argument")
 
 
-def usage(parameter: Any) -> str:  # noqa: ANN401 - click's types vary
+def usage(parameter: Any) -> str:
     """Return how a parameter is written on the command line."""
     if parameter.param_type_name == "argument":
         return str(parameter.metavar or parameter.name.upper())
@@ -67,7 +67,7 @@ def usage(parameter: Any) -> str:  # noqa: ANN401 - click's types vary
     return names if parameter.is_flag else f"{names} {parameter.metavar or 'VALUE'}"
 
 
-def meaning(parameter: Any) -> str:  # noqa: ANN401 - click's types vary
+def meaning(parameter: Any) -> str:
     """Return a parameter's help text with its default."""
     text, value = " ".join((parameter.help or "").split()), parameter.default
     known = not (value is None or value is False or value == "" or callable(value) or "default" in text)

@@ -58,7 +58,7 @@ def write_mcap(path: Path) -> None:
         writer.finish()
 
 
-def write_messages(writer: Any, store: Any, serialize: Callable[[Any, str], Any], stamp: Any) -> None:  # noqa: ANN401
+def write_messages(writer: Any, store: Any, serialize: Callable[[Any, str], Any], stamp: Any) -> None:
     """Write touch at 100 Hz and the velocity of the arm at 50 Hz, 1 ms before it."""
     pad = writer.add_connection("/pad", "pad_msgs/msg/Counts", typestore=store)
     arm = writer.add_connection("/arm/twist", "geometry_msgs/msg/TwistStamped", typestore=store)
@@ -76,7 +76,7 @@ def write_messages(writer: Any, store: Any, serialize: Callable[[Any, str], Any]
         writer.write(pad, time + 5_000_000, serialize(reading, pad.msgtype))
 
 
-def write_bag(path: Path, store_name: Stores, writer: Any) -> None:  # noqa: ANN401 - of either ROS
+def write_bag(path: Path, store_name: Stores, writer: Any) -> None:
     store = get_typestore(store_name)
     store.register(get_types_from_msg("std_msgs/Header header\nuint16[6] counts\n", "pad_msgs/msg/Counts"))
 

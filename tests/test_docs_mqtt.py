@@ -33,7 +33,7 @@ RIG = "slip/v1/lab/rig"
 START = 99_000 * ms  # within the run
 
 
-def shown(name: str) -> Any:  # noqa: ANN401 - JSON
+def shown(name: str) -> Any:
     return json.loads(block(PAGE, name))
 
 

@@ -247,7 +247,7 @@ class ColumnMap:
 
 def is_air(reading: float, unit: str) -> bool:
     """Return True if a reading may be air pressure."""
-    return 5e4 <= reading * PRESSURES.get(unit, 0.0) <= 1.15e5  # noqa: PLR2004 - Pa
+    return 5e4 <= reading * PRESSURES.get(unit, 0.0) <= 1.15e5
 
 
 def expanded(text: str) -> list[str]:
@@ -360,7 +360,7 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser an
 }
 
 
-def _parsed(key: str, text: str) -> Any:  # noqa: ANN401 - of the type of the key
+def _parsed(key: str, text: str) -> Any:
     """Return the value of a key of `_PARSERS`."""
     parse, must_be = _PARSERS[key]
     try:

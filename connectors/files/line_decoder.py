@@ -258,7 +258,7 @@ class _PlainValues:
             if (found := _STAMP.fullmatch(text)) is None:
                 raise ValueError(text)
             *day, hour, minute, second, share = found.groups()
-            if not (int(hour) < 24 and int(minute) < 60 and int(second) < 60):  # noqa: PLR2004
+            if not (int(hour) < 24 and int(minute) < 60 and int(second) < 60):
                 raise ValueError(text)
             year, month, number = (int(day[place] or 0) for place in self._order)
             days = date(year, month, number).toordinal() - _1970 if day[0] else 0

@@ -75,7 +75,7 @@ class LineSource(Source[Touch]):
         baud: int = 115_200,
         names: Sequence[str] = (),
     ) -> None:
-        from connectors.files.decoding import described  # noqa: PLC0415 - loads polars
+        from connectors.files.decoding import described
 
         self.where, self._baud, self._names = str(where), baud, tuple(names)
         if not self.where:
@@ -126,7 +126,7 @@ class LineSource(Source[Touch]):
         Raises:
             EndpointError: if the file or port cannot be read, or sends no rows.
         """
-        from connectors.files.line_decoder import LineDecoder  # noqa: PLC0415 - loads polars
+        from connectors.files.line_decoder import LineDecoder
 
         decoder = LineDecoder(self.where, self._columns, self._names, self._counted)
         chunks = self._read_port() if self._serial else self._follow_file(decoder)
@@ -182,7 +182,7 @@ class LineSource(Source[Touch]):
         Raises:
             EndpointError: if it cannot be opened, or is unplugged.
         """
-        from serial_asyncio_fast import open_serial_connection  # noqa: PLC0415 - an extra
+        from serial_asyncio_fast import open_serial_connection
 
         try:
             reader, writer = await open_serial_connection(url=self.where, baudrate=self._baud, exclusive=True)

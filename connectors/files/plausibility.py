@@ -80,7 +80,7 @@ def is_zeroed(readings: Reals) -> bool:
     """
     low, high = _quantiles(readings, 0.01), _quantiles(readings, 0.99)  # (cells,)
     near = 0.05 * (high - low)
-    return bool(np.any(low < 0) and np.mean((low - near <= 0) & (high + near >= 0)) > 0.5)  # noqa: PLR2004 - most
+    return bool(np.any(low < 0) and np.mean((low - near <= 0) & (high + near >= 0)) > 0.5)
 
 
 def motion_doubts(speeds: Reals) -> list[str]:

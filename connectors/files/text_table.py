@@ -162,7 +162,7 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
         raise InputError(
             f"{where}, line {above[-1] + 1}", 'has a quoted name that is not closed: write "" for a "'
         )
-    if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):  # noqa: PLR2004 - a title
+    if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):
         return _Shape(sign, ("",) * width, units, first, 0)
     return _Shape(sign, tuple(names), units, first, above[-1] + 1)
 
@@ -199,7 +199,7 @@ def _below_names(lines: Sequence[str], rows: list[int], sign: str, width: int) -
 
 def _merit(lines: Sequence[str], sign: str, begin: int, width: int, rows: Sequence[int]) -> tuple[int, ...]:
     """Return what speaks for a separator: rows of several values, as many names, other signs than blanks."""
-    if width < 2:  # noqa: PLR2004 - a time and a reading
+    if width < 2:
         return (0,)
     names = {len(_fields(line, sign)) for line in lines[begin : rows[0]]}
     alike = {width} if sign == " " else {width, max(2, width - 1)}

@@ -57,7 +57,7 @@ class Trace:
 
     def __init__(
         self,
-        source: "Any | Interpretation",  # noqa: ANN401 - all that pl.DataFrame takes
+        source: "Any | Interpretation",
         columns: ColumnMap = _DEFAULT,
         *,
         name: str = "table",
@@ -69,7 +69,7 @@ class Trace:
         if isinstance(source, str | Path):
             self.name = str(source)
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - any attribute
+    def __getattr__(self, name: str) -> Any:
         """Read the recording, at the first access of one of its attributes."""
         if name.startswith("__") or (unread := vars(self).pop("_unread", None)) is None:
             raise AttributeError(name)
@@ -81,8 +81,8 @@ class Trace:
         return getattr(self, name)
 
     def _read(self, source: object, columns: ColumnMap, name: str, part: int | None) -> None:
-        from connectors.files.decoding import described  # noqa: PLC0415 - slow to import
-        from connectors.files.plausibility import gap_doubts, motion_doubts  # noqa: PLC0415 - slow to import
+        from connectors.files.decoding import described
+        from connectors.files.plausibility import gap_doubts, motion_doubts
 
         found = interpreted(source, columns, name=name)
         if part is None and len(found.decoded) > 1:
@@ -174,7 +174,7 @@ class Trace:
 
 
 def interpreted(
-    source: "Any | Interpretation",  # noqa: ANN401 - as for Trace
+    source: "Any | Interpretation",
     columns: ColumnMap = _DEFAULT,
     *,
     name: str = "table",
@@ -191,11 +191,11 @@ def interpreted(
     Raises:
         InputError: if it cannot be read; it lists all problems.
     """
-    import polars as pl  # noqa: PLC0415 - slow to import
+    import polars as pl
 
-    from connectors.files.container import read_table  # noqa: PLC0415 - slow to import
-    from connectors.files.interpretation import Interpretation, interpret  # noqa: PLC0415 - slow to import
-    from connectors.files.raw_table import RawTable  # noqa: PLC0415 - slow to import
+    from connectors.files.container import read_table
+    from connectors.files.interpretation import Interpretation, interpret
+    from connectors.files.raw_table import RawTable
 
     if isinstance(source, Interpretation):
         return source

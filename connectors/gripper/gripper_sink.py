@@ -148,7 +148,7 @@ class Gripper(Sink[Commands]):
             "positions": list(status.positions) if status else None,
         }
 
-    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:  # noqa: ARG002 - needs none
+    async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Read the status of the gripper, without activating it.
 
         Raises:
@@ -330,7 +330,7 @@ class Gripper(Sink[Commands]):
 
     async def _exchange(self, request: "Callable[[], Awaitable[ModbusPDU]]") -> "ModbusPDU":
         """Wait for the turn, connect if needed, send a request and return the answer."""
-        from pymodbus import ModbusException  # noqa: PLC0415 - an extra
+        from pymodbus import ModbusException
 
         loop = asyncio.get_running_loop()
         await asyncio.sleep(self._next - loop.time())
@@ -360,7 +360,7 @@ class Gripper(Sink[Commands]):
             InputError: if pymodbus is not installed.
         """
         require_extra("gripper", self.destination)
-        from pymodbus.client import AsyncModbusTcpClient  # noqa: PLC0415 - an extra
+        from pymodbus.client import AsyncModbusTcpClient
 
         self._client = AsyncModbusTcpClient(
             self.host, port=self.port, name="gripper", reconnect_delay=0, timeout=self.timeout, retries=0

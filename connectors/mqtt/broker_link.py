@@ -278,27 +278,27 @@ class Link:
             self._lose(_reason(aiomqtt.MqttCodeError(info.rc)))
         return answer
 
-    def _on_message(self, client: Paho, userdata: object, message: MQTTMessage) -> None:  # noqa: ARG002
+    def _on_message(self, client: Paho, userdata: object, message: MQTTMessage) -> None:
         self.dropped += len(self._received) == self._received.maxlen
         self._received.append((message.topic, bytes(message.payload)))
         self._changed.set()
 
-    def _on_publish(self, client: Paho, userdata: object, mid: int, code: ReasonCode, _: Properties) -> None:  # noqa: ARG002
+    def _on_publish(self, client: Paho, userdata: object, mid: int, code: ReasonCode, _: Properties) -> None:
         answer = self._answers.pop(mid, None)
         if answer and not answer.done():
             answer.set_result(code)
 
     def _on_disconnect(
         self,
-        client: Paho,  # noqa: ARG002
-        userdata: object,  # noqa: ARG002
-        flags: DisconnectFlags,  # noqa: ARG002
+        client: Paho,
+        userdata: object,
+        flags: DisconnectFlags,
         code: ReasonCode,
-        properties: Properties | None,  # noqa: ARG002
+        properties: Properties | None,
     ) -> None:
         self._lose(_reason(aiomqtt.MqttCodeError(code)))
 
-    def _watch_socket(self, client: Paho, userdata: object, sock: PahoSocket) -> None:  # noqa: ARG002
+    def _watch_socket(self, client: Paho, userdata: object, sock: PahoSocket) -> None:
         def register() -> None:
             if sock.fileno() >= 0:  # it may be closed by now, and its descriptor reused
                 self._loop.add_writer(sock, client.loop_write)
@@ -307,7 +307,7 @@ class Link:
 
 
 class _Socket(ssl.SSLSocket):
-    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - signature of the base class
+    def do_handshake(self, block: bool = False) -> None:
         try:
             super().do_handshake(block)
         except BaseException:

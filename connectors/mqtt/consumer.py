@@ -235,7 +235,7 @@ class Consumer(AsyncIterator[Event]):
         return self._link
 
     async def _connect(self) -> "Link":
-        from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+        from connectors.mqtt.broker_link import connect
 
         link = await connect(self._broker, f"slipflow-{self._reply_name}")
         try:  # heads last, so that an event in flight does not look like a gap

@@ -105,7 +105,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             EndpointError: if the broker cannot be used, or the outbox cannot be written.
             InputError: if a file with credentials cannot be read.
         """
-        from connectors.mqtt.broker_link import diagnose_broker  # noqa: PLC0415 - aiomqtt is slow to import
+        from connectors.mqtt.broker_link import diagnose_broker
 
         for finding in await asyncio.to_thread(check_disk, self._outbox_path()):
             yield finding

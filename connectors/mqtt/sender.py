@@ -132,7 +132,7 @@ class Sender:
             await pauses.wait()
 
     async def _connect(self) -> "Link":
-        from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+        from connectors.mqtt.broker_link import connect
 
         self._link = link = await connect(self._broker, self._identifier, self._will, self._wake)
         self._refused.clear()

@@ -92,7 +92,7 @@ def _draw_grasp(
         int(random.integers(2**31)),
         rate=gripper.rate,
         taps=taps,
-        lift=lift if random.random() < 0.9 else None,  # noqa: PLR2004 - one in ten stays on the table
+        lift=lift if random.random() < 0.9 else None,
         passive=passive,
         grip=(x, y),
         vibration=vibration,
@@ -134,9 +134,9 @@ def draw_fingertip(random: np.random.Generator) -> Parameters:
 def _draw_taps(random: np.random.Generator, momentum: float, start: float) -> Iterator[Tap]:
     """Draw blows around a momentum (N s), from harmless ones to some that move the object by centimetres."""
     instant = start
-    while random.random() < 0.9 and instant < SECONDS - 0.3:  # noqa: PLR2004 - four on average
+    while random.random() < 0.9 and instant < SECONDS - 0.3:
         drawn = momentum * _log_uniform(random, 0.15, 4.0)
-        if random.random() < 0.5:  # noqa: PLR2004 - half of them
+        if random.random() < 0.5:
             yield Tap(instant, drawn, "top", _log_uniform(random, 0.004, 0.02))
         else:
             heading = float(random.choice([-1, 1]))

@@ -80,7 +80,7 @@ class SimulatedGrasp(Source[Touch]):
                 self.grasp.press(max(force, 0.0), (time - self._origin) / s)
 
     def _open(self) -> "Grasp":
-        from connectors.sim.grasp import Grasp  # noqa: PLC0415 - loads numba: only to run
+        from connectors.sim.grasp import Grasp
 
         return Grasp(self.held, seed=self.seed, lift=self.lift)
 

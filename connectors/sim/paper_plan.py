@@ -131,7 +131,7 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     plan = cast("PaperStrokes", scene.plan)
     pause = plan.pause * float(random.uniform(0.4, 1.0))
     plan = replace(plan, force=plan.force * _factor(random, 0.6), pause=pause, disturbed=True)
-    if plan.speed is not None and random.random() < 0.4:  # noqa: PLR2004 - the others keep the speed of the plan
+    if plan.speed is not None and random.random() < 0.4:
         plan = replace(plan, speed=float(np.exp(random.uniform(math.log(SLOWEST), math.log(FASTEST)))))
     tilt, apex = TILT_SPREAD * random.standard_normal(2), APEX_SPREAD * random.standard_normal(2)
     vibration = cast("Vibration", scene.vibration)

@@ -120,7 +120,7 @@ class SimulatedArm:
         seed: int = 0,
         fingers: tuple[int, ...] = (0,),
     ) -> None:
-        from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
+        from connectors.sim.finger import Finger
 
         self.bounds, self.fault = bounds, ""
         self._curvatures, self._surface = scene.curvatures, surface

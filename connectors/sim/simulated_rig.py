@@ -67,7 +67,7 @@ class SimulatedSource(Source[AnyBatch]):
 
     async def prepare(self) -> None:
         """Compile the physics, which takes seconds the first time and less than one afterwards."""
-        from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
+        from connectors.sim.finger import compile_physics
 
         await asyncio.to_thread(compile_physics)
 
@@ -137,7 +137,7 @@ class SimulatedRig:
         """Yield samples of the fingertip, one at a time."""
         origin = self._begin(Touch, clock)
         await asyncio.sleep(0)  # lets the truth begin before the first sample
-        from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
+        from connectors.sim.finger import Finger
 
         fingertip = Finger(self.scene, self.seed)
         try:
@@ -157,7 +157,7 @@ class SimulatedRig:
     async def _motion(self, clock: Clock) -> AsyncIterator[Motion]:
         """Yield samples of the arm, one at a time."""
         origin = self._begin(Motion, clock)
-        from connectors.sim.arm_motion import Controller  # noqa: PLC0415 - loads numba: only to run
+        from connectors.sim.arm_motion import Controller
 
         controller = Controller(self.scene, self.seed)
         async for _ in self._arrivals(self.scene.motion, clock):

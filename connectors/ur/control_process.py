@@ -71,7 +71,7 @@ class Reply(NamedTuple):
     text: str = ""
 
 
-def connect(host: str) -> Any:  # noqa: ANN401 - RTDEControlInterface, which has no types
+def connect(host: str) -> Any:
     """Connect ur-rtde, which uploads its control script to the controller and starts it.
 
     Raises:
@@ -116,7 +116,7 @@ def serve(
 class _Commander:
     """Sender of commands to the controller; it does not wait until they are done."""
 
-    def __init__(self, control: Any) -> None:  # noqa: ANN401 - as `connect`
+    def __init__(self, control: Any) -> None:
         self._control = control
         self._mode: Literal["rest", "line", "velocity"] = "rest"
         self._velocity = _STANDSTILL  # newest command in velocity mode
@@ -154,7 +154,7 @@ class _Commander:
     def stop(self) -> None:
         """Begin to bring the arm to rest."""
         if self._mode == "line":
-            self._control.stopL(STOP_DECELERATION, True)  # noqa: FBT003 - positional in ur-rtde
+            self._control.stopL(STOP_DECELERATION, True)
             self._mode = "rest"
         elif self._mode == "velocity":
             self._move(_STANDSTILL)  # repeated until `Signal.RELEASE`
@@ -165,7 +165,7 @@ class _Commander:
             case MoveTo(pose, speed, acceleration):
                 self._end_velocity()
                 self._mode = "line"
-                done = self._control.moveL([*pose], speed, acceleration, True)  # noqa: FBT003
+                done = self._control.moveL([*pose], speed, acceleration, True)
             case Move(velocity, acceleration):
                 used = acceleration if hypot(*velocity) else max(acceleration, 0.1)
                 done = self._move(Move(velocity, used))

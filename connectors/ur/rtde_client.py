@@ -115,7 +115,7 @@ class RtdeClient(asyncio.BufferedProtocol):
         self._transport = cast("asyncio.Transport", transport)
         self._request(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big"))
 
-    def get_buffer(self, sizehint: int) -> memoryview:  # noqa: ARG002 - asyncio's
+    def get_buffer(self, sizehint: int) -> memoryview:
         """Return the space for the bytes of one turn of the event loop."""
         return self._buffer
 

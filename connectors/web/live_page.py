@@ -90,9 +90,9 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             EndpointError: if the server cannot listen on its address.
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
         """
-        from aiohttp import web  # noqa: PLC0415 - slow to import
+        from aiohttp import web
 
-        from connectors.web.web_server import json_response, page_server  # noqa: PLC0415 - imports aiohttp
+        from connectors.web.web_server import json_response, page_server
 
         self._zeroed = any(issubclass(kind, Zeroed) for kind in run.sink_types.get(self.destination, ()))
         self._run, self._frames = run, Frames(run, zeroed=self._zeroed)
@@ -100,7 +100,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._changed, self._changes, self._browsers, self._ended = asyncio.Event(), 0, 0, False
         self._server = page_server(self._host, self._port)
 
-        async def about(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
+        async def about(request: "Request") -> "Response":
             return json_response({"mode": "live"})
 
         async def live(request: "Request") -> "WebSocketResponse":

@@ -64,18 +64,18 @@ class Metrics(Sink[Scores | Slips | Faults]):
             EndpointError: if the server cannot listen on its address.
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
         """
-        from aiohttp import web  # noqa: PLC0415 - slow to import
+        from aiohttp import web
 
-        from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - imports prometheus_client
-        from connectors.web.web_server import HEALTH, READY, WebServer  # noqa: PLC0415 - imports aiohttp
+        from connectors.web.run_metrics import RunMetrics
+        from connectors.web.web_server import HEALTH, READY, WebServer
 
         self._metrics = RunMetrics(run)
 
-        async def metrics(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
+        async def metrics(request: "Request") -> "Response":
             headers = {"Content-Type": "text/plain; version=0.0.4; charset=utf-8"}
             return web.Response(body=self._metrics.text(), headers=headers)
 
-        async def healthy(request: "Request") -> "Response":  # noqa: ARG001 - aiohttp's signature
+        async def healthy(request: "Request") -> "Response":
             return web.Response(text="ok\n")
 
         async def ready(request: "Request") -> "Response":

@@ -49,7 +49,7 @@ class SessionPage:
             web.post("/labels", self._write_labels),
         )
 
-    async def _about(self, request: web.Request) -> web.Response:  # noqa: ARG002 - no parameters
+    async def _about(self, request: web.Request) -> web.Response:
         def document() -> dict[str, Json]:
             labels = self._labels_json(self.session.hand_labels())
             return {"mode": "recorded", "labels": labels, **self.curves.contents()}

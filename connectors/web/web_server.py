@@ -165,7 +165,7 @@ class WebServer:
             return web.Response(status=403, text=text)
         return await handler(request)
 
-    async def _index(self, request: web.Request) -> web.StreamResponse:  # noqa: ARG002 - aiohttp's signature
+    async def _index(self, request: web.Request) -> web.StreamResponse:
         assert self._files, "else there is no such request"
         return web.FileResponse(self._files / "index.html")
 
@@ -198,5 +198,5 @@ async def _guard(request: web.Request, handler: Handler) -> web.StreamResponse:
         return web.Response()
 
 
-async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:  # noqa: ARG001 - aiohttp's signature
+async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(_HEADERS)

@@ -46,11 +46,11 @@ class PanelGroup(TyperGroup):
 
     table: ClassVar[CommandTable]
 
-    def __init__(self, **settings: Any) -> None:  # noqa: ANN401 - typer's
+    def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
         self.commands = cast("MutableMapping[str, Command]", self.table)  # which typer only reads
 
-    def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:  # noqa: ARG002 - typer's
+    def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:
         """Write a section for each panel."""
         for panel, summaries in self.table.panels.items():
             with formatter.section(panel):

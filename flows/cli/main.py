@@ -51,7 +51,7 @@ _NO_MEMORY: Final = ("failed to map segment", "cannot allocate memory", "can't s
 _debug = False
 
 
-def _print_version(value: bool) -> None:  # noqa: FBT001 - called by typer
+def _print_version(value: bool) -> None:
     if value:
         from importlib.metadata import version
 
@@ -63,7 +63,7 @@ def _print_version(value: bool) -> None:  # noqa: FBT001 - called by typer
 def _options(
     *,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
-    version: Annotated[  # noqa: ARG001 - its callback prints it
+    version: Annotated[
         bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version)
     ] = False,
 ) -> None:

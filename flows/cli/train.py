@@ -75,7 +75,7 @@ def train(
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
 
-    if (parent or method != "tcn") and filters != 16:  # noqa: PLR2004 - the default
+    if (parent or method != "tcn") and filters != 16:
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")

@@ -95,13 +95,13 @@ class Parameter:
         return (get_args(choices[0])[0], *choices[1:]) if other else choices
 
 
-def _unit(choice: Any) -> str | None:  # noqa: ANN401 - annotations are any type
+def _unit(choice: Any) -> str | None:
     """Return the unit in an annotation, or None."""
     named = get_args(choice)[1:] if get_origin(choice) is Annotated else ()
     return next((each for each in named if isinstance(each, str) and each in KINDS), None)
 
 
-def _description(choice: Any) -> str:  # noqa: ANN401 - the same
+def _description(choice: Any) -> str:
     if (unit := _unit(choice)) is not None:
         return f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
     if choice is type(None):

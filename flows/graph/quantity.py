@@ -69,7 +69,7 @@ def parse_quantity(owner: str, name: str, text: str, unit: str, *, signed: bool 
     Raises:
         ParameterError: if the text is not a quantity of this unit.
     """
-    from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
+    from fractions import Fraction
 
     kind = KINDS[unit]
     text = text.strip()
@@ -99,7 +99,7 @@ def format_quantity(value: float, unit: str) -> str:
     >>> format_quantity(70_000_000, "ns"), format_quantity(0.003, "m/s"), format_quantity(0.0, "N")
     ('70ms', '3mm/s', '0N')
     """
-    from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
+    from fractions import Fraction
 
     exact, found = Fraction(str(value)), list[str]()
     for name, factor in KINDS[unit].units.items():

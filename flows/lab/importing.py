@@ -207,7 +207,7 @@ class ImportedFile:
 
 
 def import_frame(
-    frame: Any,  # noqa: ANN401 - all that pl.DataFrame takes
+    frame: Any,
     out: str | Path,
     session: str,
     columns: str | ColumnMap = _DEFAULT,

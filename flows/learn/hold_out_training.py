@@ -36,7 +36,7 @@ def learners(names: Collection[str] = (), recipe: Recipe = SHORT) -> list[Candid
 def _trained_tcn(recipe: Recipe, fold: Fold) -> Method:
     """Train our network; crops are as short as the shortest recording."""
     require_extra("train", TRAINED)
-    from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
+    from flows.learn.training.dense_training import train_dense
 
     if not any(each.slip.any() for each in fold.train):
         raise InputError(TRAINED, "none of the recordings to learn from has slip")

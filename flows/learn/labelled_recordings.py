@@ -121,7 +121,7 @@ def scene_seed(seed: int, number: int) -> int:
 
 def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledRecording:
     """Simulate one scene; zero, align and label its samples."""
-    from connectors.sim.finger import simulate_scene  # noqa: PLC0415 - loads numba: only to simulate
+    from connectors.sim.finger import simulate_scene
 
     touch, motion, truth = simulate_scene(scene, seed)
     zero = Zero()

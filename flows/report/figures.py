@@ -59,7 +59,7 @@ def grid(
     widths: Sequence[float] | None = None,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure of `size` inches and its panels, row by row; for use in `styled` functions."""
-    from matplotlib import figure as matplotlib  # noqa: PLC0415
+    from matplotlib import figure as matplotlib
 
     figure: Figure = matplotlib.Figure(figsize=size, layout="constrained")
     figure.get_layout_engine().set(h_pad=_ROW_GAP)
@@ -102,7 +102,7 @@ def svg(figure: Figure) -> str:
 
 
 def _style() -> AbstractContextManager[None]:
-    import matplotlib as mpl  # noqa: PLC0415 - an extra, and slow to import
+    import matplotlib as mpl
 
     library: Any = mpl
     context: AbstractContextManager[None] = library.rc_context(fname=_STYLE)

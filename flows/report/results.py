@@ -161,7 +161,7 @@ def area(upper: str, lower: str) -> Statistic:
     """
 
     def of(group: Recordings) -> float:
-        from scipy.stats import rankdata  # noqa: PLC0415 - slow to import
+        from scipy.stats import rankdata
 
         (_, high), (_, low) = group.values(upper), group.values(lower)
         if not len(high) or not len(low):

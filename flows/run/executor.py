@@ -153,7 +153,7 @@ class LocalProcesses(ThreadPoolExecutor):
         self._pools.clear()
         self._ended = False
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: FBT001, FBT002
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
         """End all processes at once, also those with a task in progress."""
         super().shutdown(wait=False, cancel_futures=cancel_futures)
         self.end_tasks(())

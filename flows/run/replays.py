@@ -287,8 +287,8 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     Raises:
         InputError: if it is neither, or damaged.
     """
-    from connectors.files.container import ENDINGS  # noqa: PLC0415 - slow import, rarely needed
-    from connectors.files.trace import Trace  # noqa: PLC0415 - slow import, rarely needed
+    from connectors.files.container import ENDINGS
+    from connectors.files.trace import Trace
 
     if not path.name.endswith(ENDINGS):
         return Session.open(path)

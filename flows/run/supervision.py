@@ -39,5 +39,5 @@ def notify_systemd(state: str) -> None:
     address = os.environ.get("NOTIFY_SOCKET", "")
     if address.startswith(("/", "@")):
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
-            channel.setblocking(False)  # noqa: FBT003 - socket's signature
+            channel.setblocking(False)
             channel.sendto(state.encode(), address.replace("@", "\0", 1) if address[0] == "@" else address)

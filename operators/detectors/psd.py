@@ -100,7 +100,7 @@ def _transform(length: int, cutoff: float) -> Reals:
     It removes the mean, applies the weights and transforms. At these lengths it is faster than an FFT, and
     the rounding of a window does not depend on other windows.
     """
-    from scipy.fft import rfft, rfftfreq  # noqa: PLC0415 - takes 0.6 s to import
+    from scipy.fft import rfft, rfftfreq
 
     weights = np.hanning(length + 2)[1:-1]  # without zeros: the newest sample counts
     frequency = rfftfreq(length)  # relative to the sample rate

@@ -90,7 +90,7 @@ class Tcn(ForOneFingertip):
 
     def stream(self, fingers: int = 1) -> "TcnStream":
         """Return a new stream for `fingers` fingertips that are sampled together."""
-        from operators.detectors.tcn_stream import TcnStream  # noqa: PLC0415 - imports numba
+        from operators.detectors.tcn_stream import TcnStream
 
         return TcnStream(self.layers, self.position_scale, self.step_scale, fingers)
 

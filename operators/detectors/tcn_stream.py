@@ -62,9 +62,7 @@ def _asinh(count: np.float32, weights: Floats, scale: int) -> float:
 
 
 @compile_function(fastmath=_VECTORIZED)
-def _enter(  # noqa: PLR0917 - a compiled function takes no keywords
-    counts: Counts | Reals, time: int, memory: Floats, new: int, again: int, weights: Floats
-) -> None:
+def _enter(counts: Counts | Reals, time: int, memory: Floats, new: int, again: int, weights: Floats) -> None:
     """Store a fingertip's counts (cells,), and position and step of each in both slots."""
     cells = len(counts)
     for cell in range(cells):
@@ -75,7 +73,7 @@ def _enter(  # noqa: PLR0917 - a compiled function takes no keywords
         memory[new + cells + cell] = memory[again + cells + cell] = _asinh(step, weights, 1)
 
 
-def advance(  # noqa: PLR0917 - a compiled function takes no keywords
+def advance(
     counts: Counts | Reals, results: Reals, memory: Floats, seen: int, weights: Floats, layers: Times
 ) -> None:
     """Process the next samples.

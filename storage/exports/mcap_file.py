@@ -61,7 +61,7 @@ def export(
         MCAP format specification, https://mcap.dev/spec
     """
     require_extra("mcap", "MCAP export")
-    from mcap.writer import Writer  # noqa: PLC0415 - an extra
+    from mcap.writer import Writer
 
     with partial_file(path) as file:
         writer: Any = Writer(file, chunk_size=_CHUNK)

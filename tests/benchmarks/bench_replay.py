@@ -64,7 +64,7 @@ def timed(watch: Watch) -> Generator[None]:
     session: Any = Session
     real = session.read
 
-    def read(*asked: Any) -> Iterator[Any]:  # noqa: ANN401
+    def read(*asked: Any) -> Iterator[Any]:
         batches = real(*asked)
         while True:
             with watch.stage("read"):
@@ -75,7 +75,7 @@ def timed(watch: Watch) -> Generator[None]:
 
     before = [kind.process for kind in kinds]
 
-    def wrapped(kind: Any, process: Callable[..., Any]) -> Callable[..., Any]:  # noqa: ANN401
+    def wrapped(kind: Any, process: Callable[..., Any]) -> Callable[..., Any]:
         def run(self: Operator[Any, Any], batch: Batch) -> Batch:
             with watch.stage(kind.__name__):
                 return cast("Batch", process(self, batch))

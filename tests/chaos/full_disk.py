@@ -58,7 +58,7 @@ def full_for_a_while(scale: Scale) -> Sequence[Promise]:
     ]
 
 
-def _run(folder: Path, how: str, full: float, room: float) -> Any:  # noqa: ANN401 - JSON
+def _run(folder: Path, how: str, full: float, room: float) -> Any:
     child = Child(folder, "fill", folder, how, f"{full}", f"{room}")
     child.start()
     child.stop(None)

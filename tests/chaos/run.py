@@ -62,7 +62,7 @@ def run_test(test: Test, scale: Scale) -> Sequence[Promise]:
 
 def main() -> int:
     """Run all tests, or the subjects given."""
-    from tests.chaos import events, full_disk, recorder  # noqa: PLC0415 - they use this module
+    from tests.chaos import events, full_disk, recorder
 
     subjects: dict[str, Sequence[Test]] = {
         "recorder": (recorder.kills,),

@@ -23,7 +23,7 @@ def test_input_ends_a_wait() -> None:
     async def main() -> bytes:
         mine, other = socket.socketpair()
         with mine, other:
-            mine.setblocking(False)  # noqa: FBT003 - its only parameter
+            mine.setblocking(False)
             loop = asyncio.get_running_loop()
             loop.call_later(0.01, other.send, b"x")
             async with asyncio.timeout(60):

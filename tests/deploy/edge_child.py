@@ -44,7 +44,7 @@ async def work(flow: Flow, duration: int) -> Run:
 def main() -> None:
     """Work, and print what came of it."""
     sys.path.append(str(Path(__file__).parents[2]))  # for `tests` alone: the installed slipflow comes first
-    from tests.emulators.i2c_bus import EmulatedI2cBus, served  # noqa: PLC0415
+    from tests.emulators.i2c_bus import EmulatedI2cBus, served
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("flow", help="file of the flow")

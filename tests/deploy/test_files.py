@@ -42,7 +42,7 @@ def read_all(name: str) -> list[Any]:
     return list(parser.load_all(DEPLOY / name))
 
 
-def read(name: str) -> Any:  # noqa: ANN401 - YAML
+def read(name: str) -> Any:
     return read_all(name)[0]
 
 

@@ -28,7 +28,7 @@ SCRAPES = DEPLOY / "prometheus" / "prometheus.yml"
 DASHBOARD = (DEPLOY / "grafana" / "slipflow.json").read_text()
 
 
-def leaves(data: Any, path: str = "") -> set[tuple[str, str]]:  # noqa: ANN401 - JSON
+def leaves(data: Any, path: str = "") -> set[tuple[str, str]]:
     """Return the values of a JSON document with their paths."""
     if not isinstance(data, dict | list):
         return {(path, str(data))}

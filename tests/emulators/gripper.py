@@ -189,7 +189,7 @@ class GripperServer:
             self.mechanism.advance(self._now())
             await asyncio.sleep(CYCLE)
 
-    async def _answer(  # noqa: PLR0917 - as pymodbus calls it
+    async def _answer(
         self,
         function: int,
         start: int,
@@ -212,7 +212,7 @@ class GripperServer:
             return ExcCodes.ILLEGAL_FUNCTION
         return None
 
-    def _pass_on(self, sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
+    def _pass_on(self, sending: bool, data: bytes) -> bytes:
         return b"" if sending and self.silent else self.trace(sending, data)
 
 

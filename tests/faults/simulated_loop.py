@@ -64,7 +64,7 @@ class SimulatedLoop(VirtualLoop):
         return task
 
     def close(self) -> None:
-        """End what is left of each task, whose `finally` blocks may fail or wait again, and close the loop."""
+        """Close the loop; first end what is left of tasks, whose `finally` blocks may fail or wait again."""
         for task in list(self._unfinished):
             coroutine: Any = task.get_coro()
             for _ in range(10):

@@ -44,7 +44,7 @@ def wrong(counts: Counts, row: int, cell: int, bit: int) -> Counts:
     bit=st.integers(5, 15),
     cut=st.sampled_from([1, 7, ROWS]),
 )
-def test_a_wrong_bit_makes_that_cell_invalid_in_that_row_alone(  # noqa: PLR0917 - hypothesis names them
+def test_a_wrong_bit_makes_that_cell_invalid_in_that_row_alone(
     seed: int, row: int, cells: int, cell: int, bit: int, cut: int
 ) -> None:
     counts, cell = quiet(seed, cells), cell % cells

@@ -47,7 +47,7 @@ def read(folder: Path) -> None:
     rows(folder, BATCHES, STREAMS)
 
 
-def value_paths(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:  # noqa: ANN401 - JSON
+def value_paths(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
     """Yield the paths of all values in a JSON object."""
     keys: list[str | int] = [*content] if type(content) is dict else [*range(len(content))]
     for key in keys:
@@ -56,7 +56,7 @@ def value_paths(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tupl
             yield from value_paths(content[key], (*path, key))
 
 
-def changed(content: Any, data: st.DataObject) -> Any:  # noqa: ANN401 - JSON
+def changed(content: Any, data: st.DataObject) -> Any:
     """Return a copy with one value replaced or removed."""
     content = deepcopy(content)
     *path, last = data.draw(st.sampled_from(list(value_paths(content))))

@@ -213,7 +213,7 @@ async def virtual_arm(path: PlannedPath, clock: Clock, fingers: tuple[int, ...] 
     Raises:
         InputError: if the plan has several surfaces.
     """
-    from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
+    from connectors.sim.finger import compile_physics
 
     surface, plan = path.series[0].surface, path.plan
     if len(plan.surfaces) > 1:

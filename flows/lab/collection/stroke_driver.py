@@ -65,7 +65,7 @@ class StrokeDriver(Source[Episodes]):
         """Episodes."""
         return Episodes
 
-    async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:  # noqa: ARG002 - Source's signature
+    async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:
         """Yield each episode when it has ended, until cancelled."""
         while True:
             yield await self._episodes.get()

@@ -112,7 +112,7 @@ def run_study(
         ParameterError: on less than one method, or an unknown experiment.
         SlipflowError: if a process ended early.
     """
-    from flows.report.results import joined, result_rows  # noqa: PLC0415 - imports polars
+    from flows.report.results import joined, result_rows
 
     check_choice("experiment", "name", experiment, EXPERIMENTS)
     check_at_least("experiment", "methods", len(methods), 1)

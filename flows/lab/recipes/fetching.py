@@ -82,7 +82,7 @@ def fetch(
 
 def _cache(recipe: DatasetRecipe, mirror: str | None) -> Locate:
     """Return the function that downloads a file into the cache and verifies it."""
-    import pooch  # noqa: PLC0415 - of an extra
+    import pooch
 
     pooch.get_logger().setLevel("WARNING")
     files = pooch.create(
@@ -105,7 +105,7 @@ def _cache(recipe: DatasetRecipe, mirror: str | None) -> Locate:
 
 def _copy(recipe: DatasetRecipe, folder: Path) -> Locate:
     """Return the function that verifies a file of a copy of the source."""
-    import pooch  # noqa: PLC0415 - of an extra
+    import pooch
 
     def locate(path: str) -> Path:
         file = folder / path

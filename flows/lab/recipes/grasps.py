@@ -20,8 +20,8 @@ def recordings(locate: Locate) -> Iterator[SourceRecording]:
     Raises:
         InputError: if the files of a trial have different numbers of rows.
     """
-    import numpy as np  # noqa: PLC0415 - as polars
-    import polars as pl  # noqa: PLC0415 - slow to import
+    import numpy as np
+    import polars as pl
 
     for folder in dict.fromkeys(path.rpartition("/")[0] for path in _REGISTRY):
         files = [f"{folder}/{name}.csv" for name in ("robot_state", "slip_label", "xela_sensor1")]

@@ -18,8 +18,8 @@ _JOINT: Final = "field.FFJ4_process_value_dot"  # rad/s
 
 def recordings(locate: Locate) -> Iterator[SourceRecording]:
     """Yield a recording of each file."""
-    import numpy as np  # noqa: PLC0415 - as polars
-    import polars as pl  # noqa: PLC0415 - slow to import
+    import numpy as np
+    import polars as pl
 
     electrodes = [f"field.el{each}" for pair in PAIRS for each in pair]
     for path in _REGISTRY:

@@ -71,7 +71,7 @@ def alarm_limit(alarms: NDArray[np.int64], minutes: Reals, confidence: float) ->
 def _design_effect(alarms: NDArray[np.int64], minutes: Reals) -> float:
     """Return the variance of the number of alarms over units relative to a Poisson count, at least 1."""
     count, size = int(alarms.sum()), len(alarms)
-    if size < 2 or count < 2:  # noqa: PLR2004 - one alarm has no cluster
+    if size < 2 or count < 2:
         return 1.0
     residuals = alarms - count * minutes / minutes.sum()
     return max(float((residuals**2).sum()) * size / (size - 1) / count, 1.0)

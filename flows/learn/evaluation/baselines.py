@@ -20,7 +20,7 @@ _DECAY: Final = 1e-3  # L2 penalty of logistic regression
 _BINS: Final = 255  # of a feature, most that scikit-learn takes
 
 
-def sklearn(module: str) -> Any:  # noqa: ANN401 - scikit-learn has no type annotations
+def sklearn(module: str) -> Any:
     """Import a module of scikit-learn, which is an extra and takes a second the first time.
 
     Raises:
@@ -153,7 +153,7 @@ def _fit_boosting(features: Reals, slip: Flags) -> Answer:
     return partial(_boosted, edges, model)
 
 
-def _boosted(edges: Reals, model: Any, features: Reals) -> Reals:  # noqa: ANN401 - of scikit-learn
+def _boosted(edges: Reals, model: Any, features: Reals) -> Reals:
     probability: Reals = model.predict_proba(_binned(features, edges))[:, 1]
     return probability
 

@@ -58,7 +58,7 @@ def group_folds(recordings: Sequence[LabelledRecording], groups: Collection[str]
     """
     known = list(dict.fromkeys(each.group for each in recordings if each.group))
     there = ", ".join(sorted(known)) or "none"
-    if len(known) < 2:  # noqa: PLR2004 - one to hold out, one to fit to
+    if len(known) < 2:
         reason = f"states fewer than two groups (surfaces or objects) of its recordings: {there}"
         raise InputError(source, f"{reason}; `group` in the `about` of a session states its group")
     if missing := sorted({*groups} - {*known, EVERY}):

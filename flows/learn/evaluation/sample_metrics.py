@@ -75,7 +75,7 @@ def distance(label: Codes, sampling: Sampling) -> Reals:
     within = np.append(same, True) & np.insert(same, 0, True)  # (n,) not at a change
     if within.all():
         return np.full(len(label), np.inf)
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
+    from scipy.ndimage import distance_transform_edt
 
     steps: Reals = distance_transform_edt(within)
     return steps * (sampling.period / ms)

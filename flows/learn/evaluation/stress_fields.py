@@ -66,7 +66,7 @@ def stressed(scene: Scene, field: str, value: float) -> Scene:
     return scene if value == FIELDS[field].nominal else FIELDS[field].change(scene, value)
 
 
-def _changed(scene: Scene, part: str, **values: Any) -> Scene:  # noqa: ANN401 - as `replace`
+def _changed(scene: Scene, part: str, **values: Any) -> Scene:
     changes: dict[str, Any] = {part: replace(getattr(scene, part), **values)}
     return replace(scene, **changes)
 

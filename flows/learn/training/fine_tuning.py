@@ -69,7 +69,7 @@ def fine_tune(
         InputError: if the recordings lack slip or static, or are too short to hold out a part.
         ParameterError: if no recording is as long as a crop.
     """
-    from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
+    from flows.learn.training.dense_training import train_dense
 
     alignment = best_alignment(tcn, learned)
     start = aligned(tcn, alignment)

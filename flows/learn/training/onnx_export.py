@@ -44,7 +44,7 @@ class _Graph:
     """ONNX graph under construction; methods add nodes and return the name of their output."""
 
     def __init__(self) -> None:
-        import onnx  # noqa: PLC0415 - an extra
+        import onnx
 
         self._onnx: Any = onnx
         self._nodes, self._constants = list[Any](), list[Any]()

@@ -34,7 +34,7 @@ class Calibration:
         References:
             Platt, "Probabilistic outputs for support vector machines" (1999).
         """
-        from scipy.optimize import minimize  # noqa: PLC0415 - slow to import
+        from scipy.optimize import minimize
 
         if not slip.any() or slip.all():
             return cls(1.0, 0.0)

@@ -130,7 +130,7 @@ def _from_random(
     datasets: Sequence[Path], method: str, parts: Parts, recipe: Recipe | PaperRecipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the weights of a network that was trained from random ones, and the entries for its card."""
-    from flows.learn.training.probability_calibration import calibration_of  # noqa: PLC0415 - imports torch
+    from flows.learn.training.probability_calibration import calibration_of
 
     for split in ("train", "validation"):
         if not parts[split]:
@@ -157,7 +157,7 @@ def _from_model(
     parent: Tcn, recordings: Sequence[LabelledRecording], recipe: Recipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the weights of a network that was trained further, and the entries for its card."""
-    from flows.learn.training.fine_tuning import fine_tune  # noqa: PLC0415 - imports torch
+    from flows.learn.training.fine_tuning import fine_tune
 
     learned = [each for each in recordings if each.split != "test"]
     held_out = [each for each in recordings if each.split == "test"]
@@ -181,8 +181,8 @@ def _trained(
     recipe: Recipe | PaperRecipe,
     progress: Progress,
 ) -> "Trained":
-    from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
-    from flows.learn.training.paper_training import train_windowed  # noqa: PLC0415 - imports torch
+    from flows.learn.training.dense_training import train_dense
+    from flows.learn.training.paper_training import train_windowed
 
     if isinstance(recipe, Recipe):
         return train_dense(train_on, validation, recipe, progress)

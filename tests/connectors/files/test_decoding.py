@@ -86,7 +86,7 @@ def test_a_map_that_is_not_complete_is_refused() -> None:
 
 @given(st.lists(st.text(st.characters(exclude_categories=["C", "Z"]), min_size=1), min_size=1, max_size=5))
 def test_a_line_is_split_as_it_is_written(fields: list[str]) -> None:
-    import io  # noqa: PLC0415 - for this test only
+    import io
 
     text = io.StringIO()
     csv.writer(text, delimiter=";").writerow(fields)

@@ -160,7 +160,7 @@ def test_a_clock_that_wraps_goes_on_with_a_note(first: int, interval: int, clock
 
 @given(st.lists(st.integers(3, 40), min_size=2, max_size=5))
 def test_a_clock_that_starts_again_is_named_and_split_on_request(parts: list[int]) -> None:
-    from connectors.files.trace import interpreted  # noqa: PLC0415 - not part of the promise of Trace
+    from connectors.files.trace import interpreted
 
     times = [0.02 * k for size in parts for k in range(size)]
     frame = {"t": times, "p0": [*range(500, 500 + len(times))], "p1": [500, *[501] * (len(times) - 1)]}

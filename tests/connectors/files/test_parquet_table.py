@@ -23,7 +23,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "trace.parquet"
 
 
-def put(path: Path, **columns: Any) -> Path:  # noqa: ANN401 - any values
+def put(path: Path, **columns: Any) -> Path:
     pl.DataFrame(columns).write_parquet(path)
     return path
 

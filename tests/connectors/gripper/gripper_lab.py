@@ -61,7 +61,7 @@ async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> Asy
     begun = loop.time()
     server = GripperServer(host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters)
 
-    def listen(sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
+    def listen(sending: bool, data: bytes) -> bytes:
         if data and not sending:
             asked.append((loop.time(), data[2:]))
         return data

@@ -64,7 +64,7 @@ async def take(events: Consumer, count: int) -> list[int]:
 
 
 @asynccontextmanager
-async def publishing(broker: TestBroker, run: Run, **options: Any) -> AsyncGenerator[Mqtt]:  # noqa: ANN401
+async def publishing(broker: TestBroker, run: Run, **options: Any) -> AsyncGenerator[Mqtt]:
     sink = Mqtt(broker.url, "lab", "ur10", **options)
     await sink.open(run)
     try:

@@ -25,7 +25,7 @@ DRAFT = Event("lab", "ur10", "0", "", 0, onset=True, time=1, probability=0.9, la
 TIMES = count()  # s, longer apart than two answers
 
 
-def altered(document: GapRequest | GapAnswer, **values: Any) -> bytes:  # noqa: ANN401 - JSON
+def altered(document: GapRequest | GapAnswer, **values: Any) -> bytes:
     changed = {**json.loads(document.encode()), **values}
     return json.dumps({key: value for key, value in changed.items() if value is not ...}).encode()
 

@@ -60,7 +60,7 @@ def event(listener: TestListener, finger: str = "0") -> Event:
     return Event.decode(received.payload.encode())
 
 
-def read(received: Received) -> Any:  # noqa: ANN401 - JSON
+def read(received: Received) -> Any:
     return json.loads(received.payload)
 
 
@@ -314,7 +314,7 @@ def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None
         ("consecutive", 0),
     ],
 )
-def test_parameters_out_of_range_are_rejected(name: str, value: Any) -> None:  # noqa: ANN401
+def test_parameters_out_of_range_are_rejected(name: str, value: Any) -> None:
     parameters: dict[str, Any] = {"url": "mqtt://localhost", name: value}
     with pytest.raises(ParameterError, match=f"^Mqtt: {name} is "):
         Mqtt(**parameters)

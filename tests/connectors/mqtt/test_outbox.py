@@ -47,7 +47,7 @@ class Disk:
             assert self.syncs.wait(PATIENCE)
             sync(log)
 
-        def failing_create(kind: type[AppendLog], *arguments: Any) -> AppendLog:  # noqa: ANN401
+        def failing_create(kind: type[AppendLog], *arguments: Any) -> AppendLog:
             if self.write_error:
                 raise self.write_error
             log: AppendLog = create(kind, *arguments)

@@ -32,7 +32,7 @@ class TestControl:
     sent: list[tuple[Any, ...]] = field(default_factory=list[tuple[Any, ...]])
     obeys: bool = True
 
-    def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool:  # noqa: N802, FBT001
+    def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool:  # noqa: N802
         self.sent.append(("moveL", pose, speed, acceleration, asynchronous))
         return self.obeys
 
@@ -44,7 +44,7 @@ class TestControl:
         self.sent.append(("speedStop",))
         return self.obeys
 
-    def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802, FBT001
+    def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802
         self.sent.append(("stopL", asynchronous))
 
     def setWatchdog(self, rate: float, /) -> bool:  # noqa: N802
@@ -223,7 +223,7 @@ def test_the_process_disconnects_even_if_the_arm_cannot_be_stopped(
     pipe: tuple[Connection, Connection],
 ) -> None:
     class Unstoppable(TestControl):
-        def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802, FBT001
+        def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802
             raise RuntimeError("connection lost")
 
     control, (ours, theirs) = Unstoppable(), pipe

@@ -105,7 +105,7 @@ class Served:
         self._thread.join()
         self.loop.close()
 
-    def do(self, coroutine: Coroutine[Any, Any, Any]) -> Any:  # noqa: ANN401 - any result
+    def do(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
         """Run a coroutine in the loop and return its result."""
         return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(PATIENCE)
 

@@ -35,12 +35,12 @@ async def opened(run: Run) -> AsyncGenerator[tuple[Page, Frames]]:
         await page.close()
 
 
-async def first_with(frames: Frames, name: str) -> Any:  # noqa: ANN401 - of JSON
+async def first_with(frames: Frames, name: str) -> Any:
     """Return the first value of a name that is not empty."""
     return await anext(frame[name] async for frame in frames if frame.get(name))
 
 
-def rows(time: Any, cells: int = 6) -> Zeroed:  # noqa: ANN401 - as numpy
+def rows(time: Any, cells: int = 6) -> Zeroed:
     counts = np.full((len(time), cells), -7, np.int16)
     return Zeroed(time, counts, counts, counts < 0, finger=0)
 

@@ -41,7 +41,7 @@ async def served(server: WebServer) -> AsyncGenerator[ClientSession]:
     await server.close()
 
 
-def numbers(token: str | None = None, **given: Any) -> WebServer:  # noqa: ANN401 - of WebServer
+def numbers(token: str | None = None, **given: Any) -> WebServer:
     return WebServer(**{"host": "127.0.0.1", "port": 0, "access": Access(token), "name": "numbers", **given})
 
 

@@ -22,9 +22,9 @@ def no_constant(name: str) -> None:
 @pytest.fixture
 def no_simulation(monkeypatch: pytest.MonkeyPatch, hide_packages: Callable[..., None]) -> None:
     """Lose the object in each trial, without a simulation and without figures."""
-    lost = LiftOutcome("missed", True, 30.0, math.nan, math.nan, 0.5)  # noqa: FBT003
+    lost = LiftOutcome("missed", True, 30.0, math.nan, math.nan, 0.5)
 
-    def lift(_: Any, setups: list[Any]) -> list[tuple[None, LiftOutcome]]:  # noqa: ANN401
+    def lift(_: Any, setups: list[Any]) -> list[tuple[None, LiftOutcome]]:
         return [(None, lost)] * len(setups)
 
     monkeypatch.setattr(study, "EXPERIMENTS", {"lift": lift})

@@ -75,7 +75,7 @@ def serve(folder: Path, visit: Callable[[Ask], None]) -> subprocess.CompletedPro
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
 
-    def ask(path: str, body: object = None) -> Any:  # noqa: ANN401 - of JSON
+    def ask(path: str, body: object = None) -> Any:
         headers = {"Origin": f"http://127.0.0.1:{port}", "Content-Type": "application/json"}
         method, sent = ("GET", None) if body is None else ("POST", json.dumps(body))
         with closing(HTTPConnection("127.0.0.1", port, timeout=PATIENCE)) as connection:

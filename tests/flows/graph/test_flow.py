@@ -92,7 +92,7 @@ class Rig:
 )
 def test_a_part_of_the_wrong_kind_is_an_error_that_says_what_to_write(
     use: str,
-    part: Any,  # noqa: ANN401 - of any kind
+    part: Any,
     message: str,
 ) -> None:
     flow = Flow("f")

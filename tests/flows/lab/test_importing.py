@@ -61,7 +61,7 @@ def imported(trace_import: TraceImport) -> Session:
     return Session.open(trace_import.summary()["dataset"])
 
 
-def rows(session: Session, kind: Any, finger: int = 0) -> Any:  # noqa: ANN401 - batches of that kind
+def rows(session: Session, kind: Any, finger: int = 0) -> Any:
     return concat(kind, list(session.read(kind, finger)))
 
 
@@ -232,7 +232,7 @@ def put(path: Path, *, step: float = 0.01, low: float = 90, time: str = "t") -> 
     return path
 
 
-def imports(paths: list[Path], out: Path, **settings: Any) -> list[ImportedFile]:  # noqa: ANN401
+def imports(paths: list[Path], out: Path, **settings: Any) -> list[ImportedFile]:
     return list(import_files(paths, out, ColumnMap(units={"counts": "kPa"}), **settings))
 
 

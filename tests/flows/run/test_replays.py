@@ -203,7 +203,7 @@ def test_an_interrupted_replay_leaves_no_part_of_a_session(
 ) -> None:
     replays = Replays(source(felt, out=str(tmp_path / "out")), four)
 
-    def interrupt(_self: Session, *_args: Any) -> None:  # noqa: ANN401 - as `read`
+    def interrupt(_self: Session, *_args: Any) -> None:
         raise KeyboardInterrupt
 
     results = replays.run()

@@ -69,7 +69,7 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
     monkeypatch.setenv("NOTIFY_SOCKET", str(path))
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(path))
-        listener.setblocking(False)  # noqa: FBT003 - socket's signature
+        listener.setblocking(False)
         yield listener
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 
-def work(item: str) -> Any:  # noqa: ANN401
+def work(item: str) -> Any:
     """Do what an item says."""
     what, _, where = item.partition(":")
     path = Path(where)

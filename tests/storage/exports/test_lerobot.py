@@ -42,7 +42,7 @@ class Read:
         stats = json.loads((root / "meta/stats.json").read_text())
         return cls(info, stats, dict(zip(tasks["task_index"], tasks["task"], strict=True)), episodes, frames)
 
-    def values(self, number: int, feature: str) -> Any:  # noqa: ANN401 - an array of any type
+    def values(self, number: int, feature: str) -> Any:
         """The values of an episode's feature, in the shape that info.json declares."""
         column = self.frames[number][feature]
         declared = self.info["features"][feature]
@@ -93,7 +93,7 @@ class Read:
         assert ends[-1][1] == len(self.episodes)
 
     @staticmethod
-    def check_stats(stats: dict[str, list[float]], values: Any) -> None:  # noqa: ANN401 - as above
+    def check_stats(stats: dict[str, list[float]], values: Any) -> None:
         """Statistics are those of the values."""
         values = values.astype(np.float64)
         assert stats["count"] == [len(values)]
@@ -107,7 +107,7 @@ class Read:
             assert stats[name] == pytest.approx(expected.tolist(), rel=1e-9, abs=1e-12), name
 
 
-def poses(time: Any) -> Motion:  # noqa: ANN401 - whole numbers
+def poses(time: Any) -> Motion:
     stamps = np.asarray(time, np.int64)
     known = stamps[:, None] / 1e9 + np.arange(6)
     return Motion(stamps, stamps, np.zeros((len(stamps), 6)), known, finger=EVERY)

@@ -35,7 +35,7 @@ Message = tuple[str, int, dict[str, Any]]
 
 def read(path: Path) -> list[Message]:
     """Topic, log time and content of each message, as a viewer gets them."""
-    from mcap.reader import make_reader  # noqa: PLC0415 - an extra
+    from mcap.reader import make_reader
 
     with path.open("rb") as file:
         found: list[Message] = []
@@ -49,7 +49,7 @@ def read(path: Path) -> list[Message]:
 
 def summary(path: Path) -> tuple[Any, list[Any], list[Any]]:
     """Its statistics, its metadata, its chunks."""
-    from mcap.reader import make_reader  # noqa: PLC0415 - an extra
+    from mcap.reader import make_reader
 
     with path.open("rb") as file:
         reader = make_reader(file)
@@ -86,7 +86,7 @@ def stamp(time: int) -> dict[str, int]:
     return {"sec": time // s, "nsec": time % s}
 
 
-def known(value: Any) -> Any:  # noqa: ANN401 - an element of any column
+def known(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -117,7 +117,7 @@ def test_every_row_of_every_table_is_a_message_in_time_order(tmp_path: Path) -> 
 
 
 def test_every_message_matches_its_schema_in_the_file(tmp_path: Path) -> None:
-    from mcap.reader import make_reader  # noqa: PLC0415 - an extra
+    from mcap.reader import make_reader
 
     kinds = (Touch, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth)
     path, checked = tmp_path / "one.mcap", set[str]()

@@ -20,7 +20,7 @@ def make_trace() -> Callable[..., Trace]:
     counts = np.zeros((700, 6), np.int16)
     calm = Trace(_T, counts, zero, zero + 1, zero + 1, zero, zero, zero, zero, never, never)
 
-    def trace(**columns: Any) -> Trace:  # noqa: ANN401 - columns of several types
+    def trace(**columns: Any) -> Trace:
         return replace(calm, **columns)
 
     return trace

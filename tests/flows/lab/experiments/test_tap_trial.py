@@ -34,7 +34,7 @@ GOOD = ((FIRST + 0.02, FIRST + 0.2), (SECOND + 0.02, SECOND + 0.2))
 
 def test_two_registered_blows_and_nothing_else_are_a_success(hit: Callable[..., Trace]) -> None:
     outcome = judge_tap(hit(*GOOD), RULE)
-    assert outcome == TapOutcome("registered", False, outcome.slide, outcome.lead, 2, 1, 0)  # noqa: FBT003
+    assert outcome == TapOutcome("registered", False, outcome.slide, outcome.lead, 2, 1, 0)
     assert outcome.success
     assert outcome.lead == pytest.approx(-30)
     assert outcome.slide == pytest.approx(2.0)

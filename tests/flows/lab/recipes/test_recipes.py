@@ -70,7 +70,7 @@ def sessions(dataset: Path) -> dict[str, Session]:
     return {folder.name: Session.open(folder) for folder in sorted((dataset / "sessions").iterdir())}
 
 
-def counts(session: Session) -> Any:  # noqa: ANN401 - (n, cells) as lists
+def counts(session: Session) -> Any:
     return concat(Touch, list(session.read(Touch, 0))).counts.tolist()
 
 

@@ -137,7 +137,7 @@ def test_as_many_windows_of_slip_as_of_static_are_drawn_and_anew_each_time(rarer
 
 
 @pytest.mark.parametrize("slip", [True, False])
-def test_recordings_of_one_class_are_refused(slip: bool) -> None:  # noqa: FBT001
+def test_recordings_of_one_class_are_refused(slip: bool) -> None:
     recording = replace(_noise(0, 400), label=np.full(400, slip, np.int8))
     with pytest.raises(InputError, match="must have windows of slip and of static"):
         Windows([recording], CPU)
