@@ -18,10 +18,13 @@ from tests.flows.learn.conftest import Trained
 def test_a_known_temperature_and_bias_are_found_again(temperature: float, bias: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     logits = rng.normal(0, 2, 20_000)
-    slip = rng.random(logits.size) < expit(logits / temperature + bias)
-    found = Calibration.fitted(expit(logits), slip)
-    assert found.temperature == pytest.approx(temperature, rel=0.15)
-    assert found.bias == pytest.approx(bias, abs=0.15)
+    probability = expit(logits / temperature + bias)
+    found = Calibration.fitted(expit(logits), rng.random(logits.size) < probability)
+    inputs = np.stack((logits, np.ones_like(logits)))  # (2, n)
+    information = inputs * probability * (1 - probability) @ inputs.T  # Fisher's, of 1 / temperature and bias
+    slope_error, bias_error = np.sqrt(np.diag(np.linalg.inv(information)))  # standard errors
+    assert 1 / found.temperature == pytest.approx(1 / temperature, abs=5 * slope_error)
+    assert found.bias == pytest.approx(bias, abs=5 * bias_error)
 
 
 @pytest.mark.parametrize(
