@@ -39,6 +39,8 @@ Lifeline: TypeAlias = "Connection[Any, Any]"  # end of a pipe
 
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
 _CONNECT_TIMEOUT: Final = 10  # s
+_CHECK_INTERVAL: Final = 2.0  # s, between two looks at a silent cluster
+_LOST: Final = "the Dask scheduler was lost: when it is back, repeat the command"
 
 
 def map_tasks(
@@ -76,7 +78,7 @@ def map_tasks(
     tasks = [executor.submit(work, item) for item in items]
     waiting = deque(zip(items, tasks, strict=True))
     try:
-        for done, _ in enumerate(as_completed(tasks), 1):
+        for done, _ in enumerate(_finished(tasks, executor), 1):
             progress(done, len(items))
             while waiting and waiting[0][1].done():
                 yield _result(*waiting.popleft(), lost or _raise_lost)
@@ -84,6 +86,23 @@ def map_tasks(
         running = [task for _, task in waiting if not task.cancel() and not task.done()]
         if running and isinstance(executor, LocalProcesses):
             executor.end_tasks(running)
+
+
+def _finished(tasks: Iterable[Future[Result]], executor: Executor) -> Generator[Future[Result]]:
+    """Yield tasks as they finish.
+
+    Raises:
+        EndpointError: if the scheduler was lost; Dask never ends a task whose result was on its way then.
+    """
+    pending = set(tasks)
+    while pending:
+        try:
+            for task in as_completed(pending, timeout=_CHECK_INTERVAL):
+                pending.discard(task)
+                yield task
+        except TimeoutError:
+            if isinstance(executor, DaskWorkers) and executor.is_lost:
+                raise EndpointError("--cluster", _LOST) from None
 
 
 @contextmanager
@@ -207,6 +226,27 @@ def _end_with(lifeline: Lifeline) -> None:
     Thread(target=end, daemon=True).start()
 
 
+class DaskWorkers(Executor):
+    """Executor of a cluster's workers.
+
+    Args:
+        client: Client of `distributed`, connected.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._executor = client, client.get_executor(pure=False)
+
+    def submit(self, work: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Run a function on a worker."""
+        task: Future[Result] = self._executor.submit(work, *args, **kwargs)
+        return task
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the scheduler was lost for good."""
+        return bool(self._client.status == "closed")
+
+
 @contextmanager
 def _cluster(url: str) -> Generator[Executor]:
     """Connect to a Dask scheduler; Dask's own settings apply, such as those of TLS."""
@@ -219,7 +259,7 @@ def _cluster(url: str) -> Generator[Executor]:
         reason = f"the Dask scheduler cannot be reached: {error}"
         raise EndpointError(url, reason) from error
     try:
-        yield client.get_executor(pure=False)
+        yield DaskWorkers(client)
     finally:
         client.close(timeout=1)
 
@@ -230,8 +270,7 @@ def _result(item: Item, task: Future[Result], lost: Callable[[Item, str], Result
     except BrokenProcessPool:
         return lost(item, "its process died, perhaps for lack of memory: use fewer jobs")
     except CancelledError:
-        reason = "the Dask scheduler was lost: when it is back, repeat the command"
-        raise EndpointError("--cluster", reason) from None
+        raise EndpointError("--cluster", _LOST) from None
     except Exception as error:
         if type(error).__name__ != "KilledWorker":  # of Dask, which is not imported here
             raise

@@ -2,13 +2,13 @@ import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from time import sleep
 
 import pytest
 
-from flows.run.executor import map_tasks, one_thread, workers
+from flows.run.executor import DaskWorkers, map_tasks, one_thread, workers
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from tests.flows.run.worked import work
 
@@ -132,3 +132,22 @@ def test_the_libraries_of_numpy_and_scikit_learn_have_one_thread_inside() -> Non
         inside = pools.threadpool_info()
     assert {pool["num_threads"] for pool in inside} == {1}
     assert {"blas", "openmp"} <= {pool["user_api"] for pool in inside}
+
+
+def test_a_task_that_never_ends_after_the_scheduler_was_lost_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class LostCluster:
+        status = "closed"
+
+        def get_executor(self, *, pure: bool) -> "LostCluster":
+            return self
+
+        def submit(self, work: object, item: object) -> Future[int]:
+            return Future[int]()  # its result was on its way
+
+    monkeypatch.setattr("flows.run.executor._CHECK_INTERVAL", 0.01)
+    with pytest.raises(
+        EndpointError, match="the Dask scheduler was lost: when it is back, repeat the command"
+    ):
+        list(map_tasks(int, ["1"], DaskWorkers(LostCluster())))
