@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias
 
-from operators.batch import SLIP, STATIC, UNKNOWN, s
+from operators.batch import SLIP, STATIC, UNKNOWN, Touch, Zeroed, s
 from operators.checks import check_above, check_between, check_choice
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
@@ -234,6 +234,26 @@ class ColumnMap:
         found = {self.finger: self.columns.get(COUNTS, ())}
         found |= {int(key[7:]): names for key, names in self.columns.items() if key.startswith(f"{COUNTS}.")}
         return {finger: names for finger, names in found.items() if names} or {self.finger: ()}
+
+    @property
+    def cell_names(self) -> list[str]:
+        """Columns of the cells of all fingertips."""
+        return [name for names in self.cells.values() for name in names]
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Type of the touch: raw, or zeroed."""
+        return Zeroed if self.zeroed else Touch
+
+    @property
+    def has_counts(self) -> bool:
+        """Whether the readings are stored as they are, and so must be whole numbers."""
+        return self.unit == "count" and self.resolution is None
+
+    @property
+    def decimal_sign(self) -> str:
+        """Sign of decimals in texts."""
+        return "," if self.decimal == "comma" else "."
 
     def scale(self, name: str) -> float:
         """Return the factor from the file's unit to ns or m/s."""

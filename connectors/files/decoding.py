@@ -8,7 +8,6 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import (
-    DATE,
     LABEL,
     LABELS,
     MOTIONS,
@@ -20,7 +19,7 @@ from connectors.files.number_format import NumberFormat, is_missing
 from connectors.files.raw_table import Problems, RawTable
 from connectors.files.resolution import COUNT_LIMIT
 from connectors.files.roles import completed, label_values
-from connectors.files.time_axis import nanoseconds
+from connectors.files.time_axis import nanoseconds, time_column
 from operators.batch import (
     EVERY,
     STATIC,
@@ -32,7 +31,6 @@ from operators.batch import (
     Reals,
     Times,
     Touch,
-    Zeroed,
 )
 from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
@@ -52,13 +50,12 @@ class Decoded:
 
 def decode(table: RawTable, columns: ColumnMap, time: Times, readings: Reals, problems: Problems) -> Decoded:
     """Return the rows of a table with times (n,) and readings (n, cells) by a map that states all."""
-    numbers = NumberFormat("," if columns.decimal == "comma" else ".")
+    numbers = NumberFormat(columns.decimal_sign)
     counts, valid = _counts(table, columns, readings, problems)
     touch, first = dict[int, Touch](), 0
     for finger, names in columns.cells.items():
         cells = slice(first, first := first + len(names))
-        kind = Zeroed if columns.zeroed else Touch
-        touch[finger] = kind(
+        touch[finger] = columns.kind(
             time, counts[:, cells], np.zeros_like(counts[:, cells]), valid[:, cells], finger=finger
         )
     return Decoded(
@@ -68,12 +65,11 @@ def decode(table: RawTable, columns: ColumnMap, time: Times, readings: Reals, pr
 
 def readings_of(table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems) -> Reals:
     """Return the readings (n, cells of all fingertips) in their unit; NaN: missing."""
-    names = [name for names in columns.cells.values() for name in names]
-    whole = columns.unit == "count" and columns.resolution is None
+    names = columns.cell_names
     readings = np.full((len(table), len(names)), np.nan)
     for cell, name in enumerate(names):
         values = _reals(table, name, numbers, problems)
-        if whole:
+        if columns.has_counts:
             fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
             problems.check(table, name, np.isnan(values) | (values == np.rint(values)), fix)
         readings[:, cell] = values
@@ -123,8 +119,7 @@ class Decoder:
         problems = Problems(where)
         self._columns, _ = completed(columns, self._table((), 1), problems)
         problems.stop()
-        self.fingertip = described(self._columns)
-        self.kind: type[Touch] = Zeroed if self._columns.zeroed else Touch
+        self.fingertip, self.kind = described(self._columns), self._columns.kind
 
     def decode(self, rows: Sequence[Sequence[str]], first: int = 1) -> Decoded:
         """Return rows with the times of their clock, which may wrap or start again; 0 without a clock.
@@ -137,10 +132,11 @@ class Decoder:
             InputError: on invalid values, named by line and column.
         """
         table, problems, columns = self._table(rows, first), Problems(self._where), self._columns
-        numbers = NumberFormat("," if columns.decimal == "comma" else ".")
+        numbers = NumberFormat(columns.decimal_sign)
         time: Times = np.zeros(len(table), np.int64)
         if names := columns.columns.get(TIME):
-            raw = raw_times(table, columns, columns.units.get(TIME, "s"), columns.dates or "ymd", numbers)
+            unit, order = columns.units.get(TIME, "s"), columns.dates or "ymd"
+            raw = nanoseconds(time_column(table, columns), unit, order, numbers)
             problems.check(table, names[0], raw.is_not_null().to_numpy(), "a time")
             time = raw.fill_null(0).to_numpy()
         readings = readings_of(table, columns, numbers, problems)
@@ -159,14 +155,6 @@ class Decoder:
         return RawTable({each.name: each for each in series}, self._where, "line", numbers)
 
 
-def raw_times(table: RawTable, columns: ColumnMap, unit: str, order: str, numbers: NumberFormat) -> pl.Series:
-    """Return the times (n,) of a table in ns, as its clock gives them; null for what is no time."""
-    column = table.columns[columns.columns[TIME][0]]
-    if dates := columns.columns.get(DATE):
-        column = table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
-    return nanoseconds(column, unit, order, numbers)
-
-
 def _reals(table: RawTable, name: str, numbers: NumberFormat, problems: Problems) -> Reals:
     values = numbers.reals(table.columns[name])
     signs = " with a decimal comma" if numbers.decimal == "," else ""
@@ -179,7 +167,7 @@ def _counts(table: RawTable, columns: ColumnMap, readings: Reals, problems: Prob
     """Return the counts (n, cells) of readings, and which are valid."""
     resolution, offset = columns.resolution or 1.0, np.array(columns.offset or (0,))
     counts = np.rint(readings / resolution - offset)
-    names = [name for names in columns.cells.values() for name in names]
+    names = columns.cell_names
     for cell, name in enumerate(names):
         ends = (np.array([-1, 1]) * COUNT_LIMIT + np.resize(offset, len(names))[cell]) * resolution
         limits = f"from {ends[0]:g} to {ends[1]:g} at a resolution of {resolution:g}"

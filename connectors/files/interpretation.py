@@ -42,8 +42,10 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Int
     problems.stop()
     columns, notes = completed(stated, table, problems)
     used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
-    sign = {"comma": ",", "point": "."}.get(columns.decimal or "")
-    numbers = NumberFormat(sign) if sign else number_format(table, used, columns.unit, problems)
+    if columns.decimal is None:
+        numbers = number_format(table, used, columns.unit, problems)
+    else:
+        numbers = NumberFormat(columns.decimal_sign)
     notes += ["decimal comma"] if numbers.decimal == "," else []
     axis = time_axis(table, columns, numbers, problems, split=split)
     columns = replace(
@@ -55,7 +57,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Int
         separator=table.separator,
     )
     readings = readings_of(table, columns, numbers, problems)
-    names = [name for each in columns.cells.values() for name in each]
+    names = columns.cell_names
     for cell in np.flatnonzero(np.isnan(readings).all(axis=0)):
         problems.add(f"column {names[cell]} has no readings")
     if len({len(each) for each in columns.cells.values()}) > 1:

@@ -140,8 +140,7 @@ class LineDecoder:
         """
         if len(fields) < len(self._names):
             raise InputError(self._where, f"a line has {len(fields)} of {len(self._names)} fields")
-        decoder = Decoder(self._columns, self._names, self._where)
-        found = decoder.decode([fields], self._counted["lines"])
+        found = self._decoder.decode([fields], self._counted["lines"])
         counts, valid = (
             np.concatenate([getattr(touch, name)[0] for touch in found.touch.values()])
             for name in ("counts", "valid")
@@ -178,7 +177,7 @@ class LineDecoder:
         for finger, names in self._columns.cells.items():
             cells = slice(first, first := first + len(names))
             none = np.zeros_like(counts[:, cells])
-            yield self._values.kind(time, counts[:, cells], none, valid[:, cells], finger=finger)
+            yield self._columns.kind(time, counts[:, cells], none, valid[:, cells], finger=finger)
 
     def _forget_suspects(self) -> None:
         self._damaged(len(self._suspects), "its time is earlier than that of the line before")
@@ -204,8 +203,8 @@ class LineDecoder:
         Raises:
             InputError: if names of the map are missing.
         """
-        kind = Decoder(self._columns, names, self._where).kind
-        self._names, self._values = tuple(names), _PlainValues(self._columns, names, kind)
+        self._decoder = Decoder(self._columns, names, self._where)
+        self._names, self._values = tuple(names), _PlainValues(self._columns, names)
 
 
 class _PlainValues:
@@ -214,18 +213,15 @@ class _PlainValues:
     Args:
         columns: Complete map of columns.
         names: Names of the columns.
-        kind: Type of the touch stream.
     """
 
-    def __init__(self, columns: ColumnMap, names: Sequence[str], kind: type[Touch]) -> None:
-        self.kind, self._width = kind, len(names)
-        self._comma = columns.decimal == "comma"
+    def __init__(self, columns: ColumnMap, names: Sequence[str]) -> None:
+        self._columns, self._width = columns, len(names)
         places = [names.index(name) for each in (DATE, TIME) for name in columns.columns.get(each, ())]
         self._time, self._order = places, _ORDERS[columns.dates or "ymd"]
         self._scale = UNITS[TIME][columns.units.get(TIME, "s")]  # ns
-        self._cells = [names.index(name) for cells in columns.cells.values() for name in cells]
+        self._cells = [names.index(name) for name in columns.cell_names]
         self._resolution, self._offset = columns.resolution or 1.0, np.array(columns.offset or (0,))
-        self._whole = columns.unit == "count" and columns.resolution is None
         self._missing = columns.missing or ()
 
     def row(self, fields: Sequence[str]) -> _Row | None:
@@ -240,7 +236,7 @@ class _PlainValues:
         readings[np.isin(readings, self._missing)] = np.nan
         valid: Flags = ~np.isnan(readings)
         counts = np.where(valid, np.rint(readings / self._resolution - self._offset), 0)
-        whole = not self._whole or bool((readings[valid] == np.rint(readings[valid])).all())
+        whole = not self._columns.has_counts or bool((readings[valid] == np.rint(readings[valid])).all())
         if not whole or (np.abs(counts) > COUNT_LIMIT).any():
             return None
         return _Row(time, counts.astype(np.int16), valid)
@@ -278,7 +274,7 @@ class _PlainValues:
         """
         if text.lower() in MISSING:
             return np.nan
-        if self._comma:
+        if self._columns.decimal_sign == ",":
             if "." in text:
                 raise ValueError(text)
             text = text.replace(",", ".")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 
 from connectors.files.column_map import LABEL, MOTIONS, ColumnMap
-from operators.batch import Motion, Touch, Zeroed, s
+from operators.batch import Touch, s
 from operators.checks import check_above
 from operators.device_clock import DeviceClock
 from operators.errors import EndpointError, ParameterError, os_error_reason
@@ -84,7 +84,7 @@ class LineSource(Source[Touch]):
         found = columns if isinstance(columns, ColumnMap) else ColumnMap.load(str(columns))
         used = {name: each for name, each in found.columns.items() if name not in (*MOTIONS, LABEL)}
         self._columns = replace(found, columns=used)
-        cells = [name for names in self._columns.cells.values() for name in names]
+        cells = self._columns.cell_names
         if not cells or "*" in "".join(cells):
             must_be = "a map that names each column of cells, as `slipflow import --flow` writes it"
             raise ParameterError("LineSource", "columns", str(columns), must_be)
@@ -99,7 +99,7 @@ class LineSource(Source[Touch]):
     @property
     def kind(self) -> type[Touch]:
         """Type of the batches: raw counts, or zeroed ones if the map says so."""
-        return Zeroed if self._columns.zeroed else Touch
+        return self._columns.kind
 
     @property
     def fingers(self) -> tuple[int, ...]:
@@ -117,8 +117,7 @@ class LineSource(Source[Touch]):
 
     async def prepare(self) -> None:
         """Compile the conversion of times."""
-        one = np.zeros(1, np.int64)
-        await asyncio.to_thread(DeviceClock().process, Motion(one, one, np.zeros((1, 6)), np.zeros((1, 6))))
+        await asyncio.to_thread(DeviceClock().prepare)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield the rows of the complete lines as they arrive.

@@ -43,25 +43,13 @@ _CELL: Final = re.compile(  # words before the number of a cell
 _READING: Final = re.compile("|p|press|pressure|druck|raw|value")  # words after it
 _NUMBERED: Final = re.compile(r"(.*?)(\d{1,3})(?:((?:[\W_]|[rcxRCX]){1,3})(\d{1,3}))?(\D*)")
 _AXES: Final = ("vx", "vy", "vz", "wx", "wy", "wz")
-_SLIP: Final = ("slip", "slipping", "sliding", "slide", "rutscht", "gleiten", "gleitet", "1", "true")
-_STATIC: Final = (
-    "static",
-    "no slip",
-    "no_slip",
-    "noslip",
-    "stick",
-    "stable",
-    "rest",
-    "hold",
-    "still",
-    "0",
-    "false",
-)
-_GERMAN: Final = ("haften", "haftet", "ruhe")
-_WORDS: Final = {
-    "slip": _SLIP,
-    "static": (*_STATIC, *_GERMAN),
-    "unknown": ("unknown", "-1", "unbekannt", "?"),
+_WORDS: Final = {  # usual values of labels
+    label: values.split("|")
+    for label, values in {
+        "slip": "slip|slipping|sliding|slide|rutscht|gleiten|gleitet|1|true",
+        "static": "static|no slip|no_slip|noslip|stick|stable|rest|hold|still|0|false|haften|haftet|ruhe",
+        "unknown": "unknown|-1|unbekannt|?",
+    }.items()
 }
 _SHOWN: Final = 20  # columns in an error
 

@@ -81,10 +81,7 @@ def time_axis(
             return TimeAxis(np.zeros(len(table), np.int64), ((0, len(table)),), "s", "ymd", None)
         time = np.rint(np.arange(len(table)) * (s / columns.rate)).astype(np.int64)
         return TimeAxis(time, episodes, "s", "ymd", columns.rate, ("times by the rate",))
-    name = columns.columns[TIME][0]
-    column = table.columns[name]
-    if dates := columns.columns.get(DATE):
-        column = table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
+    name, dates, column = columns.columns[TIME][0], columns.columns.get(DATE), time_column(table, columns)
     textual = is_text_of_time(column) or column.dtype.is_temporal()
     order = columns.dates or (
         date_order(table, dates[0] if dates else name, problems)
@@ -108,6 +105,14 @@ def time_axis(
     if columns.rate and rate and abs(rate - columns.rate) > RATE_TOLERANCE * columns.rate:
         problems.add(f"has {rate:.1f} rows per second, not {columns.rate:g}: is its time in another unit?")
     return TimeAxis(time, parts, unit, order, rate, tuple(notes), tuple(warnings))
+
+
+def time_column(table: RawTable, columns: ColumnMap) -> pl.Series:
+    """Return the column of times, with the dates if they have a column of their own."""
+    column = table.columns[columns.columns[TIME][0]]
+    if dates := columns.columns.get(DATE):
+        return table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
+    return column
 
 
 def continued(time: Times, notes: list[str], usual: float | None = None) -> Times:

@@ -151,7 +151,7 @@ def test_the_fast_conversion_of_a_row_is_that_of_import(decimal: str, resolution
     rows += [[time, "1", "2"] for time in TIMES.split("|")]
     for row in rows:
         fields = [each.replace(".", ",") if decimal == "comma" else each for each in row]
-        fast = _PlainValues(columns, ("t", "a", "b"), Touch).row(fields)
+        fast = _PlainValues(columns, ("t", "a", "b")).row(fields)
         try:
             decoded = Decoder(columns, ("t", "a", "b"), "file").decode([fields])
         except InputError:
@@ -167,7 +167,7 @@ def test_the_fast_conversion_of_a_row_is_that_of_import(decimal: str, resolution
     "time", ["5", "5.25", "2025-03-26 14:29:06.010", "2025-03-26T14:29:06Z", "14:29:06,5"]
 )
 def test_usual_times_are_converted_fast(time: str) -> None:
-    assert _PlainValues(MAP, ("t", "a", "b"), Touch).row([time, "1", "2"])
+    assert _PlainValues(MAP, ("t", "a", "b")).row([time, "1", "2"])
 
 
 def test_lines_that_are_never_rows_are_an_error_that_says_why() -> None:
