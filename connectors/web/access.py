@@ -5,7 +5,6 @@ import os
 import re
 from contextlib import suppress
 from dataclasses import dataclass
-from hashlib import sha256
 from ipaddress import ip_address
 from socket import gethostname
 from typing import Final, Self
@@ -40,24 +39,14 @@ def is_loopback(host: str) -> bool:
     return host == "localhost"
 
 
-def local_host(host: str) -> str:
-    """Return the host under which a browser on this machine reaches a server that listens on `host`.
-
-    >>> local_host("0.0.0.0"), local_host("::"), local_host("10.0.0.2")
-    ('127.0.0.1', '::1', '10.0.0.2')
-    """
-    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - does not listen
-
-
 @dataclass(frozen=True)
 class Access:
     """Access rules for requests.
 
     Without a token the Host header must be an IP address, localhost or the name of this machine. This
     prevents DNS rebinding: otherwise a foreign page whose host name resolves to this machine could read the
-    page. With a token, a request needs the header ``Authorization: Bearer TOKEN``, or the cookie that is set
-    when the token is sent once, as ``/?token=...``. The cookie stays valid after a restart, so that open
-    pages reconnect.
+    page. With a token, a request needs the header ``Authorization: Bearer TOKEN``, or the cookie with the
+    token, which is set when the token is sent once, as ``/?token=...``.
     """
 
     token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: no token needed
@@ -80,11 +69,6 @@ class Access:
             raise ParameterError(what, "token", "...", must_be)
         return cls(token)
 
-    @property
-    def cookie(self) -> str:
-        """Expected value of the cookie."""
-        return hmac.new((self.token or "").encode(), b"slipflow page", sha256).hexdigest()
-
     def is_own_host(self, host: str) -> bool:
         """Return True if a Host header names this machine.
 
@@ -101,20 +85,13 @@ class Access:
             return name in {"localhost", own, short, f"{short}.local"} or bool(ip_address(name))
         return False
 
-    def accepts_token(self, token: str) -> bool:
-        """Return True if `token` is the token."""
-        return self.token is not None and _equal(token, self.token)
-
     def admits(self, cookie: str | None, authorization: str | None = None) -> bool:
         """Return True if a request with this cookie and this Authorization header has access."""
         if self.token is None:
             return True
-        scheme, _, bearer = (authorization or "").partition(" ")
-        return (scheme.lower() == "bearer" and self.accepts_token(bearer.strip())) or (
-            cookie is not None and _equal(cookie, self.cookie)
+        pairs = (cookie, self.token), (authorization, f"Bearer {self.token}")
+        # in constant time; a header that is not UTF-8 contains surrogates
+        return any(
+            sent is not None and hmac.compare_digest(sent.encode(errors="surrogateescape"), right.encode())
+            for sent, right in pairs
         )
-
-
-def _equal(received: str, secret: str) -> bool:
-    """Compare in constant time; a header that is not UTF-8 contains surrogates."""
-    return hmac.compare_digest(received.encode(errors="surrogateescape"), secret.encode())

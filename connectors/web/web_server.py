@@ -10,7 +10,7 @@ from typing import Final, TypeAlias
 from aiohttp import web
 
 from connectors.events import encode
-from connectors.web.access import COOKIE, PAGE_PORT, Access, http_url, local_host
+from connectors.web.access import COOKIE, PAGE_PORT, Access, http_url
 from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Json
 
@@ -78,7 +78,8 @@ class WebServer:
     @property
     def url(self) -> str:
         """URL for this machine, once the server is open."""
-        return http_url(local_host(self._host), self._port)
+        local = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self._host, self._host)  # noqa: S104
+        return http_url(local, self._port)
 
     @property
     def login_url(self) -> str:
@@ -151,9 +152,9 @@ class WebServer:
             text = "Use the IP address, localhost or the host name of this machine.\n"
             return web.Response(status=421, text=text)
         token = request.query.get("token")
-        if token is not None and self._access.accepts_token(token):
+        if token and self._access.token and self._access.admits(token):
             redirect = web.Response(status=303, headers={"Location": "/"})  # without the token
-            redirect.set_cookie(COOKIE, self._access.cookie, httponly=True, samesite="Lax", path="/")
+            redirect.set_cookie(COOKIE, token, httponly=True, samesite="Lax", path="/")
             return redirect
         if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
             self._strangers.pop(request.protocol, None)

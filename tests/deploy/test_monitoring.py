@@ -1,5 +1,6 @@
 """Prometheus and Grafana files: tools load them as shipped, and every metric that they use exists."""
 
+import asyncio
 import json
 import os
 import re
@@ -17,10 +18,10 @@ from grafana_foundation_sdk.models.dashboard import Dashboard
 from prometheus_client.parser import text_string_to_metric_families
 from ruamel.yaml import YAML
 
-from connectors.web.run_metrics import RunMetrics
 from operators.batch import Faults, Scores, Slips, s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Run, SinkStatus, SourceStatus
+from tests.connectors.web.reading import served
 from tests.deploy.shipped import DEPLOY
 
 RULES = DEPLOY / "prometheus" / "alerts.yml"
@@ -40,12 +41,14 @@ def samples(run: Run) -> dict[str, set[str]]:
     """Return the labels of each sample name that a run serves."""
     run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus(waiting=0)
     run.clock_steps.append(ClockStep(s, s))
-    metrics, time, one = RunMetrics(run), np.array([run.clock.now()]), np.ones(1)
+    time, one = np.array([run.clock.now()]), np.ones(1)
     cell, kind = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8)
-    metrics.add(Slips(time, np.array([1], np.int8), time, one, finger=0))
-    metrics.add(Scores(time, one, finger=0))
-    metrics.add(Faults(time, cell, kind, np.array([True]), finger=0))
-    families = text_string_to_metric_families(metrics.text().decode())
+    batches: list[Slips | Scores | Faults] = [
+        Slips(time, np.array([1], np.int8), time, one, finger=0),
+        Scores(time, one, finger=0),
+        Faults(time, cell, kind, np.array([True]), finger=0),
+    ]
+    families = text_string_to_metric_families(asyncio.run(served(run, *batches)))
     return {sample.name: set(sample.labels) for family in families for sample in family.samples}
 
 

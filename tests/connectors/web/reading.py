@@ -1,4 +1,4 @@
-"""Rows of streams, and a reader of the live page's frames."""
+"""Rows of streams, and readers of the live page's frames and of the metrics."""
 
 import asyncio
 import json
@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from aiohttp import ClientSession, WSMsgType
 
-from operators.batch import Motion, Scores, Slips, Zeroed
+from connectors import Metrics
+from operators.batch import Faults, Motion, Scores, Slips, Zeroed
+from operators.ports import Run
 from tests.waiting import PATIENCE
 
 
@@ -52,3 +54,15 @@ async def listening(url: str) -> AsyncGenerator[AsyncIterator[dict[str, Any]]]:
     """Read the frames of a page as a browser does."""
     async with asyncio.timeout(PATIENCE), ClientSession() as session, aclosing(frames(session, url)) as found:
         yield found
+
+
+async def served(run: Run, *batches: Slips | Scores | Faults) -> str:
+    """Return the metrics of a run after some batches."""
+    metrics = Metrics(0)
+    await metrics.open(run)
+    for batch in batches:
+        await metrics.write(batch)
+    async with ClientSession() as session, session.get(metrics.url) as response:
+        text = await response.text()
+    await metrics.close()
+    return text

@@ -9,12 +9,11 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from connectors import Metrics
 from connectors.web.access import TOKEN
-from connectors.web.run_metrics import RunMetrics
 from operators.batch import Faults, Slips, ms, s
 from operators.errors import ParameterError
 from operators.health import FaultKind
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
-from tests.connectors.web.reading import scored
+from tests.connectors.web.reading import scored, served
 
 NOW = 100 * s
 
@@ -91,8 +90,8 @@ def test_an_invalid_port_is_rejected(port: int) -> None:
         Metrics(port)
 
 
-def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
-    metrics, strange = RunMetrics(run), 'a "b"\n\\c'
+async def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
+    strange = 'a "b"\n\\c'
     run.sources["touch"] = SourceStatus(rows=500, late=3, newest=NOW - 30 * ms, up=True)
     run.sources[strange] = SourceStatus(failures=4, error="unplugged", gaps=[Gap(s, 3 * s, "unplugged")])
     mqtt = SinkStatus(rows=7, queued=2, waiting=4, unstored=1, dropped=5, failures=3, error="host: refused")
@@ -110,23 +109,21 @@ def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
         key("host_clock_offset_seconds"): -2,
         key("host_clock_steps_total"): 1,
     }
-    found = read(metrics.text().decode())
+    text = await served(run)
+    found = read(text)
     assert {name: found[name] for name in expected} == pytest.approx(expected)
     assert key("sink_waiting_rows", sink="dataset") not in found  # it acknowledges nothing
     assert key("source_lag_seconds", source=strange) not in found
-    assert b"refused" not in metrics.text()
+    assert "refused" not in text
 
 
 @pytest.mark.parametrize("recording", [None, "stroke-9"])
-def test_slips_are_counted_and_their_latency_is_a_histogram_unless_replayed(
+async def test_slips_are_counted_and_their_latency_is_a_histogram_unless_replayed(
     run: Run, recording: str | None
 ) -> None:
     run.recording = recording
-    metrics = RunMetrics(run)
-    metrics.add(slips(NOW - 3 * ms, NOW - 15 * ms, NOW - 9 * s))
-    metrics.add(slips(NOW - 4 * ms, state=0))
-    metrics.add(slips(NOW, finger=2))
-    found = read(metrics.text().decode())
+    onsets = slips(NOW - 3 * ms, NOW - 15 * ms, NOW - 9 * s)
+    found = read(await served(run, onsets, slips(NOW - 4 * ms, state=0), slips(NOW, finger=2)))
     events = [found[key("slip_events_total", finger="0", state=each)] for each in ("onset", "end")]
     assert events == [3, 1]
     bounds = "0.002", "0.005", "0.02", "5.0", "+Inf"
@@ -134,12 +131,12 @@ def test_slips_are_counted_and_their_latency_is_a_histogram_unless_replayed(
     assert counts == ([0, 2, 3, 3, 4] if recording is None else [None] * 5)
 
 
-def test_faults_last_and_scores_are_counted_by_quality(run: Run) -> None:
-    metrics, cell, kind = RunMetrics(run), np.array([3], np.int8), np.full(1, FaultKind.STUCK, np.int8)
+async def test_faults_last_and_scores_are_counted_by_quality(run: Run) -> None:
+    cell, kind, batches = np.array([3], np.int8), np.full(1, FaultKind.STUCK, np.int8), list[Any]()
     for active, probability in (False, 0.1), (False, np.nan), (True, 0.1), (False, 0.1):
-        metrics.add(Faults(np.array([s]), cell, kind, np.array([active]), finger=1))
-        metrics.add(scored(0, probability, finger=1))
-        found = read(metrics.text().decode())
+        batches.append(Faults(np.array([s]), cell, kind, np.array([active]), finger=1))
+        batches.append(scored(0, probability, finger=1))
+        found = read(await served(run, *batches))
         assert found[key("barometer_fault", finger="1", barometer="3", kind="stuck")] == active
     qualities = "good", "doubtful", "blind"
     assert [found[key("scores_total", finger="1", quality=each)] for each in qualities] == [2, 1, 1]
