@@ -9,16 +9,8 @@ import os
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Sequence
-from concurrent.futures import (
-    CancelledError,
-    Executor,
-    Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
-    as_completed,
-    wait,
-)
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
 from importlib import import_module
@@ -26,8 +18,9 @@ from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.resource_tracker import ensure_running
-from threading import Lock, Thread, get_ident
-from typing import Any, Final, Never, TypeAlias, TypeVar
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, Final, Never, TypeVar
 
 from operators.checks import check_at_least
 from operators.errors import EndpointError, ParameterError, SlipflowError
@@ -35,7 +28,6 @@ from operators.extras import require_extra
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Lifeline: TypeAlias = "Connection[Any, Any]"  # end of a pipe
 
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
 _CONNECT_TIMEOUT: Final = 10  # s
@@ -75,34 +67,52 @@ def map_tasks(
             progress(done, len(items))
             yield result
         return
-    tasks = [executor.submit(work, item) for item in items]
-    waiting = deque(zip(items, tasks, strict=True))
+    finished = SimpleQueue[Future[Result]]()
+
+    def start(item: Item) -> Future[Result]:
+        task = executor.submit(work, item)
+        task.add_done_callback(finished.put)
+        return task
+
+    waiting, done = deque((item, start(item)) for item in items), 0
     try:
-        for done, _ in enumerate(_finished(tasks, executor), 1):
+        while waiting:
+            done += not _died(_next(finished, executor))
             progress(done, len(items))
             while waiting and waiting[0][1].done():
-                yield _result(*waiting.popleft(), lost or _raise_lost)
-    finally:
-        running = [task for _, task in waiting if not task.cancel() and not task.done()]
-        if running and isinstance(executor, LocalProcesses):
-            executor.end_tasks(running)
+                item, task = waiting.popleft()
+                if _died(task) and isinstance(executor, LocalProcesses):  # by this item or by another one
+                    executor.end()
+                    wait([task := executor.submit(work, item)])  # alone
+                    waiting = deque((each, start(each) if _died(task) else task) for each, task in waiting)
+                    done += 1
+                    progress(done, len(items))
+                yield _result(item, task, lost or _raise_lost)
+    except BaseException:
+        for _, task in waiting:
+            task.cancel()
+        if isinstance(executor, LocalProcesses):
+            executor.end()
+        raise
 
 
-def _finished(tasks: Iterable[Future[Result]], executor: Executor) -> Generator[Future[Result]]:
-    """Yield tasks as they finish.
+def _next(finished: SimpleQueue[Future[Result]], executor: Executor) -> Future[Result]:
+    """Wait for the next task that finishes.
 
     Raises:
         EndpointError: if the scheduler was lost; Dask never ends a task whose result was on its way then.
     """
-    pending = set(tasks)
-    while pending:
+    while True:
         try:
-            for task in as_completed(pending, timeout=_CHECK_INTERVAL):
-                pending.discard(task)
-                yield task
-        except TimeoutError:
+            return finished.get(timeout=_CHECK_INTERVAL)
+        except Empty:
             if isinstance(executor, DaskWorkers) and executor.is_lost:
                 raise EndpointError("--cluster", _LOST) from None
+
+
+def _died(task: Future[Any]) -> bool:
+    """Return whether a task was in progress or waiting when a local process died."""
+    return task.done() and not task.cancelled() and isinstance(task.exception(), BrokenProcessPool)
 
 
 @contextmanager
@@ -136,87 +146,66 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Generator[Ex
             yield executor
 
 
-class LocalProcesses(ThreadPoolExecutor):
-    """Executor of local processes: threads, each of which passes its tasks to one process.
+class LocalProcesses(Executor):
+    """Executor of local processes, which end with this process.
 
-    A process that dies breaks its own task only; a `ProcessPoolExecutor` of several would break all tasks,
-    and the cause is unknown.
+    A process that dies breaks all tasks in progress and waiting: `map_tasks` repeats them.
 
     Args:
         count: Number of processes.
     """
 
     def __init__(self, count: int) -> None:
-        super().__init__(count, initializer=_block_signals)
-        self._context = get_context("spawn")
-        self._pools = dict[int, ProcessPoolExecutor]()  # of one process, by thread
-        self._processes = list[tuple[ProcessPoolExecutor, Lifeline]]()
-        self._lock, self._ended = Lock(), False
-        self._environment = {name: os.environ.get(name) for name in _THREADS}
-        for name in _THREADS:
-            os.environ.setdefault(name, "1")  # inherited by the processes
+        self._count, self._context = count, get_context("spawn")
+        self._pool: ProcessPoolExecutor | None = None
+        self._lifeline: Connection[Any, Any] | None = None  # its end here; the processes have the other
 
-    def submit(self, work: Callable[..., Result], /, *args: object, **kwargs: object) -> Future[Result]:
-        """Schedule a task; its future raises `BrokenProcessPool` if its process dies."""
-        return super().submit(self._run, work, *args, **kwargs)
+    def submit(self, work: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Schedule a task; its future raises `BrokenProcessPool` if a process dies."""
+        with _inherited_by_processes():
+            if self._pool is None:
+                theirs, self._lifeline = self._context.Pipe(duplex=False)
+                self._pool = ProcessPoolExecutor(
+                    self._count, self._context, initializer=_end_with, initargs=(theirs,)
+                )
+            try:
+                return self._pool.submit(work, *args, **kwargs)
+            except BrokenProcessPool as error:
+                broken = Future[Result]()
+                broken.set_exception(error)
+                return broken
 
-    def end_tasks(self, tasks: Iterable[Future[Any]]) -> None:
-        """End all processes in the middle of these tasks; the next task starts new ones."""
-        with self._lock:
-            self._ended = True
-            for pool, lifeline in self._processes:
-                lifeline.close()
-                pool.shutdown()
-        wait(tasks)
-        self._processes.clear()
-        self._pools.clear()
-        self._ended = False
+    def end(self) -> None:
+        """End all processes, also in the middle of a task; the next task starts new ones."""
+        if self._lifeline and self._pool:
+            self._lifeline.close()
+            self._pool.shutdown(cancel_futures=True)
+        self._lifeline = self._pool = None
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:
-        """End all processes at once, also those with a task in progress."""
-        super().shutdown(wait=False, cancel_futures=cancel_futures)
-        self.end_tasks(())
-        self._ended = True
-        super().shutdown(wait)
-        for name, value in self._environment.items():
-            if value is None:
-                os.environ.pop(name, None)
-
-    def _run(self, work: Callable[..., Result], /, *args: object, **kwargs: object) -> Result:
-        """Run a task in the process of this thread."""
-        thread = get_ident()
-        pool = self._pools.get(thread) or self._start()
-        try:
-            result = pool.submit(work, *args, **kwargs).result()
-        except BrokenProcessPool:
-            self._pools.pop(thread, None)
-            raise
-        return result
-
-    def _start(self) -> ProcessPoolExecutor:
-        """Start a process, which ends when the other end of its lifeline closes."""
-        with self._lock:
-            if self._ended:
-                raise CancelledError
-            theirs, ours = self._context.Pipe(duplex=False)
-            pool = ProcessPoolExecutor(1, self._context, initializer=_end_with, initargs=(theirs,))
-            pool.submit(int)  # starts the process
-            theirs.close()
-            self._processes.append((pool, ours))
-            self._pools[get_ident()] = pool
-            return pool
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End all processes, as `end` does."""
+        self.end()
 
 
-def _block_signals() -> None:
-    """Block SIGINT and SIGTERM in a thread and in the processes that it starts.
+@contextmanager
+def _inherited_by_processes() -> Generator[None]:
+    """Let processes that start in the block ignore signals, and use one thread for numpy's libraries.
 
-    Terminals and service managers send these signals to all processes; only the parent must act on them.
+    Terminals and service managers send SIGINT and SIGTERM to all processes; only the parent must act on them.
     """
     ensure_running()  # else it starts with the first process and unblocks the signals again
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+    unset = [name for name in _THREADS if name not in os.environ]
+    os.environ.update(dict.fromkeys(unset, "1"))
+    try:
+        yield
+    finally:
+        for name in unset:
+            del os.environ[name]
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _end_with(lifeline: Lifeline) -> None:
+def _end_with(lifeline: "Connection[Any, Any]") -> None:
     """End this process when the other end of a pipe closes, which also happens when the parent is killed."""
 
     def end() -> None:
@@ -268,7 +257,7 @@ def _result(item: Item, task: Future[Result], lost: Callable[[Item, str], Result
     try:
         return task.result()
     except BrokenProcessPool:
-        return lost(item, "its process died, perhaps for lack of memory: use fewer jobs")
+        return lost(item, "its process died, perhaps for lack of memory")
     except CancelledError:
         raise EndpointError("--cluster", _LOST) from None
     except Exception as error:

@@ -149,4 +149,4 @@ def test_a_method_whose_process_dies_is_missing(surfaces: list[LabelledRecording
             executor=executor,
         )
     assert list(found.methods) == ["psd"]
-    assert found.missing == {"own": "its process died, perhaps for lack of memory: use fewer jobs"}
+    assert found.missing == {"own": "its process died, perhaps for lack of memory"}
