@@ -39,12 +39,8 @@ def experiment(
     ] = 900_000,
     stress: Annotated[
         bool,
-        typer.Option("--stress", help="Also vary friction, mass, latency, sample rate, stiffness and pad."),
+        typer.Option("--stress", help="Also vary friction, mass, delay, sample rate and stiffness."),
     ] = False,
-    tune: Annotated[
-        int,
-        typer.Option(min=0, metavar="N", help="Tune all thresholds on N other taps first (default: cards')."),
-    ] = 0,
     jobs: Jobs = None,
     cluster: Cluster = None,
     out: ReportFolder = Path("experiment"),
@@ -56,7 +52,7 @@ def experiment(
     Writes NAME.html, .md, .json and figures.
 
     Examples:
-      slipflow experiment tap --tune 50
+      slipflow experiment tap
       slipflow experiment lift --object ball --trials 5 --method psd:none
       slipflow experiment lift --stress --trials 5
     """
@@ -64,18 +60,12 @@ def experiment(
     from flows.lab.experiments.experiment_report import experiment_report
     from flows.lab.experiments.rivals import METHODS, parse_method
     from flows.lab.experiments.study import Trials, run_study
-    from flows.lab.experiments.tuning import tuned
     from flows.run.executor import workers
 
     methods = [parse_method(text) for text in method or ()] or list(METHODS)
     chosen = Trials(trials, seed, tuple(objects or OBJECTS))
     prepare_report(out)
-    with workers(jobs, cluster) as executor:
-        if tune:
-            with progress_bar("tuning") as update:
-                methods = tuned(methods, tune, executor=executor, progress=update)
-        with progress_bar(name) as update:
-            results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
-    command = command_line()
-    report = experiment_report(name, results, methods, chosen, command)
+    with workers(jobs, cluster) as executor, progress_bar(name) as update:
+        results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
+    report = experiment_report(name, results, methods, chosen, command_line())
     write_report(report, out, name, as_json=as_json)

@@ -7,7 +7,7 @@ method that it measures, and then in a commit of its own.
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, TypeAlias
@@ -16,10 +16,8 @@ from unittest.mock import patch
 import polars as pl
 
 from connectors.sim.paper_plan import PaperPlan
-from flows.lab.experiments.lift_trial import LiftOutcome
 from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.study import Trials, run_study
-from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.simulation import simulate
 from flows.learn.evaluation import evaluation_study, stress_study
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
@@ -31,8 +29,8 @@ from flows.report.results import Statistic, estimates
 
 Numbers: TypeAlias = dict[str, Any]  # nested; leaves are numbers, strings and null
 FIELDS_OF = {
-    name: ["success", *(each.name for each in fields(kind))]
-    for name, kind in (("tap", TapOutcome), ("lift", LiftOutcome))
+    "tap": ("success", "ending", "false_firm", "slide", "lead", "moved", "soft", "false_soft"),
+    "lift": ("success", "ending", "false_firm", "slide", "lead", "force", "peak"),
 }
 METHODS = ("tcn", "psd", "logistic")
 

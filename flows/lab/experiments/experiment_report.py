@@ -131,7 +131,8 @@ def _breaking_points(results: pl.DataFrame) -> Section:
         for name in RATES
     ]
     note = (
-        "One setting differs from nominal: factors of friction, mass, contact and pad stiffness; added delay."
+        "One setting differs from nominal: factors of friction, mass, stiffness and tilt; added "
+        "delay of the gripper in s; sample rate in Hz."
     )
     return Section("stress", "Where each method breaks", note, tables, folded=True)
 

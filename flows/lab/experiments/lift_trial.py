@@ -5,14 +5,14 @@ The same grasp is also lifted firmly. A slip registered there, or before anythin
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final, Literal, TypeAlias
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from connectors.sim.grasp_actions import Lift
 from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments.trial import HELD, Trace, Trial, run_trial
+from flows.lab.experiments.trial import HELD, Outcome, Trace, Trial, run_trial
 from operators.batch import Reals, s
 from operators.detectors import Detector
 from operators.grip import GripController
@@ -25,41 +25,14 @@ RESTS: Final = 0.0005  # m; a held object slides at most this far in the last ha
 LATE: Final = 0.5  # s from the first sliding; a slip registered later counts as missed
 EARLY: Final = 0.02  # s; a slip may be registered this long before the sliding it belongs to
 
-LiftEnding: TypeAlias = Literal[
-    "held", "false slip", "missed", "too late", "dropped after catch", "given up", "not lifted"
-]
 
-
-@dataclass(frozen=True, slots=True)
-class LiftOutcome:
-    """The outcome of one lift.
-
-    Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
-    ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
-    enough at some time; ``given up``, released by the controller; ``not lifted``, hangs too low, still slides
-    or stands on the table; else ``too late``.
-    """
-
-    ending: LiftEnding
-    false_firm: bool  # a slip was registered in the firm lift
-    slide: float  # mm
-    lead: float  # ms from the first registered slip to the first sliding; NaN: none
-    force: float  # mean of the last second over the least that holds; NaN: not held
-    peak: float  # highest force over the least that holds
-
-    @property
-    def success(self) -> bool:
-        """True if the object was lifted and held, without a false slip."""
-        return self.ending == "held"
-
-
-def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, LiftOutcome]]:
+def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
     """Run one lift trial.
 
     A delayed gripper closes later, so a rule also waits longer: scores before contact must not count.
     """
-    firm, found = trial.hold((), HELD), list[tuple[Trace, LiftOutcome]]()
-    delay = round(trial.conditions.gripper.delay * s)
+    firm, found = trial.hold((), HELD), list[tuple[Trace, Outcome]]()
+    delay = round(trial.conditions.delay * s)
     for detector, usual in methods:
         rule = replace(usual, force=weak_force(trial), settle=usual.settle + delay)
         false_firm = firm.scored(detector).false_slip(rule)
@@ -73,8 +46,14 @@ def weak_force(trial: Trial) -> float:
     return trial.expected_force * float(np.random.default_rng([trial.seed, 8]).uniform(*WEAK))
 
 
-def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: bool = False) -> LiftOutcome:
-    """Return the outcome of a lift; `least` is the least force that holds the object (N)."""
+def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: bool = False) -> Outcome:
+    """Return the outcome of a lift; its forces are relative to `least`, which just holds the object (N).
+
+    Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
+    ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
+    enough at some time; ``given up``, released by the controller; ``not lifted``, hangs too low, still slides
+    or stands on the table; else ``too late``.
+    """
     lifting = trace.between(LIFT.instant, END + 1)
     slides = trace.t[lifting][trace.speed[lifting] > SLIDING]
     began = float(slides[0]) if len(slides) else math.inf
@@ -86,17 +65,17 @@ def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: 
     if false_firm or len(answers) < len(onsets):
         ending = "false slip"
     force = trace.force[trace.between(END - 1, END + 1)]
-    return LiftOutcome(
-        ending=ending,
-        false_firm=false_firm,
-        slide=float(slide.max()),
-        lead=-1000 * delay,
-        force=float(force.mean()) / least if _held(trace) else math.nan,
-        peak=float(trace.force.max()) / least,
-    )
+    metrics = {
+        "false_firm": false_firm,  # a slip was registered in the firm lift
+        "slide": float(slide.max()),  # mm
+        "lead": -1000 * delay,  # ms from the first registered slip to the first sliding
+        "force": float(force.mean()) / least if _held(trace) else math.nan,  # mean of the last second
+        "peak": float(trace.force.max()) / least,
+    }
+    return Outcome(ending, ending == "held", metrics)
 
 
-def _lift_ending(trace: Trace, rule: GripController, least: float, delay: float) -> LiftEnding:
+def _lift_ending(trace: Trace, rule: GripController, least: float, delay: float) -> str:
     if _held(trace):
         return "held"
     if trace.commanded[-1] <= rule.min_force:

@@ -8,7 +8,7 @@ import numpy as np
 from operators import Debounce, Grip, GripController, StepGrip
 from operators.batch import Counts, Reals
 from operators.checks import check_choice
-from operators.detectors import Detector, Psd
+from operators.detectors import Detector
 from storage import load_debounce, load_detector
 from storage.models import shipped_path
 
@@ -49,7 +49,6 @@ class Method:
 
     detector: str  # a rival, a detector's name or a model file
     rule: str = OURS
-    threshold: float | None = None  # of the slip probability; None: of the detector's card
 
     def __post_init__(self) -> None:
         check_choice("Method", "rule", self.rule, RULES)
@@ -65,8 +64,7 @@ class Method:
         """
         card = CARDS.get(self.detector)
         found = load_debounce(self.detector if card is None else shipped_path(card)) or Debounce()
-        threshold = found.threshold if self.threshold is None else self.threshold
-        return load_rival(self.detector), _controller(self.rule, threshold)
+        return _load_rival(self.detector), _controller(self.rule, found.threshold)
 
 
 METHODS: Final = (Method(DEFAULT), *(Method(name, STEPS) for name in RIVALS))  # rivals: the paper's rule
@@ -87,21 +85,10 @@ def parse_method(text: str) -> Method:
     return Method(text, STEPS if text in RIVALS else OURS)
 
 
-def load_rival(name: str) -> Detector:
-    """Return the detector of a method.
-
-    Raises:
-        InputError: if there is no such detector.
-    """
-    match name:
-        case "threshold":
-            return StepThreshold()
-        case "psd":
-            return Psd()
-        case "paper":
-            return load_detector(shipped_path(CARDS[name]))
-        case _:
-            return load_detector(name)
+def _load_rival(name: str) -> Detector:
+    if name == "threshold":
+        return StepThreshold()
+    return load_detector(shipped_path(CARDS[name]) if name == "paper" else name)
 
 
 def _controller(rule: str, threshold: float) -> GripController:

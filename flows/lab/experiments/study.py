@@ -3,17 +3,16 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from connectors.sim.objects import OBJECTS, named
-from flows.lab.experiments.gripper_model import GripperModel
-from flows.lab.experiments.lift_trial import LiftOutcome, lift
+from flows.lab.experiments.lift_trial import lift
 from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.tap_trial import TapOutcome, tap
-from flows.lab.experiments.trial import Conditions, Trace, Trial
+from flows.lab.experiments.tap_trial import tap
+from flows.lab.experiments.trial import Conditions, Outcome, Trace, Trial
 from flows.run.executor import map_tasks
 from operators import GripController
 from operators.checks import check_at_least, check_choice
@@ -25,10 +24,17 @@ if TYPE_CHECKING:
 SEED: Final = 900_000  # far from the seeds of training data
 NOMINAL: Final = "nominal"  # condition
 
-Outcome: TypeAlias = TapOutcome | LiftOutcome
 Setup: TypeAlias = tuple[Detector, GripController]
 Experiment: TypeAlias = Callable[[Trial, Sequence[Setup]], Sequence[tuple[Trace, Outcome]]]
 EXPERIMENTS: Final[Mapping[str, Experiment]] = {"tap": tap, "lift": lift}
+STRESS: Final[Mapping[str, Sequence[float]]] = {  # values of each setting that differ from nominal
+    "friction": (0.5, 0.75, 1.5, 2),
+    "mass": (0.5, 1.5, 2),
+    "delay": (0.05, 0.1, 0.2, 0.3),  # s
+    "rate": (25, 50, 200),  # Hz
+    "stiffness": (0.5, 2, 4),
+    "tilt": (0.5, 2, 4),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,37 +55,16 @@ class Trials:
             check_choice("Trials", "object", name, OBJECTS)
 
 
-def _factors(name: str, *factors: float) -> dict[str, Conditions]:
-    """Return a condition for each factor of a setting, which is nominal at 1."""
-    values: dict[float, Mapping[str, Any]] = {factor: {name: factor} for factor in factors}
-    return {f"x{factor:g}": Conditions(**values[factor]) for factor in factors}
-
-
-AXES: Final[Mapping[str, Mapping[str, Conditions]]] = {  # nominal comes after those below it
-    "friction": _factors("friction", 0.5, 0.75, 1, 1.5, 2),
-    "mass": _factors("mass", 0.5, 1, 1.5, 2),
-    "latency": {
-        f"+{delay} ms": Conditions(gripper=replace(GripperModel(), delay=delay / 1000))
-        for delay in (0, 50, 100, 200, 300)
-    },
-    "rate": {f"{rate:g} Hz": Conditions(rate=rate) for rate in (25.0, 50.0, 100.0, 200.0)},
-    "stiffness": _factors("stiffness", 0.5, 1, 2, 4),
-    "pad": _factors("tilt", 0.5, 1, 2, 4),
-}
-
-
-def axes_of(experiment: str) -> Mapping[str, Mapping[str, Conditions]]:
-    """Return the axes of an experiment; the force of a tap is constant, so it has no latency."""
-    return {name: each for name, each in AXES.items() if experiment == "lift" or name != "latency"}
-
-
 def conditions_of(experiment: str, *, stress: bool) -> dict[str, Conditions]:
-    """Return the nominal condition by name, with `stress` also those that differ from it in one setting."""
+    """Return the nominal condition by name, with `stress` also those that differ from it in one setting.
+
+    The force of a tap is constant, so it has no delay.
+    """
+    names = [name for name in STRESS if stress and (experiment, name) != ("tap", "delay")]
     varied = {
-        f"{axis} {value}": each
-        for axis, values in axes_of(experiment).items()
-        for value, each in values.items()
-        if stress and each != Conditions()
+        f"{name} {value:g}": replace(Conditions(), **{name: value})
+        for name in names
+        for value in STRESS[name]
     }
     return {NOMINAL: Conditions(), **varied}
 
@@ -105,7 +90,7 @@ def run_study(
 
     Returns:
         Long table of results (`flows.report.results`): a recording is a trial, its fold the object. Metrics
-        are ``trials`` (1), ``success``, ``ending NAME`` (1) and the fields of the outcome that are known.
+        are ``trials`` (1), ``success``, ``ending NAME`` (1) and those of the outcome that are known.
 
     Raises:
         InputError: if there is no such detector.
@@ -149,6 +134,5 @@ def _run(
 
 def _metrics(outcome: Outcome) -> dict[str, float]:
     """Return the metrics of a trial; unknown values are left out."""
-    numbers = {name: float(value) for name, value in asdict(outcome).items() if name != "ending"}
-    known = {name: value for name, value in numbers.items() if not math.isnan(value)}
+    known = {name: float(value) for name, value in outcome.metrics.items() if not math.isnan(value)}
     return {"trials": 1, "success": float(outcome.success), f"ending {outcome.ending}": 1, **known}

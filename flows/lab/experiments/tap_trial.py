@@ -6,9 +6,8 @@ static after it. A softer blow, the lift and the hold move nothing: a slip regis
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, Literal, NamedTuple, TypeAlias
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import PASSIVE_FRICTION, grip_model, surface
 from connectors.sim.grasp_actions import Tap
 from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments.trial import HELD, MOVED, STILL, Trace, Trial
+from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial
 from operators.detectors import Detector
 from operators.grip import GripController
 
@@ -30,38 +29,14 @@ KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative t
 SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
 FINGERS: Final = 3  # springs that hold the object
 
-TapEnding: TypeAlias = Literal[
-    "registered", "false slip", "false at soft blow", "missed", "too late", "not back to static", "dropped"
-]
-
-Side: TypeAlias = Literal["top", "side"]
-
 
 class _Blow(NamedTuple):
-    ending: TapEnding
+    ending: str
     slide: float  # mm
     lead: float  # ms from the registered slip to the onset of sliding; NaN: not registered
 
 
-@dataclass(frozen=True, slots=True)
-class TapOutcome:
-    """The outcome of one tap trial."""
-
-    ending: TapEnding
-    false_firm: bool  # a slip was registered between the closing of the gripper and the first blow
-    slide: float  # mm, mean over the blows that moved the object; NaN: none
-    lead: float  # ms from the registered slip to the onset of sliding, mean over these blows; NaN: none
-    moved: int  # blows that moved the object
-    soft: int  # blows that moved nothing
-    false_soft: int  # blows that moved nothing, but at which a slip was registered
-
-    @property
-    def success(self) -> bool:
-        """True if each slip was registered in time, with static after it, and no false slip."""
-        return self.ending == "registered"
-
-
-def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, TapOutcome]]:
+def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
     """Run one tap trial; the grip force is constant, so a rule only sets how slips register."""
     trace = tap_trace(trial)
     traces = [(trace.scored(detector), rule) for detector, rule in methods]
@@ -78,7 +53,7 @@ def _draw_blows(trial: Trial) -> list[Tap]:
     random = np.random.default_rng([trial.seed, 9])
     top = _momentum(trial, trial.firm - 1, random)
     side = _momentum(trial, math.sqrt(trial.firm**2 - 1), random) * float(random.choice([-1, 1]))
-    blows: list[tuple[float, Side]] = [(top, "top"), (side, "side")]
+    blows: list[tuple[float, Literal["top", "side"]]] = [(top, "top"), (side, "side")]
     random.shuffle(blows)
     blows.insert(0, (SOFT * blows[0][0], blows[0][1]))
     return [Tap(instant, *blow, SECONDS) for instant, blow in zip(BLOWS, blows, strict=True)]
@@ -101,26 +76,27 @@ def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float
     return math.sqrt(2 * mass * (weight * (KINETIC * trial.firm - 1) * slide + deflected))
 
 
-def judge_tap(trace: Trace, rule: GripController) -> TapOutcome:
+def judge_tap(trace: Trace, rule: GripController) -> Outcome:
     """Return the outcome of a tap trial."""
     blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, END))]
     moved = [blow for blow in blows if blow.slide >= MOVED]
     soft = [blow for blow in blows if blow.slide < STILL]
     false_firm = trace.false_slip(rule)
-    failures: list[TapEnding] = [blow.ending for blow in blows if blow.ending != "registered"]
-    ending: TapEnding = failures[0] if failures else "registered"
+    ending = next((blow.ending for blow in blows if blow.ending != "registered"), "registered")
     if false_firm:
         ending = "false slip"
+    if trace.dropped[-1]:
+        ending = "dropped"
     leads = [blow.lead for blow in moved if not math.isnan(blow.lead)]
-    return TapOutcome(
-        ending="dropped" if trace.dropped[-1] else ending,
-        false_firm=false_firm,
-        slide=float(np.mean([blow.slide for blow in moved])) if moved else math.nan,
-        lead=float(np.mean(leads)) if leads else math.nan,
-        moved=len(moved),
-        soft=len(soft),
-        false_soft=sum(blow.ending == "false at soft blow" for blow in soft),
-    )
+    metrics = {
+        "false_firm": false_firm,  # a slip was registered after the gripper closed, before the first blow
+        "slide": float(np.mean([blow.slide for blow in moved])) if moved else math.nan,  # mm, mean over blows
+        "lead": float(np.mean(leads)) if leads else math.nan,  # ms from the registered slip to the sliding
+        "moved": len(moved),  # blows that moved the object
+        "soft": len(soft),  # blows that moved nothing
+        "false_soft": sum(blow.ending == "false at soft blow" for blow in soft),
+    }
+    return Outcome(ending, ending == "registered", metrics)
 
 
 def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) -> _Blow:

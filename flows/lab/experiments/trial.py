@@ -1,11 +1,13 @@
 """One trial of an experiment: a simulated grasp and the declared flow, sample by sample in virtual time."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
 
+from connectors.gripper.robotiq import FULL, PACE, SETTLE
 from connectors.sim.grasp import Grasp, GraspState, least_force
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
@@ -13,11 +15,10 @@ from connectors.sim.scene import Parameters, Vibration
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
-from flows.lab.experiments.gripper_model import Actuator, GripperModel
 from flows.lift import declare_grip
 from operators import Score
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, Zeroed, s
-from operators.checks import check_above
+from operators.checks import check_above, check_at_least
 from operators.detectors import Detector
 from operators.grip import GripController, StepGrip
 
@@ -35,16 +36,23 @@ FINGERTIP: Final = Parameters()  # of the experiments; no training grasp has it
 SCANS: Final = 100  # samples of the open gripper at least: a detector's first window
 _NO_STEP: Final = 1e-12  # N, force step of a constant grip
 
+# A Robotiq 3-Finger Gripper grips with at least 15 N, ten times the force that holds the objects of this
+# scene, and cannot reduce its force without opening. The model has its steps, refresh rate and delay, but
+# for small forces, and can reduce them.
+LATENCY: Final = 0.008  # s: 3 ms to convert, 4 ms to read on a 100 kHz bus, 1 ms from command to gripper
+RATE: Final = 10.0  # N/s, change of the gripper's force; assumed
+SPAN: Final = 10.0  # N, for the 255 steps of its register; assumed
+
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """Settings shared by all trials of an experiment; factors are relative to nominal.
 
     Raises:
-        ParameterError: on a rate or factor that is not above 0.
+        ParameterError: on a rate or factor that is not above 0, or a negative delay.
     """
 
-    gripper: GripperModel = field(default_factory=GripperModel)
+    delay: float = 0.0  # s, added to the latency of the gripper
     rate: float = 100.0  # Hz, of the samples
     friction: float = 1.0  # factor
     mass: float = 1.0  # factor
@@ -54,6 +62,16 @@ class Conditions:
     def __post_init__(self) -> None:
         for name in ("rate", "friction", "mass", "stiffness", "tilt"):
             check_above("Conditions", name, getattr(self, name), 0)
+        check_at_least("Conditions", "delay", self.delay, 0, "s")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The outcome of a trial."""
+
+    ending: str
+    success: bool
+    metrics: Mapping[str, float]  # NaN: unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +192,43 @@ class Trace:
         return 1000 * float(self.speed[rows] @ np.diff(self.t, prepend=0.0)[rows])
 
 
+class Actuator:
+    """The gripper, which executes commands on a simulated grasp.
+
+    Args:
+        grasp: Grasp that it presses.
+        delay: Time (s) added to its latency.
+    """
+
+    def __init__(self, grasp: Grasp, delay: float = 0.0) -> None:
+        self._grasp, self._delay = grasp, delay
+        self.commanded = 0.0  # N, by the newest command
+        self._target = 0.0  # N
+
+    def execute(self, commands: Commands) -> None:
+        """Execute each command at its time; a command without force changes nothing."""
+        for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
+            if math.isnan(force):
+                continue
+            self.commanded, target = force, quantize(force)
+            if target != self._target:
+                self._target = target
+                self._grasp.press(target, effect(time / s, self._delay), RATE)
+
+
+def effect(instant: float, delay: float = 0.0) -> float:
+    """Return the time (s) at which the command for a sample taken at `instant` takes effect.
+
+    The gripper reads its registers once in `PACE`, and takes `SETTLE` from a request to its effect.
+    """
+    return math.ceil((instant + LATENCY + delay) / PACE - 1e-9) * PACE + SETTLE
+
+
+def quantize(force: float) -> float:
+    """Return the force (N) of the gripper's highest step that does not exceed the commanded one."""
+    return math.floor(min(max(force, 0.0), SPAN) / SPAN * FULL + 1e-6) / FULL * SPAN
+
+
 class NullDetector:
     """A detector that never reports slip."""
 
@@ -206,7 +261,7 @@ def run_trial(
     commands.to(commanded)
     compiled = CompiledFlow(flow)
     [entry] = compiled.entries
-    actuator = Actuator(conditions.gripper, grasp)
+    actuator = Actuator(grasp, conditions.delay)
     closed = np.arange(waiting, seconds * conditions.rate) / conditions.rate
     instants = np.concatenate((np.arange(scans) / scans * BASELINE, closed))  # (n,) s
     n, stamps = len(instants), np.rint(instants * s).astype(np.int64)

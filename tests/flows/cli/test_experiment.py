@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from flows.lab.experiments import study
-from flows.lab.experiments.lift_trial import LiftOutcome
+from flows.lab.experiments.trial import Outcome
 from tests.command import slipflow
 
 ONE = ["--method", "psd:none", "--object", "ball", "--trials", "1", "--jobs", "1"]
@@ -22,9 +22,10 @@ def no_constant(name: str) -> None:
 @pytest.fixture
 def no_simulation(monkeypatch: pytest.MonkeyPatch, hide_packages: Callable[..., None]) -> None:
     """Lose the object in each trial, without a simulation and without figures."""
-    lost = LiftOutcome("missed", True, 30.0, math.nan, math.nan, 0.5)
+    metrics = {"false_firm": True, "slide": 30.0, "lead": math.nan, "force": math.nan, "peak": 0.5}
+    lost = Outcome("missed", False, metrics)
 
-    def lift(_: Any, setups: list[Any]) -> list[tuple[None, LiftOutcome]]:
+    def lift(_: Any, setups: list[Any]) -> list[tuple[None, Outcome]]:
         return [(None, lost)] * len(setups)
 
     monkeypatch.setattr(study, "EXPERIMENTS", {"lift": lift})

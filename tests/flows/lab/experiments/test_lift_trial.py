@@ -5,13 +5,8 @@ import numpy as np
 import pytest
 
 from connectors.sim.objects import named
-from flows.lab.experiments.lift_trial import (
-    LIFT,
-    LiftOutcome,
-    judge_lift,
-    lift,
-)
-from flows.lab.experiments.trial import BASELINE, Conditions, NullDetector, Trace, Trial
+from flows.lab.experiments.lift_trial import LIFT, judge_lift, lift
+from flows.lab.experiments.trial import BASELINE, Conditions, NullDetector, Outcome, Trace, Trial
 from operators import Grip
 from operators.batch import Reals
 from storage import load_detector
@@ -24,15 +19,15 @@ DOWN = {"gripper_height": np.full(700, 0.05), "height": np.zeros(700), "on_table
 BALL = named("ball")
 
 
-def _judge(trace: Trace, least: float = 0.9) -> LiftOutcome:
+def _judge(trace: Trace, least: float = 0.9) -> Outcome:
     return judge_lift(trace, Grip(settle=0), least)
 
 
 def test_an_object_that_is_up_and_rests_is_held(make_trace: MakeTrace, during: During) -> None:
     outcome = _judge(make_trace(**UP, slide=during((2.6, 7.0), value=0.004)))
     assert outcome.success
-    assert outcome.slide == pytest.approx(4.0)
-    assert outcome.force == pytest.approx(1 / 0.9)
+    assert outcome.metrics["slide"] == pytest.approx(4.0)
+    assert outcome.metrics["force"] == pytest.approx(1 / 0.9)
 
 
 def test_an_object_that_still_slides_at_the_end_is_not_lifted(make_trace: MakeTrace, during: During) -> None:
@@ -48,7 +43,7 @@ def test_a_slip_that_is_not_registered_within_half_a_second_is_missed(
     assert _judge(make_trace(**DOWN, speed=sliding)).ending == "missed"
     late = _judge(make_trace(**DOWN, speed=sliding, probability=during((3.2, 3.5))))
     assert late.ending == "missed"
-    assert late.lead == pytest.approx(-610)
+    assert late.metrics["lead"] == pytest.approx(-610)
 
 
 def test_a_dropped_object_was_caught_too_late_or_once_held(make_trace: MakeTrace, during: During) -> None:
@@ -71,7 +66,7 @@ def test_an_object_that_the_controller_releases_is_given_up(make_trace: MakeTrac
 def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During) -> None:
     trace = make_trace(**UP, probability=during((2.0, 2.1), (2.6, 2.8)), speed=during((2.6, 2.8)))
     assert _judge(trace).ending == "false slip"  # before anything slid
-    assert _judge(trace).lead == pytest.approx(-10)
+    assert _judge(trace).metrics["lead"] == pytest.approx(-10)
     clean = make_trace(**UP, probability=during((2.6, 2.8)), speed=during((2.6, 2.8)))
     assert _judge(clean).success
     assert judge_lift(clean, Grip(settle=0), 0.9, false_firm=True).ending == "false slip"
@@ -80,10 +75,10 @@ def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During)
 def test_without_control_a_weak_grip_loses_the_object() -> None:
     [(trace, outcome)] = lift(Trial.draw(BALL, 1, Conditions()), [(NullDetector(), Grip())])
     assert outcome.ending == "missed"
-    assert trace.force.max() < outcome.peak * 2
-    assert outcome.peak < 1
+    assert trace.force.max() < outcome.metrics["peak"] * 2
+    assert outcome.metrics["peak"] < 1
     assert trace.gripper_height[-1] == pytest.approx(LIFT.height, abs=1e-4)
-    assert outcome.slide > 10
+    assert outcome.metrics["slide"] > 10
 
 
 @pytest.mark.parametrize("rate", [10.0, 25.0])

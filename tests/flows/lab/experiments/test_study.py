@@ -3,7 +3,7 @@ from dataclasses import fields
 import pytest
 
 from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import AXES, NOMINAL, SEED, Trials, axes_of, conditions_of, run_study
+from flows.lab.experiments.study import NOMINAL, SEED, Trials, conditions_of, run_study
 from flows.lab.experiments.trial import Conditions
 from flows.run.executor import workers
 from operators import ParameterError
@@ -22,21 +22,19 @@ def test_an_empty_study_and_unknown_names_are_refused() -> None:
         Trials(0)
 
 
-def test_each_condition_differs_from_nominal_in_one_setting() -> None:
-    for values in AXES.values():
-        changed = [
-            [each.name for each in fields(one) if getattr(one, each.name) != getattr(Conditions(), each.name)]
-            for one in values.values()
-        ]
-        assert sorted(map(len, changed)) == [0, *[1] * (len(values) - 1)]  # one is nominal
-        assert len({name for names in changed for name in names}) == 1
-    assert Conditions(tilt=2.0) in AXES["pad"].values()
-
-
-def test_only_a_lift_has_a_latency() -> None:
-    assert set(axes_of("lift")) - set(axes_of("tap")) == {"latency"}
-    assert len(conditions_of("lift", stress=True)) == 1 + sum(len(values) - 1 for values in AXES.values())
-    assert list(conditions_of("tap", stress=False)) == [NOMINAL]
+def test_each_condition_differs_from_nominal_in_one_setting_and_only_a_lift_has_a_delay() -> None:
+    nominal, *varied = conditions_of("lift", stress=True).items()
+    assert nominal == (NOMINAL, Conditions())
+    for name, condition in varied:
+        changed = {
+            each.name: getattr(condition, each.name)
+            for each in fields(condition)
+            if getattr(condition, each.name) != getattr(Conditions(), each.name)
+        }
+        assert [f"{setting} {value:g}" for setting, value in changed.items()] == [name]
+    taps = [name for name, _ in varied if not name.startswith("delay ")]
+    assert [*conditions_of("tap", stress=True)] == [NOMINAL, *taps]
+    assert [*conditions_of("tap", stress=False)] == [NOMINAL]
 
 
 def test_processes_and_the_number_of_trials_change_no_trial() -> None:
