@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from flows.learn.evaluation.event_metrics import runs
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.onsets import runs
 from operators import Zero
 from operators.batch import BAROMETERS, Flags, Reals
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from flows.learn.alarms.alarm_calibration import Calibrated, calibrated, try_settings
 from flows.learn.datasets import learned_from
 from flows.learn.evaluation.folds import repeated
@@ -31,7 +33,7 @@ class CalibratedModel:
         """Return the result as text."""
         found, events, rate = self.found, self.found.measured, f"{self.found.rate:g}/min"
         rule = found.debounce
-        slips = f"{events.missed:.1f} % of slips missed, median delay {events.onset_ms:.0f} ms"
+        slips = f"{events.missed:.1f} % of slips missed, median delay {np.median(events.delays):.0f} ms"
         return (
             f"threshold {rule.threshold:g}; {counted(rule.consecutive, 'decision')} to start,"
             f" {rule.release} to end: at most {found.bound:.2g} false alarms per static minute with"
@@ -128,7 +130,7 @@ def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, An
         "static_minutes": round(events.minutes, 3),
         "slips": events.slips,
         "missed_slips": events.missed_slips,
-        "onset_ms": events.onset_ms if len(events.delays) else None,
+        "onset_ms": float(np.median(events.delays)) if len(events.delays) else None,
     }
     return {
         "false_alarms_per_min": found.rate,

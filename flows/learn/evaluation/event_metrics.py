@@ -7,16 +7,56 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.onsets import match_onsets, runs
 from flows.learn.sampling import Sampling
 from operators import Debounce, ms, s
 from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
 
 PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches of the label
 BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
+BEFORE: Final = BRIEF  # ns that an onset may precede its slip
+AFTER: Final = 150 * ms  # ns after the end of a slip in which an onset still belongs to it
 DECISION: Final = 0.5  # probability from which on a sample counts as slip
+
+
+@dataclass(frozen=True)
+class Onsets:
+    """Onsets matched with true slips."""
+
+    delays: Times  # (caught,) ns from the start of each detected slip to its first onset
+    missed: int  # slips without an onset
+    false: int  # onsets without a slip
+
+
+def match_onsets(onsets: Times, slips: Times | Sequence[tuple[int, int]], *, before: int = BEFORE) -> Onsets:
+    """Match each slip with the first onset from `before` its start to 150 ms after its end.
+
+    Args:
+        onsets: (n,) times of onsets, ns, increasing.
+        slips: (k, 2) start and end of each true slip, ns.
+        before: Time that an onset may precede its slip, ns.
+
+    >>> match_onsets(np.array([30 * ms, 900 * ms]), [(0, 200 * ms), (400 * ms, 500 * ms)])
+    Onsets(delays=array([30000000]), missed=1, false=1)
+    """
+    starts, ends = np.asarray(slips, np.int64).reshape(-1, 2).T  # (k,) each
+    first, past = onsets.searchsorted(starts - before), onsets.searchsorted(ends + AFTER, "right")
+    found = first < past
+    nesting = np.zeros(len(onsets) + 1, np.int64)  # change of the number of slips that an onset belongs to
+    np.add.at(nesting, first[found], 1)
+    np.add.at(nesting, past[found], -1)
+    false = int((nesting.cumsum()[:-1] == 0).sum())
+    return Onsets(onsets[first[found]] - starts[found], int((~found).sum()), false)
+
+
+def runs(flags: Flags) -> NDArray[np.intp]:
+    """Return the first sample of each run of True in flags (n,), and the first one after it; (k, 2).
+
+    >>> runs(np.array([True, False, True, True])).tolist()
+    [[0, 1], [2, 4]]
+    """
+    edges = np.diff(np.concatenate(([0], flags, [0])).astype(np.int8))
+    return np.flatnonzero(edges).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,45 +75,24 @@ class Slips:
     @classmethod
     def labelled(cls, recording: LabelledRecording) -> Self:
         """Return the slips by the recording's label."""
-        return cls.of(recording.slip, PAUSE, recording.sampling, recording.label == UNKNOWN)
-
-    @classmethod
-    def of(cls, slip: Flags, pause: int, sampling: Sampling, unknown: Flags | None = None) -> Self:
-        """Return the slips of samples (n,); those that are `unknown` (n,) are neither slip nor static.
-
-        Static stretches shorter than `pause` (ns) belong to the slip.
-
-        >>> Slips.of(np.arange(300) // 50 == 3, PAUSE, Sampling()).found / ms
-        array([[1500., 1990.]])
-        """
-        if unknown is None:
-            unknown = np.zeros(len(slip), np.bool_)
-        period, warm_up = sampling.period, sampling.warm_up
-        shortest = sampling.samples(pause)  # static stretch that separates slips
-        slips = bridged(slip, shortest)  # (m, 2)
-        found = (np.diff(slips)[:, 0] >= sampling.samples(BRIEF) - 1) & (slips[:, 0] >= warm_up)  # (m,)
-        tolerated = np.concatenate([slips, bridged(unknown)])
-        static = int((~filled(slip, shortest) & ~unknown)[warm_up:].sum()) * period
-        return cls(slips[found] * period, tolerated * period, static, sampling)
-
-
-def bridged(flags: Flags, pause: int = 1) -> NDArray[np.intp]:
-    """Return first and last sample of each run of True, runs closer than `pause` samples joined; (k, 2)."""
-    starts, ends = runs(flags).T
-    separate = starts[1:] - ends[:-1] >= pause
-    return np.stack(
-        [starts[np.append(True, separate)[: len(starts)]], ends[np.append(separate, True)[: len(ends)]] - 1],
-        axis=1,
-    )
-
-
-def filled(flags: Flags, pause: int) -> Flags:
-    """Return the flags (n,) with pauses shorter than `pause` samples filled."""
-    steps = np.zeros(len(flags) + 1, np.int8)
-    starts, ends = bridged(flags, pause).T
-    steps[starts], steps[ends + 1] = 1, -1
-    joined: Flags = np.cumsum(steps)[:-1] > 0
-    return joined
+        sampling, warm_up = recording.sampling, recording.sampling.warm_up
+        starts, ends = runs(recording.slip).T  # (m,) each
+        apart = starts[1:] - ends[:-1] >= sampling.samples(PAUSE)
+        starts = starts[np.append(True, apart)[: len(starts)]]
+        ends = ends[np.append(apart, True)[: len(ends)]]
+        slips = np.stack([starts, ends], axis=1)
+        required = (ends - starts >= sampling.samples(BRIEF)) & (starts >= warm_up)
+        tolerated: Times = np.concatenate([slips, runs(recording.label == UNKNOWN)])
+        static = np.ones(len(recording), np.bool_)
+        for first, end in tolerated.tolist():
+            static[first:end] = False
+        period, last = sampling.period, [0, 1]  # a slip ends at its last sample
+        return cls(
+            (slips[required] - last) * period,
+            (tolerated - last) * period,
+            int(static[warm_up:].sum()) * period,
+            sampling,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,11 +112,8 @@ class EventMetrics:
     @classmethod
     def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
-        found = [
-            onsets(probability, debounce, true.sampling)
-            for probability, true in zip(probabilities, slips, strict=True)
-        ]
-        return cls.of_onsets(found, slips)
+        pairs = zip(probabilities, slips, strict=True)
+        return cls.of_onsets([onsets(each, debounce, true.sampling) for each, true in pairs], slips)
 
     @classmethod
     def of_onsets(cls, found: Sequence[Times], slips: Sequence[Slips]) -> Self:
@@ -119,18 +135,13 @@ class EventMetrics:
 
     @property
     def missed(self) -> float:
-        """Slips without an onset, %."""
-        return percent(self.missed_slips, self.slips)
+        """Slips without an onset, %; NaN without slips."""
+        return 100 * self.missed_slips / self.slips if self.slips else float("nan")
 
     @property
     def repeated(self) -> float:
-        """Onsets of a slip after its first, % of the slips."""
-        return percent(self.repeats, self.slips)
-
-    @property
-    def onset_ms(self) -> float:
-        """Median onset delay, ms; NaN if no slip was detected."""
-        return float(np.median(self.delays)) if len(self.delays) else float("nan")
+        """Onsets of a slip after its first, % of the slips; NaN without slips."""
+        return 100 * self.repeats / self.slips if self.slips else float("nan")
 
 
 def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:

@@ -7,19 +7,9 @@ from typing import Final, TypeAlias
 import numpy as np
 import polars as pl
 
-from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, onsets
-from flows.learn.evaluation.sample_metrics import (
-    BINS,
-    accuracy,
-    balanced,
-    calibration_gaps,
-    confusion,
-    distance,
-    f1,
-    precision,
-)
+from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, match_onsets, onsets
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.onsets import match_onsets
+from flows.learn.sampling import Sampling
 from flows.report.results import (
     Statistic,
     area,
@@ -31,16 +21,55 @@ from flows.report.results import (
     share,
 )
 from operators import Debounce, ms
-from operators.batch import UNKNOWN, Flags, Reals, Times
+from operators.batch import UNKNOWN, Codes, Flags, Reals, Times
 
 FAR: Final = 100.0  # ms from any change of the label
 AHEAD: Final = 150 * ms  # ns, largest lead over the arm-speed label; the arm's velocity is later than touch
 SLIDING: Final = "sliding: "  # prefix of metrics and statistics against true sliding
+_BINS: Final = 10  # of the probability, for the calibration error
 _FAR: Final = "far: "  # prefix of the confusion far from any change of the label
 _CONFUSION: Final = ("static as static", "static as slip", "slip as static", "slip as slip")  # label, answer
 _SLIP, _STATIC = "probability if slip", "probability if static"
 
 _Found: TypeAlias = dict[str, float | Reals]
+
+
+def confusion(predicted: Flags, truth: Flags) -> Reals:
+    """Count predictions (k,) by truth (k,).
+
+    Returns:
+        (2, 2) row: static, slip; column: predicted static, slip.
+
+    >>> confusion(np.array([True, True, False, False]), np.array([True, False, False, False])).tolist()
+    [[2.0, 1.0], [0.0, 1.0]]
+    """
+    return np.bincount(2 * truth + predicted, minlength=4).reshape(2, 2).astype(np.float64)
+
+
+def accuracy(counts: Reals) -> Reals:
+    """Compute the share of correct predictions in confusions (..., 2, 2); (...) %."""
+    return 100 * ratio(np.trace(counts, axis1=-2, axis2=-1), counts.sum(axis=(-2, -1)))
+
+
+def balanced(counts: Reals) -> Reals:
+    """Compute the balanced accuracy of confusions (..., 2, 2): the mean of both recalls; (...) %."""
+    right = np.diagonal(counts, axis1=-2, axis2=-1)
+    found: Reals = 100 * ratio(right, counts.sum(axis=-1)).sum(axis=-1) / 2
+    return found
+
+
+def precision(counts: Reals) -> Reals:
+    """Compute the precision averaged over the classes by their share, as in the paper's tables; (...) %.
+
+    The recall averaged in this way equals the accuracy. A class that is never predicted has precision 0.
+    """
+    return _weighted(counts, np.diagonal(counts, axis1=-2, axis2=-1), counts.sum(axis=-2))
+
+
+def f1(counts: Reals) -> Reals:
+    """Compute F1 averaged over the classes by their share, as in the paper's tables; (...) %."""
+    right = np.diagonal(counts, axis1=-2, axis2=-1)
+    return _weighted(counts, 2 * right, counts.sum(axis=-1) + counts.sum(axis=-2))
 
 
 def judged(
@@ -75,11 +104,13 @@ def judged(
     rows = [
         result_rows(_confusion(recording, predicted, part), condition=kind, **key) for kind, part in parts
     ]
+    true = Slips.labelled(recording)
+    leads = -match_onsets(raised, true.found, before=AHEAD).delays  # ns before the change of the label
     found: _Found = {
-        **_events(recording, raised),
+        **_events(true, raised),
         "events": len(raised),
         "minutes": recording.sampling.minutes(max(len(recording) - recording.sampling.warm_up, 0)),
-        "lead ms": _leads(recording, raised),
+        "lead ms": leads / ms,
     }
     if not condition:
         far = known & (distance(recording.label, recording.sampling) >= FAR)
@@ -88,14 +119,26 @@ def judged(
     if recording.sliding is not None:
         other = replace(recording, label=recording.sliding)
         found |= _confusion(other, predicted, _known(other, probability), SLIDING)
-        found |= _events(other, raised, SLIDING)
+        found |= _events(Slips.labelled(other), raised, SLIDING)
     return joined([*rows, result_rows(found, condition=condition, **key)])
 
 
-def confusion_metrics(predicted: Flags, truth: Flags, prefix: str = "") -> dict[str, float | Reals]:
-    """Count predictions (k,) by truth (k,); `BALANCED` and `SHARES` are computed from these metrics."""
-    counts = confusion(predicted, truth).ravel().tolist()
-    return {prefix + name: count for name, count in zip(_CONFUSION, counts, strict=True)}
+def distance(label: Codes, sampling: Sampling) -> Reals:
+    """Return the distance of each sample (n,) from the nearest change of the label; (n,) ms.
+
+    It is 0 for the two samples at a change, and infinite if the label never changes.
+
+    >>> distance(np.array([0, 0, 1, 1, 1], np.int8), Sampling()).tolist()
+    [10.0, 0.0, 0.0, 10.0, 20.0]
+    """
+    same = np.diff(label) == 0
+    within = np.append(same, True) & np.insert(same, 0, True)  # (n,) not at a change
+    if within.all():
+        return np.full(len(label), np.inf)
+    from scipy.ndimage import distance_transform_edt
+
+    steps: Reals = distance_transform_edt(within)
+    return steps * (sampling.period / ms)
 
 
 def motion_name(surface: str, kind: str, speed: float | None) -> str:
@@ -105,6 +148,12 @@ def motion_name(surface: str, kind: str, speed: float | None) -> str:
     ('plane, oblique, 5 cm/s', 'sphere, rotation')
     """
     return f"{surface}, {kind}" + ("" if speed is None else f", {100 * speed:g} cm/s")
+
+
+def _weighted(counts: Reals, part: Reals, whole: Reals) -> Reals:
+    """Average a share of each class (..., 2) by the number of its samples; (...) %."""
+    samples, shares = counts.sum(axis=-1), np.nan_to_num(ratio(part, whole))
+    return 100 * ratio((samples * shares).sum(axis=-1), samples.sum(axis=-1))
 
 
 def _motions(recording: LabelledRecording, known: Flags) -> Iterator[tuple[str, Flags]]:
@@ -126,11 +175,12 @@ def _known(recording: LabelledRecording, probability: Reals) -> Flags:
 
 
 def _confusion(recording: LabelledRecording, predicted: Flags, part: Flags, prefix: str = "") -> _Found:
-    return confusion_metrics(predicted[part], recording.slip[part], prefix)
+    counts = confusion(predicted[part], recording.slip[part]).ravel().tolist()
+    return {prefix + name: count for name, count in zip(_CONFUSION, counts, strict=True)}
 
 
-def _events(recording: LabelledRecording, raised: Times, prefix: str = "") -> _Found:
-    events = EventMetrics.of_onsets([raised], [Slips.labelled(recording)])
+def _events(true: Slips, raised: Times, prefix: str = "") -> _Found:
+    events = EventMetrics.of_onsets([raised], [true])
     return {
         prefix + "false alarms": events.false_alarms,
         prefix + "static minutes": events.minutes,
@@ -140,15 +190,10 @@ def _events(recording: LabelledRecording, raised: Times, prefix: str = "") -> _F
     }
 
 
-def _leads(recording: LabelledRecording, raised: Times) -> Reals:
-    """Return by how much the first onset of each slip precedes the change of the arm-speed label (k,), ms."""
-    delays = match_onsets(raised, Slips.labelled(recording).found, before=AHEAD).delays
-    return 0.0 - delays / ms
-
-
 def _distribution(probability: Reals, slip: Flags) -> _Found:
     """Return what the area under the ROC curve and the calibration error are computed from."""
-    gaps = calibration_gaps(probability, slip).tolist()
+    bins = np.minimum((probability * _BINS).astype(np.intp), _BINS - 1)
+    gaps = np.bincount(bins, probability - slip, _BINS).tolist()
     return {
         _SLIP: probability[slip],
         _STATIC: probability[~slip],
@@ -167,7 +212,7 @@ def _of_confusion(compute: Callable[[Reals], Reals], prefix: str = "") -> Statis
 
 
 def _calibration(total: Callable[[str], Reals]) -> Reals:
-    gaps = sum(np.abs(total(f"gap {number}")) for number in range(BINS))
+    gaps = sum(np.abs(total(f"gap {number}")) for number in range(_BINS))
     return 100 * ratio(np.asarray(gaps), sum((total(name) for name in _CONFUSION), np.zeros(1)))
 
 

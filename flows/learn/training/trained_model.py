@@ -4,21 +4,18 @@ import hashlib
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from flows.learn.datasets import dataset_digest
-from flows.learn.evaluation.event_metrics import DECISION
-from flows.learn.evaluation.measures import BALANCED, SHARES, confusion_metrics
+from flows.learn.evaluation.measures import BALANCED, SHARES, judged
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
-from flows.report.results import estimates, joined, result_rows
-from operators.batch import SLIP, UNKNOWN
+from flows.report.results import estimates, joined
+from operators import Debounce
 from operators.detectors import Detector
 from storage import save_weights
 from storage.models import save_card
@@ -68,12 +65,15 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
     ``balanced_low`` and ``balanced_high`` are the 95 % interval over recordings, of which three are needed.
     """
-    results = list[pl.DataFrame]()
-    for number, recording in enumerate(recordings):
-        probability, label = probabilities(detector, recording), recording.label
-        known = (label != UNKNOWN) & ~np.isnan(probability)
-        metrics = confusion_metrics(probability[known] > DECISION, label[known] == SLIP)
-        results.append(result_rows(metrics, method="", recording=str(number)))
+    results = [
+        judged(
+            replace(each, name=str(number), strokes=None),
+            probabilities(detector, each),
+            Debounce(),
+            method="",
+        )
+        for number, each in enumerate(recordings)
+    ]
     found = dict[str, float]()
     for row in estimates(joined(results), _SCORES).iter_rows(named=True):
         found[row["statistic"]] = math.nan if row["value"] is None else row["value"]

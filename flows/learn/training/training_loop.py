@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from flows.learn.evaluation.sample_metrics import accuracy, balanced, confusion
+from flows.learn.evaluation.measures import accuracy, balanced, confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.trained_model import Arrays, Check, Progress
 from operators.batch import Codes, Flags

@@ -1,17 +1,21 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from flows.learn.evaluation.event_metrics import (
     BRIEF,
     PAUSE,
     EventMetrics,
     Slips,
+    match_onsets,
     onsets,
+    runs,
 )
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP, Sampling
 from operators import ms
-from operators.batch import Codes, Reals
+from operators.batch import Codes, Flags, Reals
 from tests.flows.learn.evaluation.conftest import TWICE, label
 
 PERIOD = 10 * ms
@@ -74,10 +78,35 @@ def test_what_is_felt_is_counted_and_timed() -> None:
     assert metrics.missed == pytest.approx(100 / 3)
     assert metrics.repeated == pytest.approx(100 / 3)
     assert metrics.minutes == pytest.approx((1200 - WARM_UP - 150) / 6000)
-    assert metrics.onset_ms == 25
 
 
 def test_a_detector_that_always_says_slip_misses_all_but_what_it_began_in() -> None:
     true = slips(label(1200, (200, 250), (400, 450)))
     metrics = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
     assert (metrics.missed, metrics.false_alarms) == (100, 1)
+
+
+def test_an_onset_may_be_a_little_early_or_ring_on() -> None:
+    true = [(1000 * ms, 1100 * ms)]
+    for onset, caught in ((949, False), (950, True), (1250, True), (1251, False)):
+        assert (match_onsets(np.array([onset * ms]), true).missed == 0) == caught
+
+
+@given(
+    st.lists(st.integers(0, 5000), max_size=20).map(sorted),
+    st.lists(st.integers(0, 5000), max_size=10, unique=True).map(sorted),
+)
+def test_every_slip_is_caught_or_missed(raised: list[int], starts: list[int]) -> None:
+    true = [(start * ms, start * ms + ms) for start in starts]
+    found = match_onsets(np.array(raised, np.int64) * ms, true)
+    assert len(found.delays) + found.missed == len(true)
+    assert 0 <= found.false <= len(raised)
+
+
+@given(st.lists(st.booleans()).map(np.array))
+def test_runs_cover_what_is_true_and_nothing_else(flags: Flags) -> None:
+    covered = np.zeros(len(flags), np.bool_)
+    for first, end in runs(flags == 1).tolist():
+        assert not covered[max(first - 1, 0)], "runs do not touch"
+        covered[first:end] = True
+    assert np.array_equal(covered, flags)

@@ -1,15 +1,25 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from flows.learn.evaluation.baselines import sklearn
 from flows.learn.evaluation.measures import (
     AGAINST_SLIDING,
     BALANCED,
     EVENTS,
     SAMPLES,
     SHARES,
+    accuracy,
+    balanced,
+    confusion,
+    distance,
+    f1,
     judged,
+    precision,
 )
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.sampling import Sampling
 from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce
@@ -84,3 +94,25 @@ def test_a_recording_without_static_or_slip_has_no_balanced_accuracy() -> None:
         "missed %": None,
         "delay ms": None,
     }
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=2, max_size=60))
+def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[bool, bool]]) -> None:
+    predicted, truth = np.array(pairs).T
+    found = confusion(predicted, truth)
+    metrics = sklearn("metrics")
+    expected = metrics.precision_recall_fscore_support(truth, predicted, average="weighted", zero_division=0)
+    assert (precision(found), accuracy(found), f1(found)) == pytest.approx(100 * np.array(expected[:3]))
+    assert accuracy(found) == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
+    if truth.any() and not truth.all():
+        assert balanced(found) == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
+
+
+def test_the_nearest_change_counts_whether_before_or_after() -> None:
+    label = np.array([0] * 10 + [1] * 6 + [0] * 4, np.int8)
+    expected = [90, 80, 70, 60, 50, 40, 30, 20, 10, 0, 0, 10, 20, 20, 10, 0, 0, 10, 20, 30]
+    assert distance(label, Sampling()).tolist() == expected
+
+
+def test_a_label_that_never_changes_is_infinitely_far() -> None:
+    assert np.isinf(distance(np.ones(4, np.int8), Sampling())).all()

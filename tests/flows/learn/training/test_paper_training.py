@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from flows.learn.evaluation.sample_metrics import balanced, confusion
+from flows.learn.evaluation.measures import balanced, confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import training_loop
 from flows.learn.training.paper_networks import PaperNetwork, paper_network
