@@ -183,7 +183,8 @@ def quality(probability: float | None, faults: Iterable[Fault]) -> tuple[str, st
     """
     if probability is None or not isfinite(probability):
         return "blind", "no probability"
-    reasons = [f"barometer {fault.barometer} {fault.kind}" for fault in faults if not fault.limit]
+    ordered = sorted(faults, key=lambda fault: fault.barometer)
+    reasons = [f"barometer {fault.barometer} {fault.kind}" for fault in ordered if not fault.limit]
     return ("doubtful", ", ".join(reasons)) if reasons else ("good", None)
 
 

@@ -6,7 +6,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.events import Fault, Slip, quality
+from connectors.events import Fault, Slip, finger_name, quality
 from operators.batch import Motion, Reals, Scores, Times, Touch, ms
 from operators.ports import Json, Run
 
@@ -20,36 +20,22 @@ def page_fingertip(run: Run, destination: str) -> Json:
     return next((fingertip.describe() for fingertip in known.values()), None)
 
 
-def plotted_values(batch: Touch | Motion | Scores) -> Reals:
-    """Return the plotted values of a batch.
+def plotted(batch: Touch | Motion | Scores) -> tuple[str, Reals]:
+    """Return the name of a batch's curve, and its plotted values.
+
+    >>> plotted(Scores(np.array([5]), np.array([0.5]), finger=2))
+    ('scores 2', array([0.5]))
 
     Returns:
-        (n, cells) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,)
-        probability of scores.
+        Stream and fingertip, and (n, cells) counts of ``touch``, NaN for invalid cells; (n,) TCP speed of
+        ``speed``, mm/s; or (n,) probability of ``scores``.
     """
+    finger = finger_name(batch.finger)
     if isinstance(batch, Touch):
-        return np.where(batch.valid, batch.counts, np.nan)
+        return f"touch {finger}", np.where(batch.valid, batch.counts, np.nan)
     if isinstance(batch, Motion):
-        speed: Reals = 1000 * np.sqrt(np.square(batch.velocity[:, :3]).sum(axis=1))
-        return speed
-    return batch.probability
-
-
-def stream_name(batch: Touch | Motion | Scores) -> str:
-    """Return the name of a batch's stream on a page: touch, speed or scores."""
-    return "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
-
-
-def nested(curves: Mapping[tuple[str, str], Json]) -> dict[str, Json]:
-    """Return curves, which have the keys stream and fingertip, as one object per stream.
-
-    >>> nested({("touch", "0"): {"t": []}, ("touch", "1"): {"t": []}, ("speed", "every"): {"t": []}})
-    {'touch': {'0': {'t': []}, '1': {'t': []}}, 'speed': {'every': {'t': []}}}
-    """
-    document: dict[str, dict[str, Json]] = {}
-    for (stream, finger), curve in curves.items():
-        document.setdefault(stream, {})[finger] = curve
-    return {**document}
+        return f"speed {finger}", 1000 * np.sqrt(np.square(batch.velocity[:, :3]).sum(axis=1))
+    return f"scores {finger}", batch.probability
 
 
 def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> dict[str, Json]:
@@ -59,11 +45,6 @@ def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> d
     {'t': [0.5, 1.0], 'v': [0.123, 1.0]}
     """
     return {"t": ((time - origin) / ms).round(3).tolist(), "v": values.astype(np.float64).round(3).tolist()}
-
-
-def quality_json(probability: float, faults: Iterable[Fault]) -> list[Json]:
-    """Return the quality of a score with the current faults of the fingertip, and the reason if not good."""
-    return [*quality(probability, sorted(faults, key=lambda fault: fault.barometer))]
 
 
 def faults_json(faults: Mapping[str, Iterable[Fault]]) -> dict[str, Json]:
@@ -104,7 +85,7 @@ def event_json(
         "finger": finger,
         "onset": slip.onset,
         "p": round(slip.probability, 3),
-        "quality": quality_json(slip.probability, faults),
+        "quality": quality(slip.probability, faults),
         "latency": None if latency is None else round(latency / ms, 3),
     }
 

@@ -9,7 +9,7 @@ from connectors.events import encode
 from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
 from connectors.web.curves import page_fingertip
-from connectors.web.page_frames import Frames, Rows, Seen, rows_json
+from connectors.web.page_frames import Frames, Rows, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, Zeroed, ms
 from operators.checks import check_between
 from operators.extras import software_version
@@ -19,13 +19,9 @@ if TYPE_CHECKING:
     from aiohttp.web import Request, Response, WebSocketResponse
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
-GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
 REPORT_EVERY: Final = 1.0  # s
 SILENCE: Final = 20.0  # s without a request of a browser until its connection is closed
-FEW: Final = 500  # rows that are encoded in the event loop; more are encoded in a thread
 _MESSAGE_MAX: Final = 1024  # bytes of a request
-_POLL: Final = 0.02  # s, between checks while the page closes
-_POLLS: Final = 25  # until all browsers have received the end of the run
 
 
 class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
@@ -96,8 +92,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
         self._zeroed = any(issubclass(kind, Zeroed) for kind in run.sink_types.get(self.destination, ()))
         self._run, self._frames = run, Frames(run, zeroed=self._zeroed)
-        self._loop = asyncio.get_running_loop()
-        self._changed, self._changes, self._browsers, self._ended = asyncio.Event(), 0, 0, False
+        self._ended = False
         self._server = page_server(self._host, self._port)
 
         async def about(request: "Request") -> "Response":
@@ -117,65 +112,38 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the next frame."""
         self._frames.add(batch)
-        self._note_change()
         return True
 
     async def close(self) -> None:
-        """Send the end of the run, and stop serving."""
+        """Send the end of the run to browsers that ask within 0.5 s, and stop serving."""
         self._ended = True
-        self._note_change()
-        for _ in range(_POLLS):
-            if self._browsers:
-                await asyncio.sleep(_POLL)
         await self._server.close()
-
-    def _note_change(self) -> None:
-        self._changes += 1
-        if self._browsers:
-            self._changed.set()
-            self._changed = asyncio.Event()
 
     async def _follow(self, socket: "WebSocketResponse") -> None:
         """Answer each request of a browser with what is new for it, until it leaves or the run ends."""
-        seen, changes, reports = Seen(), -1, HealthReports(self._run)
-        next_frame = next_report = self._loop.time()
-        self._browsers += 1
-        try:
-            async for _ in socket:
-                first = changes < 0
-                await self._wait(changes, next_frame, next_report)
-                now, changes, ended = self._loop.time(), self._changes, self._ended
-                next_frame = now + FRAME_EVERY
-                rows, frame = self._frames.since(seen)
-                if first:
-                    frame["run"] = self._about()
-                if now >= next_report:
-                    next_report = now + REPORT_EVERY
-                    frame["report"] = self._health(reports)
-                if ended:
-                    frame["end"] = {"error": self._run.error or None}
-                await socket.send_str((await self._encoded(frame, rows)).decode())
-                if ended:
+        frames, reports, clock = self._frames, HealthReports(self._run), asyncio.get_running_loop().time
+        seen, next_report = -1, clock()
+        async for _ in socket:
+            while True:
+                await asyncio.sleep(FRAME_EVERY)
+                ended = self._ended
+                if ended or frames.count != seen or clock() >= next_report:
                     break
-        finally:
-            self._browsers -= 1
+            rows, frame = frames.since(seen)
+            if seen < 0:
+                frame["run"] = self._about()
+            if clock() >= next_report:
+                next_report = clock() + REPORT_EVERY
+                frame["report"] = self._health(reports)
+            if ended:
+                frame["end"] = {"error": self._run.error or None}
+            seen = frames.count
+            await socket.send_str(await asyncio.to_thread(self._encoded, frame, rows))
+            if ended:
+                break
 
-    async def _wait(self, changes: int, next_frame: float, next_report: float) -> None:
-        """Wait for a change, at most until the next report, and for the time of the next frame."""
-        if changes == self._changes:
-            with suppress(TimeoutError):
-                async with asyncio.timeout_at(next_report):
-                    await self._changed.wait()
-        if not self._ended:
-            await asyncio.sleep(max(GATHER, next_frame - self._loop.time()))
-
-    async def _encoded(self, frame: dict[str, Json], rows: Rows) -> bytes:
-        def document() -> bytes:
-            return encode({**frame, "rows": rows_json(rows, self._run.start)})
-
-        if sum(map(len, rows.values())) <= FEW:
-            return document()
-        return await asyncio.to_thread(document)
+    def _encoded(self, frame: dict[str, Json], rows: list[Rows]) -> str:
+        return encode({**frame, "rows": rows_json(rows, self._run.start)}).decode()
 
     def _about(self) -> dict[str, Json]:
         run = self._run

@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import replace
 from operator import itemgetter
 from typing import Any, Final, TypeAlias
@@ -10,18 +9,15 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.events import Fault, Slip, faults, finger_name, slips
+from connectors.events import Fault, Slip, faults, finger_name, quality, slips
 from connectors.sim.simulated_rig import true_slips
 from connectors.web.curves import (
     GAP,
     curve_json,
     event_json,
     faults_json,
-    nested,
     page_fingertip,
-    plotted_values,
-    quality_json,
-    stream_name,
+    plotted,
     thin_curve,
 )
 from operators import Debounce
@@ -39,22 +35,17 @@ from operators.batch import (
     Zeroed,
     concat,
     ms,
-    s,
 )
 from operators.errors import InputError
-from operators.operator import LateRowFilter
 from operators.ports import Json, Run, Sink
 
-VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
 ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
-EVENTS_MAX: Final = 20_000
 Values: TypeAlias = NDArray[Any]  # (n, ...) of a curve
-_Key: TypeAlias = tuple[str, str]  # stream and fingertip
 _Event: TypeAlias = tuple[str, Slip]  # with its fingertip
 
 
 class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
-    """Sink that keeps the curves, events and labels of a replay in memory, without late rows.
+    """Sink that keeps the curves, events and labels of a replay in memory.
 
     Labelled touch and truth become the bands ``label`` and ``truth``; touch without labels becomes curves.
 
@@ -63,18 +54,17 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         about: Text for the page.
 
     Attributes:
-        curves: Times and values of each stream (touch, scores, speed) and fingertip, once closed.
+        curves: Times and values by stream and fingertip, such as ``touch 0``, once closed.
         bands: Runs of equal labels, as [begin, end, code] with times in ms since the start, once closed.
     """
 
     def __init__(self, rule: Debounce, about: str) -> None:
         self.rule, self.about = rule, about
         self.start = self.end = 0  # ns, start of the run and newest row
-        self._late = defaultdict[tuple[type, str], LateRowFilter](LateRowFilter)  # by type and fingertip
-        self._arriving = defaultdict[_Key, list[tuple[Times, Values]]](list)  # joined in `close`
-        self.curves: dict[_Key, tuple[Times, Values]] = {}
+        self._arriving = defaultdict[str, list[tuple[Times, Values]]](list)  # joined in `close`
+        self.curves: dict[str, tuple[Times, Values]] = {}
         self._truth = defaultdict[str, list[Truth]](list)  # by fingertip
-        self.bands: dict[_Key, list[Json]] = {}
+        self.bands: dict[str, Json] = {}
         self._faults = defaultdict[str, list[tuple[int, frozenset[Fault]]]](list)  # time (ns), active ones
         self._events: list[_Event] = []
         self._rows = 0
@@ -93,11 +83,9 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         """Keep the rows of a batch.
 
         Raises:
-            InputError: if the session has too many rows or events.
+            InputError: if the session has too many rows.
         """
         finger = finger_name(batch.finger)
-        if len(batch):
-            batch = self._late[type(batch), finger].filter(batch)
         if isinstance(batch, Slips):
             self._events.extend((finger, slip) for slip in slips(batch))
         elif isinstance(batch, Faults):
@@ -108,32 +96,32 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         elif isinstance(batch, Truth):
             self._truth[finger].append(batch)
         elif isinstance(batch, Labelled):
-            self._arriving["label", finger].append((batch.time, batch.label))
+            self._arriving[f"label {finger}"].append((batch.time, batch.label))
         else:
-            kind = np.float64 if isinstance(batch, Scores) else np.float32  # scores are detected again
-            values = plotted_values(batch).astype(kind)
-            self._arriving[stream_name(batch), finger].append((batch.time, values))
+            name, values = plotted(batch)  # scores stay exact, as they are detected again
+            kept = values if isinstance(batch, Scores) else values.astype(np.float32)
+            self._arriving[name].append((batch.time, kept))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
-        if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX:
-            most = f"{ROWS_MAX:,} rows and {EVENTS_MAX:,} events"
-            raise InputError(self._session, f"is too long for a page, which shows at most {most}")
+        if self._rows > ROWS_MAX:
+            text = f"is too long for a page, which shows at most {ROWS_MAX:,} rows"
+            raise InputError(self._session, text)
         return True
 
     async def close(self) -> None:
         """Join the batches."""
-        for key, parts in self._arriving.items():
+        for name, parts in self._arriving.items():
             joined = np.concatenate([time for time, _ in parts]), np.concatenate([each for _, each in parts])
-            if key[0] == "label":
-                self.bands[key] = self._runs(*joined)
+            if name.startswith("label "):
+                self.bands[name] = self._runs(*joined)
             else:
-                self.curves[key] = joined
+                self.curves[name] = joined
         for finger, truths in self._truth.items():
             truth = concat(Truth, truths)
             code = np.full(len(truth), STATIC, np.int8)
             for onset, end in true_slips(truth):
                 code[(truth.time >= onset) & (truth.time <= end)] = SLIP
-            self.bands["truth", finger] = self._runs(truth.time, code)
+            self.bands[f"truth {finger}"] = self._runs(truth.time, code)
         self._arriving.clear()
         self._truth.clear()
 
@@ -148,7 +136,7 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             "threshold": self.rule.threshold,
             "scored": bool(self._scores()),
             "events": self._events_json(self._events),
-            "bands": nested(self.bands),
+            "bands": self.bands,
         }
 
     def detected(self, threshold: float) -> list[Json]:
@@ -156,65 +144,44 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
 
         Raises:
             ParameterError: if the threshold is not above 0 and at most 1.
-            InputError: if there are too many events.
         """
         rule, events = replace(self.rule, threshold=threshold), list[_Event]()
         for finger, curve in self._scores().items():
             events.extend((finger, slip) for slip in slips(rule.reset_copy().push(Scores(*curve))))
-        if len(events) > EVENTS_MAX:
-            raise InputError(self._session, f"has more than {EVENTS_MAX:,} events at this threshold")
         return self._events_json(events)
 
-    def window(self, begin: float, end: float, columns: int) -> dict[str, Json]:
-        """Return the curves from `begin` to `end` (ms since `start`) by stream and fingertip.
+    def window(self, begin: float, end: float, columns: int | None) -> dict[str, Json]:
+        """Return the curves from `begin` to `end` (ms since `start`), and faults and quality at the end.
 
-        Curves are reduced to the minimum and maximum of each of `columns` pixel columns.
+        Curves are reduced to the minimum and maximum of each of `columns` pixel columns, or to the newest row
+        if `columns` is None.
         """
         first, last = (self.start + round(each * ms) for each in (begin, end))
-
-        def cut(time: Times, values: Values) -> dict[str, Json]:
-            rows = slice(*np.searchsorted(time, [first, last + 1]))
-            return curve_json(*thin_curve(time[rows], values[rows], first, last, columns), self.start)
-
-        return self._cut(cut)
-
-    def values_at(self, instant: float) -> dict[str, Json]:
-        """Return the newest row of each stream, faults and quality at an instant (ms since `start`).
-
-        Rows that are older than 1 s are left out.
-        """
-        at = self.start + round(instant * ms)
-
-        def row(time: Times) -> slice:
-            first, end = np.searchsorted(time, [at - VALID_FOR, at + 1])
-            return slice(max(first, end - 1), end)
-
-        def newest(time: Times, values: Values) -> dict[str, Json]:
-            return curve_json(time[row(time)], values[row(time)], self.start)
-
-        scores = {finger: values[row(time)] for finger, (time, values) in self._scores().items()}
-        return {
-            "rows": self._cut(newest),
-            "faults": faults_json({finger: self._faults_at(finger, at) for finger in self._faults}),
-            "quality": {
-                finger: quality_json(each.item(), self._faults_at(finger, at))
-                for finger, each in scores.items()
-                if len(each)
-            },
-        }
+        rows, qualities = dict[str, Json](), dict[str, Json]()
+        for name, (times, every) in self.curves.items():
+            part = slice(*np.searchsorted(times, [first, last + 1]))
+            time, values = times[part], every[part]
+            stream, _, finger = name.partition(" ")
+            if stream == "scores" and len(time):
+                qualities[finger] = quality(values.item(-1), self._faults_at(finger, last))
+            thin = (
+                (time[-1:], values[-1:])
+                if columns is None
+                else thin_curve(time, values, first, last, columns)
+            )
+            rows[name] = curve_json(*thin, self.start)
+        current = {finger: self._faults_at(finger, last) for finger in self._faults}
+        return {"rows": rows, "faults": faults_json(current), "quality": qualities}
 
     def _scores(self) -> dict[str, tuple[Times, Values]]:
         """Return times and probabilities by fingertip."""
-        return {finger: curve for (stream, finger), curve in self.curves.items() if stream == "scores"}
+        names = [name for name in self.curves if name.startswith("scores ")]
+        return {name.removeprefix("scores "): self.curves[name] for name in names}
 
     def _faults_at(self, finger: str, time: int) -> frozenset[Fault]:
         known = self._faults.get(finger, [])
         row = bisect_right(known, time, key=itemgetter(0))
         return known[row - 1][1] if row else frozenset()
-
-    def _cut(self, cut: Callable[[Times, Values], dict[str, Json]]) -> dict[str, Json]:
-        """Return all curves, each cut by `cut`."""
-        return nested({key: cut(*curve) for key, curve in self.curves.items()})
 
     def _events_json(self, events: list[_Event]) -> list[Json]:
         """Return events in order of time; fingertips are written one after the other."""

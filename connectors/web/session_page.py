@@ -20,6 +20,7 @@ from storage import HandLabels, LabelSpan, Session
 
 _TIME_MAX: Final = 1e12  # ms
 _COLUMNS_MAX: Final = 8192
+_VALID_FOR: Final = 1000  # ms, maximum age of a row at the selected time
 _LABELS_USAGE: Final = (
     'must be {"based_on": VERSION, "spans": [{"begin": MS, "end": MS, "finger": NAME, "value": '
     '"slip", "author": TEXT, "note": TEXT, "created": NS as text or ""}, ...]}'
@@ -60,8 +61,12 @@ class SessionPage:
         begin, end, at, columns = (_number(request, name) for name in ("begin", "end", "at", "columns"))
         if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
             raise InputError(request.path, f"must have begin <= end, and 1 to {_COLUMNS_MAX} columns")
+        window = self.curves.window
         return await _in_thread(
-            lambda: {"rows": self.curves.window(begin, end, int(columns)), "at": self.curves.values_at(at)}
+            lambda: {
+                "rows": window(begin, end, int(columns))["rows"],
+                "at": window(at - _VALID_FOR, at, None),
+            }
         )
 
     async def _events(self, request: web.Request) -> web.Response:
@@ -87,9 +92,7 @@ class SessionPage:
         now = str(time_ns())
         try:
             content: Any = json.loads(body)
-            based_on: object = content["based_on"]
-            if not isinstance(based_on, int):
-                raise TypeError("based_on")  # noqa: TRY301 - reported with all others
+            based_on: int = content["based_on"]
             spans = [
                 LabelSpan(
                     self.curves.start + round(each["begin"] * ms),

@@ -30,7 +30,7 @@ export class Bands {
   }
 
   #draw() {
-    const { canvas, rows, view } = this, names = Object.keys(NAMES).filter((name) => name in rows), ratio = devicePixelRatio;
+    const { canvas, rows, view } = this, names = Object.keys(NAMES).filter((name) => rows[name]), ratio = devicePixelRatio;
     const width = canvas.clientWidth, height = names.length * ROW;
     canvas.style.height = `${height}px`;
     canvas.width = Math.round(width * ratio);

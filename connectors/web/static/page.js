@@ -81,7 +81,7 @@ class View {
   // Add rows by stream and fingertip; `put` is "push" or "replace".
   take(rows, put = "push") {
     this.streams.take(rows, this.zeroed ? this.sign : 1, put);
-    this.hasMotion ||= "speed" in rows;
+    this.hasMotion ||= "speed every" in rows;
     const { fingers } = this.streams;
     if (!fingers.includes(this.finger)) this.finger = fingers[0] ?? null;
     this.pads.update(fingers, this.finger, this.layout());

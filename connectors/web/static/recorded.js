@@ -39,7 +39,7 @@ export function recorded(view, about) {
   // Draw everything that was loaded.
   function redraw() {
     const rows = { slips: view.events.spans(view.finger, about.length).map((each) => [...each, 1]) };
-    for (const name of ["label", "truth"]) if (about.bands[name]) rows[name] = about.bands[name][view.finger] ?? about.bands[name].every ?? [];
+    for (const name of ["label", "truth"]) rows[name] = about.bands[`${name} ${view.finger}`] ?? about.bands[`${name} every`];
     rows.hand = labels.band(view.finger);
     bands.show(rows, { begin: span[0], end: span[1], at: instant(), selected: dragged ?? labels.selected });
     $("unzoom").hidden = span === whole;

@@ -65,7 +65,7 @@ export class Rows {
   }
 }
 
-// Rows by stream (touch, scores, speed) and fingertip.
+// Rows by stream (touch, scores, speed) and fingertip, such as "touch 0".
 export class Streams {
   constructor() {
     this.all = new Map();
@@ -73,12 +73,10 @@ export class Streams {
 
   // Add rows by stream and fingertip; `put` is "push" or "replace", `sign` is that of the counts.
   take(rows, sign, put = "push") {
-    for (const [stream, fingers] of Object.entries(rows)) {
-      for (const [finger, each] of Object.entries(fingers)) {
-        const key = `${stream} ${finger}`, first = each.v[0], columns = Array.isArray(first) ? first.length : 1;
-        if (!this.all.has(key) && first !== undefined) this.all.set(key, new Rows(columns));
-        this.all.get(key)?.[put](each, stream === "touch" ? sign : 1);
-      }
+    for (const [key, each] of Object.entries(rows)) {
+      const first = each.v[0], columns = Array.isArray(first) ? first.length : 1;
+      if (!this.all.has(key) && first !== undefined) this.all.set(key, new Rows(columns));
+      this.all.get(key)?.[put](each, key.startsWith("touch ") ? sign : 1);
     }
   }
 

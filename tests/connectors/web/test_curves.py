@@ -5,17 +5,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.events import encode
-from connectors.web.curves import GAP, curve_json, plotted_values, thin_curve
+from connectors.web.curves import GAP, curve_json, plotted, thin_curve
 from operators.batch import Scores, Touch, ms, s
 
 
 def test_an_invalid_cell_and_an_unknown_probability_are_null() -> None:
     counts, valid = np.arange(6, dtype=np.int16)[None], np.array([[True, True, True, False, True, True]])
     touch = Touch(np.array([s]), counts, counts, valid)
-    json = encode(curve_json(touch.time, plotted_values(touch), s))
+    json = encode(curve_json(touch.time, plotted(touch)[1], s))
     assert json == b'{"t":[0.0],"v":[[0.0,1.0,2.0,null,4.0,5.0]]}'
     scores = Scores(np.array([s, s + 10 * ms]), np.array([0.5, np.nan]))
-    assert encode(curve_json(scores.time, plotted_values(scores), s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
+    assert encode(curve_json(scores.time, plotted(scores)[1], s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
 
 
 @given(

@@ -54,13 +54,13 @@ async def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> Non
             about = frame["run"]
             assert (about["session"], about["flow"], about["threshold"]) == ("run1", "live", 0.78)
             assert (about["recording"], about["start"], about["zeroed"]) == (None, 90_000, True)
-            assert frame["rows"]["touch"]["0"]["v"] == [[-5] * 6]
+            assert frame["rows"]["touch 0"]["v"] == [[-5] * 6]
             assert [event["latency"] for event in frame["events"]] == [10.0]
             for finger in range(3):  # arrive together, so they share a frame
                 await page.write(touched(NOW, -9, finger=finger))
             frame = await anext(frames)
-            assert {name: each["t"] for name, each in frame["rows"]["touch"].items()} == {
-                name: [10_000] for name in "012"
+            assert {name: each["t"] for name, each in frame["rows"].items()} == {
+                f"touch {finger}": [10_000] for finger in range(3)
             }
             assert (frame["slipping"], frame["events"], "run" in frame) == (["0"], [], False)
 
@@ -73,8 +73,8 @@ async def test_a_browser_that_does_not_ask_costs_nothing_and_gets_the_last_30_s_
         received = list[float]()
         for part in np.split(time, 5):
             await page.write(rows(part))
-            received += (await first_with(fast, "rows"))["touch"]["0"]["t"]
-        late = (await first_with(slow, "rows"))["touch"]["0"]["t"]
+            received += (await first_with(fast, "rows"))["touch 0"]["t"]
+        late = (await first_with(slow, "rows"))["touch 0"]["t"]
         assert len(late) == 3001
         assert late[-1] == received[-1] == (time[-1] - run.start) / ms
         assert received == sorted(received)

@@ -3,11 +3,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from connectors.events import encode
-from connectors.web.page_frames import EVENTS_KEPT, KEPT, STEP, Frames, Seen, Track, rows_json
+from connectors.web.page_frames import EVENTS_KEPT, KEPT, STEP, Frames, rows_json
 from operators.batch import EVERY, Faults, Scores, Touch, ms, s
 from operators.health import FaultKind
 from operators.ports import Run
@@ -27,15 +25,14 @@ def fault(kind: FaultKind, *, active: bool) -> Faults:
     return Faults(np.array([START]), cell, kinds, np.array([active]), finger=1)
 
 
-def frame(frames: Frames, seen: Seen | None = None) -> dict[str, Any]:
+def frame(frames: Frames, seen: int = -1) -> dict[str, Any]:
     """Return the frame of a browser; by default of a new one."""
-    rows, document = frames.since(seen or Seen())
+    rows, document = frames.since(seen)
     found: dict[str, Any] = json.loads(encode({**document, "rows": rows_json(rows, START)}))
     return found
 
 
 def test_a_frame_has_what_is_new_for_its_browser(frames: Frames) -> None:
-    one, other = Seen(), Seen()
     zeroed = touched(START + 10 * ms, -7, finger=2)
     frames.add(Touch(zeroed.time, zeroed.counts, zeroed.temperature, zeroed.valid, finger=2))  # is ignored
     frames.add(zeroed)
@@ -43,20 +40,22 @@ def test_a_frame_has_what_is_new_for_its_browser(frames: Frames) -> None:
     frames.add(moved(START))
     rest = {"now": 10_000.0, "slipping": [], "faults": {}, "quality": {"2": ["good", None]}}
     rows = {
-        "touch": {"2": {"t": [10.0], "v": [[-7.0] * 6]}},
-        "scores": {"2": {"t": [10.0], "v": [0.25]}},
-        "speed": {"every": {"t": [0.0], "v": [3.0]}},
+        "touch 2": {"t": [10.0], "v": [[-7.0] * 6]},
+        "scores 2": {"t": [10.0], "v": [0.25]},
+        "speed every": {"t": [0.0], "v": [3.0]},
     }
-    assert frame(frames, one) == {"rows": rows, "events": [], **rest}
-    assert frame(frames, one) == {"rows": {}, "events": [], **rest}
+    assert frame(frames) == {"rows": rows, "events": [], **rest}
+    seen = frames.count
+    assert frame(frames, seen) == {"rows": {}, "events": [], **rest}
     frames.add(slip(NOW - 8 * ms, 1, finger=1))
     event = {"id": 1, "t": 9_992.0, "finger": "1", "onset": True, "p": 0.9, "quality": ["good", None]}
-    for seen, new in ((one, {}), (other, rows)):
-        found = frame(frames, seen)
+    for before, new in ((seen, {}), (-1, rows)):
+        found = frame(frames, before)
         assert (found["rows"], found["events"]) == (new, [{**event, "latency": 8.0}])
         assert found["slipping"] == ["1"]
+    seen = frames.count
     frames.add(slip(NOW, 0, finger=1))
-    found = frame(frames, one)
+    found = frame(frames, seen)
     assert ([each["id"] for each in found["events"]], found["slipping"]) == ([2], [])
 
 
@@ -85,36 +84,18 @@ def test_events_are_bounded_and_a_replay_at_full_speed_has_no_latency(frames: Fr
     assert {(event["latency"], event["finger"]) for event in found} == {(None, "every")}
 
 
-def scores(*times: int) -> Scores:
-    return Scores(np.array(times, np.int64), np.zeros(len(times)))
-
-
-@given(st.lists(st.integers(0, 200), max_size=60), st.lists(st.integers(1, 7)))
-def test_a_track_keeps_the_first_row_of_each_5_ms_in_order_for_any_batch_cuts(
-    times: list[int], cuts: list[int]
-) -> None:
-    kept = list[int]()
-    for time in times:
-        if not kept or time * ms // STEP > kept[-1] * ms // STEP:
-            kept.append(time)
-    track, rest, returned, count = Track(Scores), times, list[int](), 0
-    while rest:
-        size = cuts.pop() if cuts else len(rest)
-        track.add(scores(*(time * ms for time in rest[:size])))
-        rest = rest[size:]
-        returned += (track.since(count).time // ms).tolist()
-        count = track.count
-    assert returned == (track.since(0).time // ms).tolist() == kept
-
-
-def test_a_track_is_bounded_and_returned_rows_do_not_change() -> None:
-    track = Track(Scores)
-    track.add(scores(*range(0, s, 10 * ms)))
-    first = track.since(0)
-    before = first.time.tolist()
-    for second in range(1, 120):
-        track.add(scores(*range(second * s, (second + 1) * s, ms)))
-    assert first.time.tolist() == before
-    kept = track.since(0)
-    assert len(kept) == len(track.since(len(first))) <= KEPT // STEP + 1
-    assert kept.time[-1] - kept.time[0] <= KEPT
+def test_rows_are_bounded_and_many_in_5_ms_are_reduced_to_their_extremes(frames: Frames) -> None:
+    batches = 0
+    for second in range(120):
+        time = START + second * s + np.arange(0, s, ms // 4)  # 20 in each 5 ms
+        for part in np.split(time, 4):
+            frames.add(Scores(part, np.sin(part / s)))
+            batches += 1
+    rows, _ = frames.since(-1)
+    assert sum(len(each.time) for each in rows) <= (KEPT + s) // (ms // 4)
+    [curve] = rows_json(rows, START).values()
+    assert isinstance(curve, dict)
+    times: Any = curve["t"]
+    assert len(times) <= 2 * ((KEPT + s) // STEP)
+    assert [times[0], times[-1]] == [rows[0].time[0] / ms - START / ms, 120_000 - 0.25]
+    assert [each.number for each in frames.since(batches - 1)[0]] == [batches]

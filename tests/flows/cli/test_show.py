@@ -52,13 +52,13 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
-    window: dict[str, Any] = {**recorded.window(2_000, 3_000, 1000)}
-    assert len(window["touch"]["0"]["t"]) == pytest.approx(100, abs=2)
-    assert len(window["scores"]["0"]["t"]) == pytest.approx(100, abs=2)
-    assert len(window["speed"]["every"]["t"]) == pytest.approx(125, abs=2)
+    rows: Any = recorded.window(2_000, 3_000, 1000)["rows"]
+    assert len(rows["touch 0"]["t"]) == pytest.approx(100, abs=2)
+    assert len(rows["scores 0"]["t"]) == pytest.approx(100, abs=2)
+    assert len(rows["speed every"]["t"]) == pytest.approx(125, abs=2)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
-    seen: dict[str, Any] = {**recorded.values_at(onset)}
-    assert seen["rows"]["scores"]["0"]["v"][0] >= recorded.rule.threshold
+    seen: dict[str, Any] = {**recorded.window(onset - 1000, onset, None)}
+    assert seen["rows"]["scores 0"]["v"][0] >= recorded.rule.threshold
 
 
 Ask = Callable[..., Any]
@@ -107,9 +107,9 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_wit
         assert (about["scored"], about["events"]) == (False, [])
         assert about["about"].startswith("Slip probability: none, as there is no detector.")
         window = ask("/window?begin=0&end=4000&at=3900&columns=1000")
-        assert [*window["rows"]] == ["touch"]
-        newest = window["rows"]["touch"]["0"]["v"][-1]
-        assert newest == window["at"]["rows"]["touch"]["0"]["v"][0] == [747] * 9
+        assert [*window["rows"]] == ["touch 0"]
+        newest = window["rows"]["touch 0"]["v"][-1]
+        assert newest == window["at"]["rows"]["touch 0"]["v"][0] == [747] * 9
         span = {"begin": 2400, "end": 3000, "finger": "0", "value": "slip"}
         span |= dict.fromkeys(("author", "note", "created"), "")
         assert ask("/labels", {"based_on": 0, "spans": [span]})["version"] == 1
