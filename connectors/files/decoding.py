@@ -1,6 +1,6 @@
 """Rows of a table as touch, motion and labels, by a map that states all."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,15 +11,13 @@ from connectors.files.column_map import (
     LABEL,
     LABELS,
     MOTIONS,
-    TIME,
     ColumnMap,
     layout_text,
 )
-from connectors.files.number_format import NumberFormat, is_missing
+from connectors.files.number_format import MISSING, NumberFormat
 from connectors.files.raw_table import Problems, RawTable
 from connectors.files.resolution import COUNT_LIMIT
-from connectors.files.roles import completed, label_values
-from connectors.files.time_axis import nanoseconds, time_column
+from connectors.files.roles import label_values
 from operators.batch import (
     EVERY,
     STATIC,
@@ -32,7 +30,7 @@ from operators.batch import (
     Times,
     Touch,
 )
-from operators.errors import InputError, ParameterError
+from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 
 _WORDS_SHOWN: Final = 5
@@ -51,12 +49,21 @@ class Decoded:
 def decode(table: RawTable, columns: ColumnMap, time: Times, readings: Reals, problems: Problems) -> Decoded:
     """Return the rows of a table with times (n,) and readings (n, cells) by a map that states all."""
     numbers = NumberFormat(columns.decimal_sign)
-    counts, valid = _counts(table, columns, readings, problems)
+    counts, good = counts_of(readings, columns)
+    step = columns.resolution or 1.0
+    offsets = np.resize(columns.offset or (0,), len(columns.cell_names))
+    for cell, (name, offset) in enumerate(zip(columns.cell_names, offsets, strict=True)):
+        ends = f"from {(offset - COUNT_LIMIT) * step:g} to {(offset + COUNT_LIMIT) * step:g}"
+        problems.check(table, name, good[:, cell], f"{ends} at a resolution of {step:g}")
     touch, first = dict[int, Touch](), 0
     for finger, names in columns.cells.items():
         cells = slice(first, first := first + len(names))
         touch[finger] = columns.kind(
-            time, counts[:, cells], np.zeros_like(counts[:, cells]), valid[:, cells], finger=finger
+            time,
+            counts[:, cells],
+            np.zeros_like(counts[:, cells]),
+            ~np.isnan(readings[:, cells]),
+            finger=finger,
         )
     return Decoded(
         time, touch, _motion(table, columns, time, numbers, problems), _labels(table, columns, problems)
@@ -97,64 +104,6 @@ def described(columns: ColumnMap) -> Fingertip:
     return Fingertip(layout, columns.rate, columns.unit, resolution, limits)
 
 
-class Decoder:
-    """Decoder of lines by a complete map, as of a `Trace` or as `slipflow import --flow` writes it.
-
-    Args:
-        columns: The map.
-        names: Names of the columns, in the order of the fields of a line.
-        where: Name of the file or device, for errors.
-
-    Attributes:
-        fingertip: Fingertip of the rows.
-        kind: Type of the touch stream, Touch or Zeroed.
-
-    Raises:
-        InputError: if columns of the map are missing.
-        ParameterError: if the map has no rate, or its layout does not fit.
-    """
-
-    def __init__(self, columns: ColumnMap, names: Sequence[str], where: str) -> None:
-        self._names, self._where = tuple(names), where
-        problems = Problems(where)
-        self._columns, _ = completed(columns, self._table((), 1), problems)
-        problems.stop()
-        self.fingertip, self.kind = described(self._columns), self._columns.kind
-
-    def decode(self, rows: Sequence[Sequence[str]], first: int = 1) -> Decoded:
-        """Return rows with the times of their clock, which may wrap or start again; 0 without a clock.
-
-        Args:
-            rows: Fields of each row.
-            first: Number of the first row in its file, for errors.
-
-        Raises:
-            InputError: on invalid values, named by line and column.
-        """
-        table, problems, columns = self._table(rows, first), Problems(self._where), self._columns
-        numbers = NumberFormat(columns.decimal_sign)
-        time: Times = np.zeros(len(table), np.int64)
-        if names := columns.columns.get(TIME):
-            unit, order = columns.units.get(TIME, "s"), columns.dates or "ymd"
-            raw = nanoseconds(time_column(table, columns), unit, order, numbers)
-            problems.check(table, names[0], raw.is_not_null().to_numpy(), "a time")
-            time = raw.fill_null(0).to_numpy()
-        readings = readings_of(table, columns, numbers, problems)
-        readings[np.isin(readings, columns.missing or ())] = np.nan
-        found = decode(table, columns, time, readings, problems)
-        problems.stop()
-        return found
-
-    def _table(self, rows: Sequence[Sequence[str]], first: int) -> RawTable:
-        wide = len(self._names)
-        if long := [number for number, row in enumerate(rows, first) if len(row) > wide and any(row[wide:])]:
-            raise InputError(f"{self._where}, line {long[0]}", f"has more than {wide} fields")
-        fields = [[row[each] if each < len(row) else "" for row in rows] for each in range(wide)]
-        series = [pl.Series(name, each, pl.String) for name, each in zip(self._names, fields, strict=True)]
-        numbers = np.arange(first, first + len(rows))
-        return RawTable({each.name: each for each in series}, self._where, "line", numbers)
-
-
 def _reals(table: RawTable, name: str, numbers: NumberFormat, problems: Problems) -> Reals:
     values = numbers.reals(table.columns[name])
     signs = " with a decimal comma" if numbers.decimal == "," else ""
@@ -163,17 +112,13 @@ def _reals(table: RawTable, name: str, numbers: NumberFormat, problems: Problems
     return found
 
 
-def _counts(table: RawTable, columns: ColumnMap, readings: Reals, problems: Problems) -> tuple[Counts, Flags]:
-    """Return the counts (n, cells) of readings, and which are valid."""
-    resolution, offset = columns.resolution or 1.0, np.array(columns.offset or (0,))
-    counts = np.rint(readings / resolution - offset)
-    names = columns.cell_names
-    for cell, name in enumerate(names):
-        ends = (np.array([-1, 1]) * COUNT_LIMIT + np.resize(offset, len(names))[cell]) * resolution
-        limits = f"from {ends[0]:g} to {ends[1]:g} at a resolution of {resolution:g}"
-        problems.check(table, name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
-    valid: Flags = ~np.isnan(readings)
-    return np.where(valid, np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT), 0).astype(np.int16), valid
+def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
+    """Return the counts (n, cells) of readings, 0 for missing ones, and which readings a count can store."""
+    counts = np.rint(readings / (columns.resolution or 1.0) - np.array(columns.offset or (0,)))
+    good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
+    if columns.has_counts:
+        good &= np.isnan(readings) | (readings == np.rint(readings))
+    return np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16), good
 
 
 def _motion(
@@ -206,7 +151,7 @@ def _labels(table: RawTable, columns: ColumnMap, problems: Problems) -> Codes:
     codes_of = {value: LABELS[label] for value, label in label_values(columns.labels).items()}
     other = STATIC if set(columns.labels) == {"slip"} else None
     codes = text.replace_strict(codes_of, default=other, return_dtype=pl.Int8)
-    codes = codes.set(is_missing(text) & ~text.is_in(list(codes_of)).fill_null(value=False), UNKNOWN)
+    codes = codes.set(text.fill_null("").is_in(sorted({*MISSING} - {*codes_of})), UNKNOWN)
     if codes.null_count():
         words = text.filter(codes.is_null()).unique(maintain_order=True).to_list()
         listed = ", ".join(repr(each) for each in words[:_WORDS_SHOWN]) + (

@@ -88,6 +88,10 @@ class LineSource(Source[Touch]):
         if not cells or "*" in "".join(cells):
             must_be = "a map that names each column of cells, as `slipflow import --flow` writes it"
             raise ParameterError("LineSource", "columns", str(columns), must_be)
+        wanted = {name for each in used.values() for name in each}
+        if names and (missing := wanted - {*names}):
+            must_be = f"all columns of the logger, also {min(missing)} of the map"
+            raise ParameterError("LineSource", "names", ",".join(names), must_be)
         self._fingertip = described(self._columns)
         self._serial = _is_port(self.where)
         self.extra = "serial" if self._serial else ""

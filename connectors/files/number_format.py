@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -28,29 +29,26 @@ class NumberFormat:
 
     def plain(self, column: pl.Series) -> pl.Series:
         """Return the texts of a column as Python writes numbers; null for those in another format."""
-        if column.dtype != pl.String:
-            return column
-        column = column.str.strip_chars().str.replace("\u2212", "-", literal=True)
-        if self.decimal == "." and not column.str.contains(rf"[,{_BLANKS}]").any():
-            return column
-        sign, other = re.escape(self.decimal), re.escape("," if self.decimal == "." else ".")
-        groups = [rf"\d{{1,3}}(?:{each}\d{{3}})+" for each in (other, f"[{_BLANKS}]")]
-        good = column.str.contains(rf"^[+-]?(?:\d*|{'|'.join(groups)})(?:{sign}\d*)?(?:[eE][+-]?\d+)?$")
-        bare = column.str.replace_all(rf"[{other}{_BLANKS}]", "").str.replace(self.decimal, ".", literal=True)
-        return bare.set(~good.fill_null(value=False) & ~is_missing(column), None)
+        return column.to_frame().select(self._plain).to_series() if column.dtype == pl.String else column
 
     def reals(self, column: pl.Series) -> pl.Series:
         """Return the numbers of a column; NaN for a missing value, null for what is no finite number."""
-        values = self.plain(column).cast(pl.Float64, strict=False)
-        values = values.set((~values.is_finite()).fill_null(value=True), None)
-        return values.set(is_missing(column), np.nan)
+        text = column.dtype == pl.String
+        value = (self._plain if text else pl.first()).cast(pl.Float64, strict=False)
+        missing = pl.first().is_null() | value.is_nan().fill_null(value=False)
+        if text:
+            missing = pl.first().str.to_lowercase().str.strip_chars().is_in(MISSING).fill_null(value=True)
+        number = pl.when(missing).then(np.nan).when(value.is_finite()).then(value)
+        return column.to_frame().select(number).to_series()
 
-
-def is_missing(column: pl.Series) -> pl.Series:
-    """Return which values of a column are missing."""
-    if column.dtype == pl.String:
-        return column.str.to_lowercase().str.strip_chars().is_in(list(MISSING)).fill_null(value=True)
-    return column.is_null() | (column.is_nan() if column.dtype.is_float() else column.is_null())
+    @cached_property
+    def _plain(self) -> pl.Expr:
+        sign, other = re.escape(self.decimal), re.escape("," if self.decimal == "." else ".")
+        groups = "|".join(rf"\d{{1,3}}(?:{each}\d{{3}})+" for each in (other, f"[{_BLANKS}]"))
+        text = pl.first().str.strip_chars().str.replace("\u2212", "-", literal=True)
+        bare = text.str.replace_all(rf"[{other}{_BLANKS}]", "").str.replace(self.decimal, ".", literal=True)
+        number = text.str.contains(rf"^[+-]?(?:\d*|{groups})(?:{sign}\d*)?(?:[eE][+-]?\d+)?$")
+        return pl.when(number).then(bare)
 
 
 def number_format(table: RawTable, names: Sequence[str], unit: str, problems: Problems) -> NumberFormat:

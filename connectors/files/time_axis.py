@@ -1,15 +1,14 @@
 """Times of a recording: format, unit, resolution, clocks that wrap or start again, and parts."""
 
-import re
 from calendar import month_abbr
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import Final, TypeAlias
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from connectors.files.column_map import DATE, TIME, UNITS, ColumnMap
 from connectors.files.number_format import NumberFormat
@@ -35,7 +34,7 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     86_400_000_000_000: "time of day",
 }
 _MONTH, _MINUTES, _CENTURY = 12, 60, 100
-_YEARS: Final = (1970, 2262)  # of times in ns
+_YEARS: Final = (1970, 2261)  # of times in ns
 _LIMIT: Final = float(1 << 63)  # ns
 _ORIGINS: Final = {25_569: 80_000, 719_529: 800_000}  # days before 1970, and until a day after 2100
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
@@ -44,13 +43,13 @@ _MONTHS: Final = {name.lower(): number for number, name in enumerate(month_abbr)
 _CLOCK: Final = r"\d{1,2}:\d{2}"
 _DAY: Final = (
     r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})|(?P<yy>\d{4})(?P<mm>\d{2})(?P<dd>\d{2})"
-    r"|(?P<a>\d{1,2})[-/. ](?P<b>\d{1,2}|[A-Za-z]{3})[-/. ](?P<c>\d{4}|\d{2})|(?P<days>\d+) days?"
+    r"|(?P<a>\d{1,2})[-/. ](?P<b>\d{1,2}|[A-Za-z]{3})[-/. ](?P<c>\d{4}|\d{2})|(?P<days>\d{1,5}) days?"
 )
-_TEXT: Final = re.compile(
+_TEXT: Final = (
     rf"^(?:(?:{_DAY})[T_,; ]+)?"
     r"(?:(?P<H>\d{1,2}):(?P<M>\d{2})(?::(?P<S>\d{2})(?:(?:[.,]|:(?P<ms>\d{3}$))(?P<f>\d*))?)?"
     r"|(?P<MM>\d{1,2}):(?P<SS>\d{2})[.,](?P<ff>\d+))"
-    r" ?(?P<p>[AaPp][Mm])? ?(?P<z>Z|UTC|GMT|[+-]\d{2}:?\d{2})?$"
+    r" ?(?P<p>[AaPp][Mm])? ?(?:Z|UTC|GMT|(?P<sign>[+-])(?P<zh>\d{2}):?(?P<zm>\d{2}))?$"
 )
 
 
@@ -82,14 +81,11 @@ def time_axis(
         time = np.rint(np.arange(len(table)) * (s / columns.rate)).astype(np.int64)
         return TimeAxis(time, episodes, "s", "ymd", columns.rate, ("times by the rate",))
     name, dates, column = columns.columns[TIME][0], columns.columns.get(DATE), time_column(table, columns)
-    textual = is_text_of_time(column) or column.dtype.is_temporal()
-    order = columns.dates or (
-        date_order(table, dates[0] if dates else name, problems)
-        if textual and column.dtype == pl.String
-        else "ymd"
-    )
+    texts = is_text_of_time(column)
+    textual = texts or column.dtype.is_temporal()
+    order = columns.dates or (date_order(table, (dates or [name])[0], problems) if texts else "ymd")
     unit = "s" if textual else columns.units.get(TIME) or _unit(column, numbers, notes)
-    raw = nanoseconds(column, unit, order, numbers)
+    raw = of_texts(column, order) if texts else of_numbers(column, unit, numbers)
     must_be = (
         "a whole number of ns" if unit == "ns" else "a date and time" if textual else f"a time in {unit}"
     )
@@ -253,14 +249,12 @@ def date_order(table: RawTable, name: str, problems: Problems) -> str:
     return "dmy"
 
 
-def nanoseconds(column: pl.Series, unit: str, order: str, numbers: NumberFormat) -> pl.Series:
-    """Return times (n,) as whole ns, of dates since 1970 UTC; null for what is no time.
+def of_numbers(column: pl.Series, unit: str, numbers: NumberFormat) -> pl.Series:
+    """Return times (n,) as whole ns; null for what is no number.
 
     Decimal texts are converted exactly, then rounded to the nearest ns.
     """
     kind = column.dtype
-    if is_text_of_time(column):
-        return _of_texts(column, order)
     if kind.is_temporal():
         wanted = kind if kind == pl.Time else pl.Duration("ns") if kind == pl.Duration else pl.Datetime("ns")
         return column.cast(wanted, strict=False).to_physical()
@@ -288,47 +282,41 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
     return whole.set(~pl.Series(good), None)
 
 
-def _of_texts(column: pl.Series, order: str) -> pl.Series:
-    """Return dates and times of day as ns; null for other texts, and for days that do not exist."""
-    parts = column.str.strip_chars().str.extract_groups(_TEXT.pattern).struct.unnest()
+def of_texts(column: pl.Series, order: str) -> pl.Series:
+    """Return dates (since 1970 UTC) and times of day as ns; null for other texts, and for impossible days."""
+    parts = column.str.strip_chars().str.extract_groups(_TEXT).struct.unnest()
+    return parts.select(_moment(order)).to_series()
 
-    def number(*names: str) -> NDArray[np.int64]:
+
+@cache
+def _moment(order: str) -> pl.Expr:
+    """Return the expression of the time in ns of the groups of `_TEXT`; null for none."""
+
+    def number(*names: str) -> pl.Expr:
         """Return the numbers of groups of which one at most is filled; 0: none is."""
-        given = [parts[name].cast(pl.Int64, strict=False).fill_null(0) for name in names]
-        found: NDArray[np.int64] = np.sum([each.to_numpy() for each in given], axis=0, dtype=np.int64)
-        return found
+        return pl.sum_horizontal(pl.col(names).cast(pl.Int64, strict=False).fill_null(0))
 
-    words = parts["b"].str.to_lowercase().replace_strict(_MONTHS, default=None, return_dtype=pl.Int64)
-    named = words.fill_null(0).to_numpy()
-    first, second = number("a"), number("b") + named
-    day, month = (second, first) if order == "mdy" and not named.any() else (first, second)
-    year = number("y", "yy", "c")
-    year += 2000 * ((number("c") > 0) & (year < _CENTURY))
-    iso = pl.DataFrame({"y": year, "m": number("m", "mm") + month, "d": number("d", "dd") + day})
-    dates = iso.select(pl.format("{}-{}-{}", *(pl.col(each).cast(pl.String).str.zfill(2) for each in "ymd")))
-    days = dates.to_series().str.to_date("%Y-%m-%d", strict=False).to_physical()
-    half = (
-        parts["p"].str.to_lowercase().replace_strict({"pm": 12, "am": 0}, default=-1, return_dtype=pl.Int64)
-    )
-    afternoon = half.fill_null(-1).to_numpy()  # 12, 0 or, without am and pm, -1
-    hours = np.where(afternoon < 0, number("H"), number("H") % 12 + afternoon)
-    digits = (parts[each].fill_null("") for each in ("f", "ff", "ms"))
-    fraction = (
-        sum(digits, start=pl.Series([""])).str.slice(0, 9).str.pad_end(9, "0").cast(pl.Int64).to_numpy()
-    )
-    zone = parts["z"].str.extract_groups(r"([+-])(\d{2}):?(\d{2})").struct.unnest()
-    east = [zone[each].cast(pl.Int64).fill_null(0).to_numpy() for each in ("2", "3")]
-    shift = (east[0] * 60 + east[1]) * np.where(
-        (zone["1"] == "-").fill_null(value=False).to_numpy(), -1, 1
-    )  # min
-    total = np.where(year > 0, days.fill_null(0).to_numpy(), number("days")) * 24 + hours
+    def word(name: str, values: Mapping[str, int], other: int) -> pl.Expr:
+        lower = pl.col(name).str.to_lowercase()
+        return lower.replace_strict(values, default=other, return_dtype=pl.Int64).fill_null(other)
+
+    month = word("b", _MONTHS, 0)
+    first, second = number("a"), number("b") + month
+    swapped = (month == 0) & (order == "mdy")
+    year = number("y", "yy", "c") + 2000 * (number("c").is_between(1, _CENTURY - 1)).cast(pl.Int64)
+    months = number("m", "mm") + pl.when(swapped).then(first).otherwise(second)
+    days = number("d", "dd") + pl.when(swapped).then(second).otherwise(first)
+    padded = (each.cast(pl.String).str.zfill(2) for each in (year, months, days))
+    date = pl.format("{}-{}-{}", *padded).str.to_date("%Y-%m-%d", strict=False).to_physical()
+    half = word("p", {"am": 0, "pm": 12}, -1)
+    hours = pl.when(half < 0).then(number("H")).otherwise(number("H") % 12 + half)
+    digits = pl.concat_str("f", "ff", "ms", ignore_nulls=True)
+    fraction = digits.str.slice(0, 9).str.pad_end(9, "0").cast(pl.Int64)
+    east = (number("zh") * 60 + number("zm")) * pl.when(pl.col("sign") == "-").then(-1).otherwise(1)  # min
     minutes, seconds = number("M", "MM"), number("S", "SS")
-    total = ((total * 60 + minutes - shift) * 60 + seconds) * 1_000_000_000 + fraction
-    good = (
-        (parts["M"].is_not_null() | parts["MM"].is_not_null()).to_numpy()
-        & (minutes < _MINUTES)
-        & (seconds <= _MINUTES)
-    )
-    good &= number("H") <= np.where(afternoon < 0, 23, 12)
-    good &= (days.is_not_null().to_numpy() & (year >= _YEARS[0]) & (year < _YEARS[1])) | (year == 0)
-    return pl.Series(total).set(~pl.Series(good), None)
+    hours += 24 * pl.when(year > 0).then(date.fill_null(0)).otherwise(number("days"))
+    total = ((hours * 60 + minutes - east) * 60 + seconds) * s + fraction
+    good = pl.any_horizontal(pl.col("M", "MM").is_not_null()) & (minutes < _MINUTES) & (seconds <= _MINUTES)
+    good &= number("H") <= pl.when(half < 0).then(23).otherwise(12)
+    good &= (date.is_not_null() & year.is_between(*_YEARS)) | (year == 0)
+    return pl.when(good).then(total)

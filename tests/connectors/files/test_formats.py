@@ -13,7 +13,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.number_format import NumberFormat, number_format
 from connectors.files.raw_table import Problems, RawTable
-from connectors.files.time_axis import continued, nanoseconds
+from connectors.files.time_axis import continued, of_texts
 from operators.batch import ms, s
 from operators.errors import InputError
 
@@ -102,7 +102,7 @@ def test_dates_are_read_in_each_order(
 ) -> None:
     day = moment.strftime(sign.join({"y": "%Y", "d": "%d", "m": "%m"}[each] for each in order))
     clock = moment.strftime("%I:%M:%S.%f %p" if half else "%H:%M:%S.%f").replace(".", dot)
-    [found] = nanoseconds(pl.Series([f"{day} {clock}"]), "s", order, NumberFormat())
+    [found] = of_texts(pl.Series([f"{day} {clock}"]), order)
     assert found == (moment - dt.datetime(1970, 1, 1)) // dt.timedelta(microseconds=1) * 1000  # noqa: DTZ001
 
 
@@ -124,7 +124,7 @@ def test_dates_are_read_in_each_order(
     ],
 )
 def test_other_times_are_read_or_refused(text: str, expected: int | None) -> None:
-    assert nanoseconds(pl.Series([text]), "s", "dmy", NumberFormat()).to_list() == [expected]
+    assert of_texts(pl.Series([text]), "dmy").to_list() == [expected]
 
 
 def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Trace:

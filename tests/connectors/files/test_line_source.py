@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 
 from connectors import LineSource
 from connectors.files.column_map import ColumnMap
-from connectors.files.decoding import Decoder
-from connectors.files.line_decoder import HOPELESS, LineDecoder, _PlainValues
+from connectors.files.line_decoder import HOPELESS, LineDecoder
 from flows.run.clocks import LoopClock
-from operators import EndpointError, InputError, ParameterError, Touch, Zeroed, concat, ms, s
+from operators import EndpointError, ParameterError, Touch, Zeroed, concat, ms, s
 
 pytestmark = pytest.mark.virtual
 
@@ -82,28 +81,19 @@ def test_each_sound_line_is_a_row_for_any_cut_and_each_damaged_one_is_counted(
     assert (np.diff(times) >= 0).all()
 
 
-@pytest.mark.parametrize("early", [0, 1, 2, 3, 9])
-def test_a_clock_that_starts_again_is_a_restart_and_two_early_lines_are_damaged(early: int) -> None:
-    sent = text(range(5)) + text(range(5, 5 + early), start=0) + text(range(20, 30))
+@pytest.mark.parametrize(("unit", "start"), [("ms", 5000), ("us", 2**32 - 55_000)])
+def test_a_clock_that_starts_again_or_wraps_is_a_restart_and_rows_keep_their_intervals(
+    unit: str, start: int
+) -> None:
+    columns = replace(MAP, units={"time": unit, "counts": "count"})
     counted = dict.fromkeys(["lines", "damaged", "restarts"], 0)
-    decoder = LineDecoder("logger", MAP, NAMES.split(","), counted)
-    found = first_cells([*decoder.feed(sent.encode(), s)])
-    restarted = early > 2
-    assert found == [*range(5), *(range(5, 5 + early) if restarted else ()), *range(20, 30)]
-    assert (counted["damaged"], counted["restarts"]) == (0 if restarted else early, restarted)
-
-
-def test_a_clock_of_32_bits_that_wraps_goes_on() -> None:
-    columns = replace(MAP, units={"time": "us", "counts": "count"})
-    decoder = LineDecoder(
-        "logger", columns, NAMES.split(","), counted := {"lines": 0, "damaged": 0, "restarts": 0}
-    )
-    times = [(2**32 - 55_000 + 10_000 * row) % 2**32 for row in range(20)]
+    decoder, step = LineDecoder("logger", columns, NAMES.split(","), counted), 10 if unit == "ms" else 10_000
+    times = [(start + step * row) % 2**32 if row < 20 else step * row - 10 * step for row in range(40)]
     sent = [f"{time},{row},0,x\n".encode() for row, time in enumerate(times)]
     found = [touch for row, each in enumerate(sent) for touch in decoder.feed(each, 100 * s + row * 10 * ms)]
-    assert first_cells(found) == [*range(20)]
+    assert first_cells(found) == [*range(40)]
     assert (np.diff(concat(Touch, found).time) == 10 * ms).all()
-    assert counted["restarts"] == 0
+    assert (counted["restarts"], counted["damaged"]) == (1 + (unit == "us"), 0)
 
 
 @pytest.mark.parametrize(
@@ -127,47 +117,6 @@ def test_numbers_and_times_have_the_formats_of_import(columns: ColumnMap, names:
     assert touch.valid[0].all()
     assert touch.valid[1, 0] == (columns.missing is None)
     assert isinstance(touch, Zeroed) == bool(columns.zeroed)
-
-
-NUMBERS = (
-    "5 -7 1.25 40000 nan NA N/A null none -999 1e2 1_0 +5 0x1 1.000 1.234.567 inf .5 5. 32767 -32768 - -0"
-    " 1e400"
-)
-TIMES = (
-    "5|0|1099511627776|12.34567|1971-01-01 00:00:00|2199-12-31 23:59:59.999999|14:29:06.01|25:00:00|nan|+5"
-    "|2025-03-26T14:29:06Z|1e3|-5|2025-3-6 4:29:06|2025-03-26 24:00:00|2025-03-26 14:60:06|\u0663|"
-    "|70-03-26 14:29:06|2025-02-30 00:00:00|2025-03-26 14:29:06.1234567891|26/03/2025 1:02:03"
-    "|9999999999999999999"
-)
-
-
-@pytest.mark.parametrize("decimal", ["point", "comma"])
-@pytest.mark.parametrize("resolution", [None, 0.5])
-def test_the_fast_conversion_of_a_row_is_that_of_import(decimal: str, resolution: float | None) -> None:
-    columns = replace(MAP, decimal=decimal, resolution=resolution, missing=(-999.0,))
-    if resolution:
-        columns = replace(columns, units={"time": "s", "counts": "count"}, dates="dmy")
-    rows = [["5", number, ""] for number in NUMBERS.split()]
-    rows += [[time, "1", "2"] for time in TIMES.split("|")]
-    for row in rows:
-        fields = [each.replace(".", ",") if decimal == "comma" else each for each in row]
-        fast = _PlainValues(columns, ("t", "a", "b")).row(fields)
-        try:
-            decoded = Decoder(columns, ("t", "a", "b"), "file").decode([fields])
-        except InputError:
-            assert fast is None
-            continue
-        if fast is not None:
-            assert abs(fast.time - decoded.time.item(0)) <= 1
-            assert fast.counts.tolist() == decoded.touch[0].counts[0].tolist()
-            assert fast.valid.tolist() == decoded.touch[0].valid[0].tolist()
-
-
-@pytest.mark.parametrize(
-    "time", ["5", "5.25", "2025-03-26 14:29:06.010", "2025-03-26T14:29:06Z", "14:29:06,5"]
-)
-def test_usual_times_are_converted_fast(time: str) -> None:
-    assert _PlainValues(MAP, ("t", "a", "b")).row([time, "1", "2"])
 
 
 def test_lines_that_are_never_rows_are_an_error_that_says_why() -> None:
@@ -313,3 +262,5 @@ def test_ports_are_told_from_files(tmp_path: Path) -> None:
 def test_invalid_parameters_are_refused(where: str, columns: ColumnMap | str, baud: int) -> None:
     with pytest.raises(ParameterError):
         LineSource(where, columns, baud=baud)
+    with pytest.raises(ParameterError, match="names is 't,a', must be all columns of the logger, also b of"):
+        LineSource("COM3", MAP, names=("t", "a"))
