@@ -1,31 +1,31 @@
-"""Recipe of a public dataset: its source, licence and files, and the function that reads its recordings."""
+"""Recipe of a public dataset: its source, licence and files, and the function that reads its recordings.
+
+pooch downloads and verifies the files, which are imported into a new dataset.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from connectors.files.column_map import ColumnMap
+from flows.lab.importing import import_frame
+from operators.errors import EndpointError
+from operators.extras import require_extra
+from storage.files import partial_folder
 
 if TYPE_CHECKING:
     import polars as pl
 
-Locate: TypeAlias = Callable[[str], Path]  # verified file of a path of the registry
+_ATTEMPTS: Final = 3  # after a failed download
 
 
-@dataclass(frozen=True, slots=True)
-class SourceRecording:
-    """Recording of a public dataset.
+class SourceRecording(NamedTuple):
+    """Recording of a public dataset."""
 
-    Args:
-        name: Name of its session.
-        frame: Its rows.
-        group: Surface or object, by which recordings are split.
-    """
-
-    name: str
+    name: str  # of its session
     frame: "pl.DataFrame"
-    group: str | None = None
+    group: str | None = None  # surface or object, by which recordings are split
 
 
 @dataclass(frozen=True)
@@ -39,14 +39,12 @@ class DatasetRecipe:
         repository: GitHub repository, OWNER/NAME.
         commit: Commit of the files, 40 hex digits.
         licence: SPDX identifier, or ``none`` if the source states no licence.
-        terms: Consequence of the licence for users.
         citation: Work to cite.
-        about: Description of the recordings.
-        assumed: Assumptions that the source does not confirm.
-        labels: Origin of the labels.
+        about: Consequence of the licence, description of the recordings, origin of the labels, and
+            assumptions that the source does not confirm.
         columns: Map of the columns of the recordings.
-        registry: sha256 of each file, hex, by its path in the repository.
-        recordings: Reads the files and yields the recordings.
+        registry: File with the path in the repository and the sha256 of each file, as pooch reads it.
+        recordings: Yields the recordings, given the verified copy of each file by its path in the repository.
     """
 
     name: str
@@ -55,14 +53,11 @@ class DatasetRecipe:
     repository: str
     commit: str
     licence: str
-    terms: str
     citation: str
     about: str
-    assumed: str
-    labels: str
     columns: ColumnMap
-    registry: Mapping[str, str]
-    recordings: Callable[[Locate], Iterator[SourceRecording]]
+    registry: Path
+    recordings: Callable[[Mapping[str, Path]], Iterator[SourceRecording]]
 
     @property
     def base_url(self) -> str:
@@ -80,12 +75,50 @@ class DatasetRecipe:
 
     def text(self) -> str:
         """Return all that the recipe states about the dataset."""
-        parts = {"source": self.page, "terms": self.terms, "about": self.about, "assumed": self.assumed}
-        lines = [f"{name}: {text}" for name, text in {**parts, "labels": self.labels}.items()]
-        return "\n  ".join([self.summary(), *lines])
+        return f"{self.summary()}\n  source: {self.page}\n  {self.about}"
 
+    def fetch(self, out: Path, progress: Callable[[int, int, str], object] = lambda *_: None) -> list[float]:
+        """Download and verify the files, and import them into a new dataset.
 
-def read_registry(path: Path) -> dict[str, str]:
-    """Return the sha256 of each file, by its path, from the lines ``PATH SHA256`` of a registry of pooch."""
-    lines = path.read_text("utf-8").splitlines()
-    return {name: sha256 for name, sha256 in (line.rsplit(maxsplit=1) for line in lines)}  # noqa: C416 - pairs
+        Verified files stay in the user's cache, ``slipflow/NAME``, which may also be a clone of the source.
+
+        Args:
+            out: Folder of the dataset, new or empty.
+            progress: Called with the number of files that are there, their total, and the name of the next.
+
+        Returns:
+            Duration of each session, s.
+
+        Raises:
+            InputError: if a file has an invalid value.
+            EndpointError: if a file cannot be downloaded or differs, or the dataset cannot be written.
+            ParameterError: if the map of a recipe does not fit its columns.
+        """
+        require_extra("fetch", "fetch")
+        about = {"recipe": self.name, "source": self.page, "licence": self.licence}
+        seconds = list[float]()
+        with partial_folder(out.resolve()) as dataset:
+            for name, frame, group in self.recordings(self._files(progress)):
+                done = import_frame(frame, dataset, name, self.columns, group=group, about=about)
+                seconds.append(done.summary()["seconds"])
+        return seconds
+
+    def _files(self, progress: Callable[[int, int, str], object]) -> dict[str, Path]:
+        """Download the files that the cache lacks; return the verified copy of each."""
+        import pooch
+
+        pooch.get_logger().setLevel("WARNING")
+        cache = pooch.create(pooch.os_cache("slipflow") / self.name, self.base_url, retry_if_failed=_ATTEMPTS)
+        cache.load_registry(self.registry)
+        files = dict[str, Path]()
+        for number, path in enumerate(cache.registry):
+            progress(number, len(cache.registry), Path(path).name)
+            try:
+                files[path] = Path(cache.fetch(path))
+            except (OSError, ValueError) as error:  # of requests, of the disk, of another checksum
+                reason = str(error).partition("\n")[0]
+                remedy = f"repeat the command, or copy a clone of {self.page} to {cache.path}"
+                raise EndpointError(
+                    cache.get_url(path), f"was not fetched: {reason:.200}; {remedy}"
+                ) from error
+        return files

@@ -13,8 +13,7 @@ import pytest
 
 from connectors.files.column_map import ColumnMap
 from flows.lab.recipes import grasps, strokes
-from flows.lab.recipes.dataset_recipe import DatasetRecipe, Locate, SourceRecording
-from flows.lab.recipes.fetching import RECIPES, fetch
+from flows.lab.recipes.dataset_recipe import DatasetRecipe, SourceRecording
 from operators import EndpointError, InputError, Touch
 from operators.batch import Labelled, Reals, concat
 from storage import Session
@@ -27,18 +26,9 @@ FILES = {
 }
 
 
-def taps(locate: Locate) -> Iterator[SourceRecording]:
-    for path in FILES:
-        yield SourceRecording(Path(path).stem, pl.read_csv(locate(path)), group="cork")
-
-
-RECIPE = replace(
-    RECIPES["grasps"],
-    name="taps",
-    columns=ColumnMap.parse("counts=a,b"),
-    registry={path: hashlib.sha256(content).hexdigest() for path, content in FILES.items()},
-    recordings=taps,
-)
+def taps(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
+    for path, file in files.items():
+        yield SourceRecording(Path(path).stem, pl.read_csv(file), group="cork")
 
 
 def put(folder: Path, files: Mapping[str, bytes]) -> Path:
@@ -53,17 +43,35 @@ class Handler(SimpleHTTPRequestHandler):
         pass
 
 
-@pytest.fixture
-def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Generator[tuple[Path, str]]:
-    """Folder of the files, and its address on this machine; the cache is a folder of the test."""
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The user's cache of slipflow, a folder of the test."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "slipflow"
+
+
+@pytest.fixture
+def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Generator[Path]:
+    """Folder of the files, served on this machine."""
     folder = put(tmp_path / "source", FILES)
     with ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder))) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
         thread.start()
-        yield folder, f"http://127.0.0.1:{server.server_address[1]}"
+        monkeypatch.setattr(DatasetRecipe, "base_url", f"http://127.0.0.1:{server.server_address[1]}/")
+        yield folder
         server.shutdown()
         thread.join()
+
+
+@pytest.fixture
+def recipe(tmp_path: Path) -> DatasetRecipe:
+    registry = put(tmp_path, {"taps.txt": registry_of(FILES)}) / "taps.txt"
+    columns = ColumnMap.parse("counts=a,b")
+    return replace(grasps.GRASPS, name="taps", columns=columns, registry=registry, recordings=taps)
+
+
+def registry_of(files: Mapping[str, bytes]) -> bytes:
+    return "".join(f"{path} {hashlib.sha256(files[path]).hexdigest()}\n" for path in files).encode()
 
 
 def sessions(dataset: Path) -> dict[str, Session]:
@@ -78,50 +86,35 @@ def samples(session: Session) -> Labelled:
     return concat(Labelled, list(session.read(Labelled, 0)))
 
 
-def test_a_recipe_is_downloaded_verified_and_imported(tmp_path: Path, source: tuple[Path, str]) -> None:
-    done = fetch(RECIPE, tmp_path / "out", source[1])
-    assert (done.sessions, done.groups) == (2, {"cork"})
-    assert done.seconds == pytest.approx(0.98)
+def test_a_recipe_is_downloaded_verified_and_imported_and_needs_no_network_again(
+    tmp_path: Path, source: Path, recipe: DatasetRecipe
+) -> None:
+    assert recipe.fetch(tmp_path / "out") == pytest.approx([0.59, 0.39])
     found = sessions(tmp_path / "out")
     assert {name: len(counts(each)) for name, each in found.items()} == {"one": 60, "two": 40}
     assert counts(found["two"])[:6] == [[i % 5, 3] for i in range(6)]
     about = found["one"].describe()
     assert about["group"] == "cork"
     assert '"licence": "MIT"' in (tmp_path / "out/sessions/one/session.json").read_text()
-
-
-def test_verified_files_are_not_downloaded_again(tmp_path: Path, source: tuple[Path, str]) -> None:
-    fetch(RECIPE, tmp_path / "out", source[1])
-    (source[0] / "two.csv").unlink()
-    assert fetch(RECIPE, tmp_path / "again", source[1]).sessions == 2
+    (source / "two.csv").unlink()
+    assert len(recipe.fetch(tmp_path / "again")) == 2
 
 
 def test_a_missing_or_altered_file_is_an_error_and_leaves_no_dataset(
-    tmp_path: Path, source: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, source: Path, cache: Path, recipe: DatasetRecipe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flows.lab.recipes.fetching._ATTEMPTS", 0)
-    folder, url = source
-    (folder / "two.csv").write_bytes(FILES["two.csv"].replace(b"3", b"4", 1))
+    monkeypatch.setattr("flows.lab.recipes.dataset_recipe._ATTEMPTS", 0)
+    (source / "two.csv").write_bytes(FILES["two.csv"].replace(b"3", b"4", 1))
     with pytest.raises(EndpointError, match=r"two\.csv: was not fetched: SHA256 hash of downloaded file"):
-        fetch(RECIPE, tmp_path / "out", url)
-    (folder / "two.csv").unlink()
-    with pytest.raises(EndpointError, match=r"404 .*: repeat|404.*; repeat the command, or give a copy of"):
-        fetch(RECIPE, tmp_path / "out", url)
+        recipe.fetch(tmp_path / "out")
+    (source / "two.csv").unlink()
+    with pytest.raises(EndpointError, match=rf"404 .*; repeat .*, or copy a clone of .* to {cache}/taps"):
+        recipe.fetch(tmp_path / "out")
+    monkeypatch.setattr(DatasetRecipe, "base_url", "http://127.0.0.1:1/")
     with pytest.raises(EndpointError, match=r"one\.csv: was not fetched: .*refused|Max retries"):
-        fetch(replace(RECIPE, name="other"), tmp_path / "out", "http://127.0.0.1:1")
+        replace(recipe, name="other").fetch(tmp_path / "out")
     assert not (tmp_path / "out").exists()
     assert not (tmp_path / "out.partial").exists()
-
-
-def test_a_copy_of_the_source_needs_no_network(tmp_path: Path) -> None:
-    clone = put(tmp_path / "clone", FILES)
-    assert fetch(RECIPE, tmp_path / "out", str(clone)).sessions == 2
-    (clone / "two.csv").write_bytes(b"")
-    with pytest.raises(InputError, match=r"two\.csv: differs from the file in https://github\.com/imanlab"):
-        fetch(RECIPE, tmp_path / "other", str(clone))
-    (clone / "two.csv").unlink()
-    with pytest.raises(InputError, match=r"two\.csv: does not exist: .* must be like a clone"):
-        fetch(RECIPE, tmp_path / "other", str(clone))
 
 
 # --- the recipes -----------------------------------------------------------------------------------------
@@ -130,11 +123,11 @@ def test_a_copy_of_the_source_needs_no_network(tmp_path: Path) -> None:
 def copied(
     recipe: DatasetRecipe, files: Mapping[str, bytes], out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Path:
-    """Fetch a recipe whose source has other files; return the dataset."""
-    registry = {path: hashlib.sha256(content).hexdigest() for path, content in files.items()}
-    monkeypatch.setattr(f"flows.lab.recipes.{recipe.name}._REGISTRY", registry)
-    clone = put(out / "clone", files)
-    fetch(replace(recipe, registry=registry), out / "out", str(clone))
+    """Fetch a recipe whose source has other files from a clone in the cache; return the dataset."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(out / "cache"))
+    put(out / "cache/slipflow" / recipe.name, files)
+    put(out, {"registry.txt": registry_of(files)})
+    replace(recipe, registry=out / "registry.txt").fetch(out / "out")
     return out / "out"
 
 
@@ -144,13 +137,12 @@ def converted(name: str) -> dict[str, pl.DataFrame]:
     return {path.stem: pl.read_parquet(path) for path in sorted((REAL / name).glob("*.parquet"))}
 
 
-@pytest.mark.parametrize(("name", "files"), [("strokes", 47), ("grasps", 21)])
-def test_a_recipe_states_source_licence_and_checksums(name: str, files: int) -> None:
-    recipe = RECIPES[name]
-    assert len(recipe.registry) == files
-    assert all(len(sha256) == 64 for sha256 in recipe.registry.values())
+@pytest.mark.parametrize(("recipe", "files"), [(strokes.STROKES, 47), (grasps.GRASPS, 21)])
+def test_a_recipe_states_source_licence_and_checksums(recipe: DatasetRecipe, files: int) -> None:
+    checksums = [line.split()[1] for line in recipe.registry.read_text().splitlines()]
+    assert (len(checksums), {*map(len, checksums)}) == (files, {64})
     assert recipe.base_url.startswith("https://raw.githubusercontent.com/")
-    assert all(str(value) in recipe.text() for value in (recipe.licence, recipe.terms, recipe.citation))
+    assert all(text in recipe.text() for text in (recipe.licence, recipe.citation, recipe.page))
 
 
 def test_strokes_have_six_cells_of_two_electrodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
