@@ -1,25 +1,24 @@
 """Outbox of a rig: numbers slip events and stores them before they are sent."""
 
 import asyncio
-import errno
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from itertools import islice
+from math import inf
 from pathlib import Path
 from secrets import token_hex
 
 from connectors.events import Event
-from connectors.mqtt.outbox_log import Entry, Key, OutboxLog
-from operators.errors import EndpointError, SlipflowError, os_error_reason
+from connectors.mqtt.outbox_log import Entry, OutboxLog
+from operators.errors import EndpointError, os_error_reason
 from operators.ports import BackOff
 from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")
 
 WRITE_TIMEOUT = 1.0  # s; then events are sent from memory
-MEMORY_MAX = 10_000  # events in memory while the disk cannot be written
+MEMORY_MAX = 10_000  # events in memory
 ACKNOWLEDGE_EVERY = 0.2  # s between writes of acknowledgements
 LAST_ATTEMPTS = 5.0  # s; a failing disk is retried for this time on close
 EPOCHS_ANNOUNCED = 100  # newest epochs in the head document
@@ -28,21 +27,16 @@ EPOCHS_ANNOUNCED = 100  # newest epochs in the head document
 class Outbox:
     """Numbered events of one rig on disk, kept between runs and used by one process at a time.
 
-    Two independent states of an event::
-
-        append --> unwritten --write--> written --fsync--> durable
-                       ^                   |
-                       +--- fsync fails ---+
-
-        append --> held --written, or no write within 1 s--> unsent --broker acknowledges--> sent
-
-    Events are in memory until they are durable. They are sent after they are written, so that they survive
-    a crash of the process; fsync follows in another thread. Waiting for it would not protect them from a
-    power cut. While the disk fails, events are sent from memory and written later; if the process is killed
-    before, those not yet sent are lost.
-
     Each run begins an epoch, a series of numbers from 1, so that no number is used twice whatever a crash or
-    power cut has lost.
+    power cut has lost. The numbers of the epoch of this run in order::
+
+        1 .. durable .. written .. newest       stored: written to the log, then fsynced in another thread
+        1 .. sent ..... released .. newest      sent: the broker has acknowledged them, in order
+
+    An event is released when it is written, so that it survives a crash of the process. Waiting for the fsync
+    would not protect it from a power cut. While the disk fails, and 1 s after it has ceased to respond, all
+    events are released and sent from memory, and written later; those not written when the process ends are
+    lost. Memory has the events that are not durable, or not sent.
 
     Attributes:
         path: The folder.
@@ -56,61 +50,51 @@ class Outbox:
         self.path, self.epoch, self.error = path, token_hex(6), ""
         self.on_pending: Callable[[], object] = lambda: None
         self._log = OutboxLog(path, self.epoch)
-        self._undurable: dict[int, Entry] = {}  # events of this run, by number
-        self._written = 0  # newest number that is written; a failed fsync reduces it
-        self._unsent: dict[Key, str] = {}  # fingertips of events that may be sent, in order
-        self._heads: dict[str, int] = {}  # newest number that was sent, by epoch
-        self._acknowledged: list[Key] = []  # acknowledgements that are not written yet
-        self._newest = self._released = 0  # newest number; newest one that may be sent
+        self._memory: dict[int, Entry] = {}  # by number
+        self._newest = self._written = self._durable = 0  # numbers
+        self._rewrite = False  # a write or fsync has failed: what is not durable is written again
+        self._released: dict[str, int] = {}  # number by epoch, oldest epoch first
+        self._sent: dict[str, int] = {}  # the same
+        self._sent_written: dict[str, int] = {}  # the same, as the log has it
+        self._closing_until = inf  # loop time, s
         self._write_due, self._sync_due, self._progress = asyncio.Event(), asyncio.Event(), asyncio.Event()
-        self._storing = self._failing = False  # a write is in progress; the latest one failed
-        self._tasks: list[BackgroundTask] = []
 
     @property
     def waiting(self) -> int:
         """Number of unsent events."""
-        return len(self._unsent)
+        return sum(max(0, last - self._sent[epoch]) for epoch, last in self._released.items())
 
     @property
     def unstored(self) -> int:
         """Number of events that are neither written nor acknowledged by the broker."""
-        return sum(not self._is_sent(entry) for entry in self._unwritten())
+        return self._newest - max(self._written, self._sent.get(self.epoch, 0))
 
     def heads(self) -> list[tuple[str, int]]:
         """Return the newest epochs, that of this run last, each with the newest number that was sent."""
         kept = {*self._log.epochs, self.epoch}
-        return [(name, last) for name, last in self._heads.items() if name in kept][-EPOCHS_ANNOUNCED:]
+        return [(epoch, sent) for epoch, sent in self._sent.items() if epoch in kept][-EPOCHS_ANNOUNCED:]
 
     async def open(self) -> None:
-        """Open the folder, or start in memory if the disk is full.
+        """Open the folder.
 
         Raises:
             EndpointError: if another run uses the folder, or it cannot be read or written.
             InputError: if the path is not an outbox.
         """
         try:
-            self._unsent = await asyncio.to_thread(self._log.open)
-            await asyncio.to_thread(self._log.append, (), ())  # shows that it can be written
-        except OSError as error:
-            if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-                self._log.close()
-                raise EndpointError(str(self.path), f"cannot be used: {os_error_reason(error)}") from error
-            self._fail(_reason(error))
-            self._write_due.set()
-        except BaseException:
+            self._sent = await asyncio.to_thread(self._log.open)
+        except BaseException as error:
             self._log.close()
+            if isinstance(error, OSError):
+                reason = f"cannot be used: {os_error_reason(error)}"
+                raise EndpointError(str(self.path), reason) from error
             raise
-        for epoch in self._log.epochs:
-            _, last = self._log.span(epoch)
-            while (epoch, last) in self._unsent:
-                last -= 1
-            self._heads[epoch] = last
-        self._heads[self.epoch] = 0
+        self._sent_written = dict(self._sent)
+        self._released = {epoch: self._log.span(epoch)[1] for epoch in self._sent}
+        self._released[self.epoch] = self._sent[self.epoch] = self._sent_written[self.epoch] = 0
         where = str(self.path)
-        self._tasks = [
-            BackgroundTask(where, "the writing of events", self._keep_writing(), self._stop_writing),
-            BackgroundTask(where, "the fsync of events", self._keep_syncing()),
-        ]
+        self._writing = BackgroundTask(where, "the writing of events", self._keep_writing(), self._fail)
+        self._syncing = BackgroundTask(where, "the fsync of events", self._keep_syncing())
 
     async def append(self, drafts: Sequence[Event]) -> None:
         """Store events under new numbers; the epoch and number of the drafts are ignored.
@@ -122,36 +106,31 @@ class Outbox:
         for draft in drafts:
             self._newest += 1
             payload = replace(draft, epoch=self.epoch, seq=self._newest).encode()
-            self._undurable[self._newest] = Entry(self.epoch, self._newest, draft.finger, payload)
+            self._memory[self._newest] = Entry(self.epoch, self._newest, draft.finger, payload)
         newest = self._newest
         self._write_due.set()
         try:
             async with asyncio.timeout(WRITE_TIMEOUT):
-                while self._released < newest and not self.error:
+                while self._released[self.epoch] < newest and not self.error:
                     await self._progress.wait()
         except TimeoutError:
             self._fail("the disk does not respond")
         self._release(newest)
 
-    async def next(self, limit: int, allowed: Callable[[str], bool] = lambda _: True) -> list[Entry]:
-        """Return the oldest unsent entries of the fingertips that are `allowed`."""
-
-        def unsent() -> list[Key]:
-            return list(islice((key for key, finger in self._unsent.items() if allowed(finger)), limit))
-
-        while keys := unsent():
-            try:
-                found = await self._load(keys)
-            except OSError as error:
-                log.warning("%s: cannot be read, retrying: %s", self.path, os_error_reason(error))
-                in_memory = self._undurable.values()
-                ready = (each for each in in_memory if each.key in self._unsent and allowed(each.finger))
-                return list(islice(ready, limit))
-            for epoch, seq in set(keys) - {entry.key for entry in found}:
-                del self._unsent[epoch, seq]
-                log.error("%s: event %d of epoch %s is damaged and lost", self.path, seq, epoch)
-            if found:
-                return found
+    async def next(self, limit: int) -> list[Entry]:
+        """Return the oldest unsent entries, at most `limit`, all of one epoch."""
+        for epoch, last in list(self._released.items()):
+            while self._sent[epoch] < last:
+                first = self._sent[epoch] + 1
+                numbers = range(first, min(first + limit, last + 1))
+                try:
+                    found = await self._load(epoch, numbers)
+                except OSError as error:
+                    log.warning("%s: cannot be read, retrying: %s", self.path, os_error_reason(error))
+                    break  # epochs do not wait for each other
+                if found:
+                    return found
+                self._skip_to(epoch, numbers[-1] + 1)
         return []
 
     async def between(self, epoch: str, first: int, last: int, limit: int) -> tuple[list[Entry], int]:
@@ -162,19 +141,18 @@ class Outbox:
         """
         oldest, newest = self._log.span(epoch)
         if epoch == self.epoch:
-            newest = self._released
+            newest = self._released[epoch]
             last = min(last, newest)
         numbers = range(max(first, oldest), min(last, newest) + 1)[:limit]
-        found = await self._load([(epoch, number) for number in numbers])
+        found = await self._load(epoch, numbers)
         return found, numbers[-1] if len(numbers) == limit else last
 
     def acknowledge(self, entries: Sequence[Entry]) -> None:
-        """Mark entries as received by the broker."""
+        """Mark the oldest unsent entries as received by the broker."""
         for entry in entries:
-            self._unsent.pop(entry.key, None)
-            self._heads[entry.epoch] = max(self._heads[entry.epoch], entry.seq)
-            self._acknowledged.append(entry.key)
-        del self._acknowledged[:-MEMORY_MAX]  # the events without one are sent again by the next run
+            self._skip_to(entry.epoch, entry.seq)
+            self._sent[entry.epoch] = entry.seq
+        self._forget()
         asyncio.get_running_loop().call_later(ACKNOWLEDGE_EVERY, self._write_due.set)
 
     async def close(self) -> None:
@@ -185,72 +163,61 @@ class Outbox:
         Raises:
             EndpointError: if a background task of the outbox has failed; the files are closed.
         """
-        loop = asyncio.get_running_loop()
-        deadline = loop.time() + LAST_ATTEMPTS
+        self._closing_until = asyncio.get_running_loop().time() + LAST_ATTEMPTS
         self._write_due.set()
         try:
-            while self._storing or self._unwritten() or self._acknowledged:
-                if self._failing and (loop.time() > deadline or self._tasks[0].done):
-                    break
-                await self._progress.wait()
+            await self._writing.end(None)
         finally:
-            await self._end_tasks()
-        if not self._failing:
-            with suppress(OSError):
-                await asyncio.to_thread(self._log.sync)
-        await asyncio.to_thread(self._log.close)
-        for task in self._tasks:
-            task.check()
-
-    async def _end_tasks(self) -> None:
-        self._tasks[0].ending = True  # no further write begins
-        try:
-            while self._storing:  # a write in progress cannot be stopped, and its events are stored
-                await self._progress.wait()
-        finally:
-            for task in self._tasks:
-                await task.end()
+            await self._syncing.end()
             if self.unstored:
                 log.error("%s: %s; %d events are lost", self.path, self.error or "not written", self.unstored)
+        with suppress(OSError):
+            await asyncio.to_thread(self._log.sync)
+        await asyncio.to_thread(self._log.close)
+        self._writing.check()
+        self._syncing.check()
 
-    async def _load(self, keys: Sequence[Key]) -> list[Entry]:
-        """Return the entries that are in memory, or stored and intact.
+    async def _load(self, epoch: str, numbers: Sequence[int]) -> list[Entry]:
+        """Return the entries that are in memory, or stored and intact, in order.
 
         Raises:
             OSError: if the disk cannot be read.
         """
-        found = {key: self._undurable[key[1]] for key in keys if self._in_memory(key)}
-        if len(found) < len(keys):
-            stored = await asyncio.to_thread(self._log.read, [key for key in keys if key not in found])
-            found |= {entry.key: entry for entry in stored}
-        return [found[key] for key in keys if key in found]
+        memory = self._memory if epoch == self.epoch else {}
+        found = {number: memory[number] for number in numbers if number in memory}
+        if others := [number for number in numbers if number not in found]:
+            stored = await asyncio.to_thread(self._log.read, epoch, others)
+            found |= {entry.seq: entry for entry in stored}
+        return [found[number] for number in numbers if number in found]
 
-    def _in_memory(self, key: Key) -> bool:
-        return key[0] == self.epoch and key[1] in self._undurable
-
-    def _unwritten(self) -> list[Entry]:
-        return [entry for entry in self._undurable.values() if entry.seq > self._written]
-
-    def _is_sent(self, entry: Entry) -> bool:
-        return entry.seq <= self._released and entry.key not in self._unsent
+    def _skip_to(self, epoch: str, number: int) -> None:
+        """Count the unsent events before a number as sent, because they cannot be read."""
+        for seq in range(self._sent[epoch] + 1, number):
+            log.error("%s: event %d of epoch %s is damaged and lost", self.path, seq, epoch)
+        self._sent[epoch] = number - 1
 
     def _release(self, number: int) -> None:
         """Let the events up to a number be sent."""
-        if number <= self._released:
-            return
-        for seq in range(self._released + 1, number + 1):
-            self._unsent[self.epoch, seq] = self._undurable[seq].finger
-        self._released = number
-        self.on_pending()
+        if number > self._released[self.epoch]:
+            self._released[self.epoch] = number
+            self.on_pending()
+        self._progress.set()  # wakes the calls that wait now
+        self._progress.clear()
 
     def _make_room(self, count: int) -> None:
         """Forget the oldest events that need no memory: written, or acknowledged by the broker."""
-        while len(self._undurable) + count > MEMORY_MAX:
-            oldest = next(iter(self._undurable.values()), None)
-            if oldest is None or not (oldest.seq <= self._written or self._is_sent(oldest)):
+        while len(self._memory) + count > MEMORY_MAX:
+            oldest = next(iter(self._memory), inf)
+            if oldest > max(self._written, self._sent[self.epoch]):
                 reason = f"{self.error}, and memory is full with {self.waiting} unsent events"
                 raise EndpointError(str(self.path), reason)
-            del self._undurable[oldest.seq]
+            del self._memory[int(oldest)]
+
+    def _forget(self) -> None:
+        """Forget the events that are durable and sent."""
+        last = min(self._durable, self._sent[self.epoch])
+        while self._memory and (oldest := next(iter(self._memory))) <= last:
+            del self._memory[oldest]
 
     def _fail(self, reason: str) -> None:
         """Send from memory until the disk can be written again."""
@@ -258,58 +225,42 @@ class Outbox:
             self.error = reason
             log.error("%s: %s; events are kept in memory until it can be written", self.path, reason)
         self._release(self._newest)
-        self._announce_progress()
-
-    def _stop_writing(self, reason: str) -> None:
-        """Send from memory until the end, because the task that writes has failed."""
-        self._storing, self._failing, self.error = False, True, reason
-        self._release(self._newest)
-        self._announce_progress()
-
-    def _announce_progress(self) -> None:
-        self._progress.set()  # wakes the tasks that wait now
-        self._progress.clear()
-
-    def _write_again(self) -> None:
-        """Treat the events that are not durable as unwritten, so that the next write has all of them."""
-        self._written = min(self._undurable, default=self._newest + 1) - 1
 
     async def _keep_writing(self) -> None:
-        retry = BackOff()
-        while not self._tasks[0].ending:
+        retry, loop = BackOff(), asyncio.get_running_loop()
+        while self._closing_until == inf or self._is_unfinished():
             await self._write_due.wait()
             self._write_due.clear()
-            if self._log.suspect:
-                self._write_again()
-            entries, acknowledged, self._storing = self._unwritten(), [*self._acknowledged], True
-            before = self._written
+            if self._rewrite:
+                self._written, self._rewrite = self._durable, False
+            newest, sent = self._newest, dict(self._sent)
+            entries = [entry for entry in self._memory.values() if entry.seq > self._written]
+            changed = {each: last for each, last in sent.items() if last != self._sent_written[each]}
             try:
-                await asyncio.to_thread(self._store, entries, acknowledged, next(iter(self._unsent), None))
-                if self._log.suspect:
-                    raise OSError(errno.EIO, "an fsync failed")  # noqa: TRY301 - as one that failed here
+                await asyncio.to_thread(self._store, entries, changed)
             except Exception as error:  # noqa: BLE001 - retried after any error, and reported
-                self._storing, self._failing = False, True
+                self._rewrite = True
                 self._fail(_reason(error))
+                if loop.time() > self._closing_until:
+                    return
                 await asyncio.sleep(retry.delay())
                 self._write_due.set()
                 continue
-            self._storing = self._failing = False
             retry.reset()
             if self.error:
                 self.error = ""
                 log.warning("%s: can be written again; the events kept in memory are in it", self.path)
-            del self._acknowledged[: len(acknowledged)]
-            if entries:
-                self._release(entries[-1].seq)
-                if self._written == before:  # else an fsync has failed meanwhile: they are written again
-                    self._written = entries[-1].seq
-                self._sync_due.set()
-            self._announce_progress()
+            self._written, self._sent_written = newest, sent
+            self._release(newest)
+            self._sync_due.set()
 
-    def _store(self, entries: Sequence[Entry], acknowledged: Sequence[Key], oldest: Key | None) -> None:
-        self._log.append(entries, acknowledged)
+    def _is_unfinished(self) -> bool:
+        return self._newest > self._written or self._rewrite or self._sent != self._sent_written
+
+    def _store(self, entries: Sequence[Entry], sent: dict[str, int]) -> None:
+        self._log.append(entries, sent)
         with suppress(OSError):  # tried again after the next write
-            self._log.prune(oldest)
+            self._log.prune(self._sent)
 
     async def _keep_syncing(self) -> None:
         while True:
@@ -319,15 +270,13 @@ class Outbox:
             try:
                 await asyncio.to_thread(self._log.sync)
             except Exception as error:  # noqa: BLE001 - retried after any error, and reported
-                self._write_again()
+                self._rewrite = True
                 self._fail(_reason(error))
                 self._write_due.set()
                 continue
-            for number in [number for number in self._undurable if number <= written]:
-                del self._undurable[number]
+            self._durable = written
+            self._forget()
 
 
 def _reason(error: Exception) -> str:
-    if isinstance(error, OSError):
-        return f"cannot be written: {os_error_reason(error)}"
-    return str(error) if isinstance(error, SlipflowError) else f"cannot be written: {error!r}"
+    return f"cannot be written: {os_error_reason(error) if isinstance(error, OSError) else repr(error)}"

@@ -8,18 +8,19 @@ events. The records of a segment:
 
     {"epoch": NAME, "first": NUMBER}                 first record: epoch, and number of the first event
     FINGERTIP NEWLINE PAYLOAD                        event
-    {"acknowledged": [[EPOCH, NUMBER], ...]}         events that the broker has received
+    {"acknowledged": [[EPOCH, NUMBER], ...]}         the broker has the events up to this one of an epoch
 """
 
 import json
 import logging
 import os
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from errno import EACCES
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final
 
 from operators.errors import EndpointError, InputError
 from storage import files
@@ -32,8 +33,6 @@ IDENTITY: Final = b"slipflow outbox 2"
 SEGMENT_EVENTS = 1000  # events of a segment
 SEGMENTS = 100  # kept segments, besides those with unsent events
 
-Key: TypeAlias = tuple[str, int]  # epoch and number of an event
-
 
 @dataclass(frozen=True, slots=True)
 class Entry:
@@ -43,11 +42,6 @@ class Entry:
     seq: int
     finger: str
     payload: bytes
-
-    @property
-    def key(self) -> Key:
-        """Epoch and number."""
-        return self.epoch, self.seq
 
 
 @dataclass
@@ -62,9 +56,6 @@ class _Segment:
     @property
     def last(self) -> int:
         return self.first + len(self.offsets) - 1
-
-    def __contains__(self, key: Key) -> bool:
-        return key[0] == self.epoch and self.first <= key[1] <= self.last
 
 
 class OutboxLog:
@@ -82,11 +73,6 @@ class OutboxLog:
         self._log: AppendLog | None = None  # the newest segment, if it is of this run
 
     @property
-    def suspect(self) -> bool:
-        """True if an fsync failed: events since the last one must be appended again."""
-        return self._log is not None and self._log.suspect
-
-    @property
     def epochs(self) -> list[str]:
         """Epochs of which events may be stored, oldest first."""
         return list(dict.fromkeys(segment.epoch for segment in tuple(self._segments)))
@@ -96,36 +82,41 @@ class OutboxLog:
         found = [each for each in tuple(self._segments) if each.epoch == epoch and each.offsets]
         return (min(each.first for each in found), max(each.last for each in found)) if found else (1, 0)
 
-    def open(self) -> dict[Key, str]:
-        """Create or lock the folder and read it; return the fingertips of unsent events, oldest first.
+    def open(self) -> dict[str, int]:
+        """Create or lock the folder and read it; return the newest sent number of each epoch, oldest first.
 
         Raises:
             EndpointError: if another process uses it.
             InputError: if the path is not an outbox.
             OSError: if it cannot be read or created.
         """
-        self._lock_folder()
-        unsent = dict[Key, str]()
+        if self.path.is_file():
+            raise InputError(str(self.path), "is a file, must be a folder: name another outbox")
+        files.make_folder(self.path, parents=True, mode=0o700)
+        if not os.access(self.path, os.W_OK):
+            raise PermissionError(EACCES, os.strerror(EACCES), str(self.path))
+        self._lock = lock(self.path)
+        if self._lock is None:
+            reason = "is in use: two runs may not publish as one rig; name another rig or outbox"
+            raise EndpointError(str(self.path), reason)
+        sent = dict[str, int]()
         for path in sorted(self.path.glob("*.log")):
             with LogReader(path) as reader:
-                self._read_segment(reader, unsent)
-        return unsent
+                self._read_segment(reader, sent)
+        return {epoch: sent.get(epoch, 0) for epoch in self.epochs}
 
-    def append(self, entries: Sequence[Entry], acknowledged: Sequence[Key]) -> None:
-        """Append events with consecutive numbers, and acknowledgements: all or none.
+    def append(self, entries: Sequence[Entry], sent: Mapping[str, int]) -> None:
+        """Append events with consecutive numbers, and the newest sent numbers of epochs: all or none.
 
         Raises:
-            EndpointError: if another process uses the folder.
             OSError: if nothing was stored.
         """
-        if self._lock is None:  # the disk was full when the folder was opened
-            self._lock_folder()
         if self._log is None or self._log.suspect or self._log.broken or not self._continues(entries):
             self._start_segment(entries[0].seq if entries else self.span(self.epoch)[1] + 1)
         assert self._log
         records = [b"%s\n%s" % (entry.finger.encode(), entry.payload) for entry in entries]
-        if acknowledged:
-            records.append(json.dumps({"acknowledged": acknowledged}).encode())
+        if sent:
+            records.append(json.dumps({"acknowledged": [*sent.items()]}).encode())
         offsets = self._log.append(records)
         self._segments[-1].offsets.extend(offsets[: len(entries)])
 
@@ -138,31 +129,32 @@ class OutboxLog:
         if newest := self._log:  # `append` may replace it in another thread
             newest.sync()
 
-    def read(self, keys: Sequence[Key]) -> list[Entry]:
-        """Return the events with these keys that are stored and intact, in this order.
+    def read(self, epoch: str, numbers: Sequence[int]) -> list[Entry]:
+        """Return the events of an epoch with these numbers that are stored and intact, in any order.
 
         Raises:
             OSError: if a segment cannot be read.
         """
-        found = dict[Key, Entry]()
+        found = dict[int, Entry]()
         for segment in reversed(tuple(self._segments)):  # the newest copy of an event is intact
-            wanted = [key for key in keys if key in segment and key not in found]
+            span = range(segment.first, segment.last + 1) if segment.epoch == epoch else ()
+            wanted = [number for number in numbers if number in span and number not in found]
             if not wanted:
                 continue
             with suppress(FileNotFoundError), LogReader(segment.path) as reader:  # may be pruned by now
-                for epoch, seq in wanted:
-                    if record := next(reader.records(segment.offsets[seq - segment.first]), None):
+                for number in wanted:
+                    if record := next(reader.records(segment.offsets[number - segment.first]), None):
                         finger, _, payload = record.data.partition(b"\n")
-                        found[epoch, seq] = Entry(epoch, seq, finger.decode(), payload)
-        return [found[key] for key in keys if key in found]
+                        found[number] = Entry(epoch, number, finger.decode(), payload)
+        return [*found.values()]
 
-    def prune(self, oldest_unsent: Key | None) -> None:
-        """Delete the oldest segments if there are too many, up to that of the first unsent event.
+    def prune(self, sent: Mapping[str, int]) -> None:
+        """Delete the oldest segments if there are too many, up to the first with an unsent event.
 
         Raises:
             OSError: if a file cannot be deleted.
         """
-        while len(self._segments) > SEGMENTS and not (oldest_unsent and oldest_unsent in self._segments[0]):
+        while len(self._segments) > SEGMENTS and self._segments[0].last <= sent[self._segments[0].epoch]:
             files.unlink(self._segments.pop(0).path)
 
     def close(self) -> None:
@@ -173,16 +165,7 @@ class OutboxLog:
             os.close(self._lock)
         self._log = self._lock = None
 
-    def _lock_folder(self) -> None:
-        if self.path.is_file():
-            raise InputError(str(self.path), "is a file, must be a folder: name another outbox")
-        files.make_folder(self.path, parents=True, mode=0o700)
-        self._lock = lock(self.path)
-        if self._lock is None:
-            reason = "is in use: two runs may not publish as one rig; name another rig or outbox"
-            raise EndpointError(str(self.path), reason)
-
-    def _read_segment(self, reader: LogReader, unsent: dict[Key, str]) -> None:
+    def _read_segment(self, reader: LogReader, sent: dict[str, int]) -> None:
         if reader.identity not in (IDENTITY, b""):
             raise InputError(
                 str(reader.path), "is not part of an outbox: name another outbox, or move it away"
@@ -198,14 +181,12 @@ class OutboxLog:
             begin = json.loads(first.data)
             segment = _Segment(reader.path, str(begin["epoch"]), int(begin["first"]))
             for offset, data in records:
-                finger, newline, _ = data.partition(b"\n")
-                if newline:
+                if b"\n" in data:
                     segment.offsets.append(offset)
-                    unsent.setdefault((segment.epoch, segment.last), finger.decode())
                     continue
                 acknowledgements += 1
                 for epoch, seq in json.loads(data)["acknowledged"]:
-                    unsent.pop((epoch, seq), None)
+                    sent[epoch] = max(sent.get(epoch, 0), seq)
         except (ValueError, TypeError, LookupError) as error:
             reason = f"has an invalid record at byte {reader.end}: move it away"
             raise InputError(str(reader.path), reason) from error

@@ -4,7 +4,8 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, TypeAlias
+from itertools import takewhile
+from typing import TYPE_CHECKING
 
 from connectors.events import CONTENT_TYPE
 from connectors.mqtt.broker import Broker, Message, Pauses
@@ -19,22 +20,22 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("slipflow")
 
-WINDOW = 16  # events, and as many documents, in flight
+WINDOW = 16  # events in flight
 CLOSE_TIMEOUT = 3.0  # s, to send what is pending on close
 HEALTH_EVERY = 5.0  # s, between health reports, and between attempts on refused topics
 
 _SHARED_NAME = (
     "%s: connections of %s end after moments; probably another run has this name, too: give each rig its own"
 )
-Outgoing: TypeAlias = tuple[Message, Entry | None]  # a message, and its event if it is one of the outbox
 
 
 class Sender:
     """A task that publishes events, the retained documents they change, and answers to gap requests.
 
     After each connection it repeats the retained documents, which the broker may have lost, and restarts at
-    the oldest unacknowledged event. A topic that the broker refuses does not delay other topics. Each turn
-    sends a window of events and a slice of an answer, so that neither delays the other for long.
+    the oldest unacknowledged event. A message that the broker refuses is sent again with the next health
+    report; the events after a refused one wait for it. Each turn sends a window of events and a slice of an
+    answer, so that neither delays the other for long.
     """
 
     def __init__(
@@ -54,8 +55,7 @@ class Sender:
         self._replies = GapReplies(outbox, topic)
         self._retained: dict[str, Message] = {}  # by topic
         self._changed: dict[str, Message] = {}  # retained documents to publish, by topic
-        self._refused = set[str]()  # topics that are skipped until the next attempt
-        self._logged = set[str]()  # topics whose refusal was logged
+        self._refused: dict[str, bool] = {}  # topics; True: skipped until the next attempt
         self._health_due = 0.0  # loop time, s
         self._link: Link | None = None
         self._wake, self._closing = asyncio.Event(), False
@@ -79,16 +79,15 @@ class Sender:
         self._identifier, self._will = identifier, will
         for message in retained:
             self._retained[message.topic] = message
-        if connect_required:
-            try:
-                await self._send_retained(await self._connect())
-            except BaseException:
-                await self._disconnect()
+        try:
+            link = await self._connect()
+            if reason := next(filter(None, await link.send_all(retained)), ""):
+                raise EndpointError(str(self._broker), reason)  # noqa: TRY301 - as one that `_connect` raises
+            self._changed.clear()
+        except BaseException as error:
+            await self._disconnect()
+            if connect_required or not isinstance(error, EndpointError):
                 raise
-        else:  # raise the errors that a retry cannot fix
-            self._broker.login()
-            if self._broker.scheme == "mqtts":
-                self._broker.tls()
         self._health_due = asyncio.get_running_loop().time() + HEALTH_EVERY
         self._sending = BackgroundTask(str(self._broker), "the sending of events", self._keep_sending())
 
@@ -135,27 +134,17 @@ class Sender:
         from connectors.mqtt.broker_link import connect
 
         self._link = link = await connect(self._broker, self._identifier, self._will, self._wake)
-        self._refused.clear()
         self._replies.clear()
-        self._changed = dict(self._retained)
+        self._changed, self._refused = dict(self._retained), dict.fromkeys(self._refused, False)
+        requests = f"{self._topic}/replay/request"
         try:
-            await link.listen(f"{self._topic}/replay/request")
+            await link.listen(requests)
+            self._refused.pop(requests, None)
         except EndpointError as error:
             if not link.alive:
                 raise
-            self._log_once("replay/request", f"{error}; consumers cannot request missed events")
+            self._refuse(requests, f"{error}; consumers cannot request missed events")
         return link
-
-    async def _send_retained(self, link: "Link") -> None:
-        """Publish the retained documents.
-
-        Raises:
-            EndpointError: if the connection is lost, or one is refused.
-        """
-        for refusal in await link.send_all(list(self._retained.values())):
-            if refusal:
-                raise EndpointError(str(self._broker), refusal)
-        self._changed.clear()
 
     async def _send_pending(self, link: "Link") -> bool:
         """Send one window of everything pending; if there is nothing, wait and return False.
@@ -170,26 +159,20 @@ class Sender:
         if now >= self._health_due:
             self._health_due = now + HEALTH_EVERY
             self._retain(self._health())
-            self._refused.clear()
-        entries = await self._outbox.next(
-            WINDOW, lambda finger: self._event_topic(finger) not in self._refused
-        )
+            self._refused = dict.fromkeys(self._refused, False)
+        events_refused = any(skipped for topic, skipped in self._refused.items() if topic.endswith("/event"))
+        entries = [] if events_refused else await self._outbox.next(WINDOW)
+        documents = [each for each in self._changed.values() if not self._refused.get(each.topic)]
         replies = await self._replies.next(now)
-        outgoing: list[Outgoing] = [
-            *((message, None) for message in self._changed.values() if message.topic not in self._refused),
-            *((self._event(entry), entry) for entry in entries),
-            *((message, None) for message in replies),
-        ]
-        sent = list[Entry]()
-        refusals = await link.send_all([message for message, _ in outgoing])
-        for (message, entry), refusal in zip(outgoing, refusals, strict=True):
-            if not refusal:
+        outgoing = [*documents, *map(self._event, entries), *replies]
+        refusals = await link.send_all(outgoing)
+        for message, refusal in zip(outgoing, refusals[: len(outgoing) - len(replies)], strict=False):
+            if refusal:
+                self._refuse(message.topic, f"{self._broker}: {refusal}; retrying")
+            else:
                 self._accept(message)
-                sent += [entry] if entry else []
-            elif message not in replies:  # the client repeats its request
-                self._refused.add(message.topic)
-                self._log_once(message.topic, f"{self._broker}: {refusal}; retrying")
-        if sent:
+        answered = zip(entries, refusals[len(documents) :], strict=False)
+        if sent := [entry for entry, refusal in takewhile(lambda each: not each[1], answered)]:
             self._outbox.acknowledge(sent)
             for message in self._documents(sent):
                 self._retain(message)
@@ -203,24 +186,20 @@ class Sender:
         """Publish a retained document now and after each connection, until a newer one replaces it."""
         self._retained[message.topic] = self._changed[message.topic] = message
 
-    def _event_topic(self, finger: str) -> str:
-        return f"{self._topic}/{finger}/event"
-
     def _event(self, entry: Entry) -> Message:
-        topic = self._event_topic(entry.finger)
+        topic = f"{self._topic}/{entry.finger}/event"
         return Message(topic, entry.payload, retain=False, content_type=CONTENT_TYPE)
 
     def _accept(self, message: Message) -> None:
         if self._changed.get(message.topic) is message:
             del self._changed[message.topic]
-        if message.topic in self._logged:
-            self._logged.discard(message.topic)
+        if self._refused.pop(message.topic, None) is not None:
             log.warning("%s: accepts %s again", self._broker, message.topic)
 
-    def _log_once(self, topic: str, text: str) -> None:
-        if topic not in self._logged:
-            self._logged.add(topic)
+    def _refuse(self, topic: str, text: str) -> None:
+        if topic not in self._refused:
             log.warning("%s", text)
+        self._refused[topic] = True
 
     async def _disconnect(self) -> None:
         if self._link:

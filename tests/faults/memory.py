@@ -38,7 +38,7 @@ def excess(world: World) -> Iterator[str]:
             if rows > PART_ROWS:
                 yield f"{rows} rows of a table are in memory"
         if isinstance(queue.sink, WatchedMqtt) and hasattr(queue.sink, "_outbox"):
-            events = len(inside(queue.sink, "_outbox", "_undurable"))
+            events = len(inside(queue.sink, "_outbox", "_memory"))
             if events > EVENTS_MAX:
                 yield f"{events} events are in the memory of the outbox"
 

@@ -1,5 +1,6 @@
 """Bugs that are planted on purpose, to prove that the simulation finds such bugs."""
 
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -59,10 +60,10 @@ def _forget_failure(self: append_log.AppendLog) -> None:
     self.suspect = False
 
 
-def _prune_unsent(self: Any, oldest: object) -> None:
-    del oldest
+def _prune_unsent(self: Any, sent: object) -> None:
+    del sent
     with patch.object(outbox_log, "SEGMENTS", 1):
-        _PRUNE(self, None)
+        _PRUNE(self, defaultdict(lambda: 10**9))
 
 
 def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:

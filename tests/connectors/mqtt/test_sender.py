@@ -1,5 +1,4 @@
 import asyncio
-import logging
 from collections.abc import AsyncGenerator, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from itertools import count
@@ -10,12 +9,12 @@ import pytest
 from connectors.events import Event
 from connectors.mqtt import broker_link as module
 from connectors.mqtt import gap_replay, sender
-from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message, Pauses
+from connectors.mqtt.broker import Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.sender import Sender
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError
 from operators.ports import BackOff
 from tests.inside import inside
 from tests.waiting import until
@@ -164,16 +163,12 @@ async def test_events_are_sent_once_in_order_and_documents_after_their_acknowled
 
 
 async def test_without_a_required_connection_a_sender_starts_and_sends_later(
-    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
     peer.away = True
     async with opened(tmp_path) as (sending, outbox):
         with pytest.raises(EndpointError, match="no broker"):
             await sending.start("me", WILL, ONLINE)
-        with monkeypatch.context() as patch:
-            patch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
-            with pytest.raises(InputError, match="cannot read the password"):
-                await sending.start("me", WILL, ONLINE, connect_required=False)
         await sending.start("me", WILL, ONLINE, connect_required=False)
         await outbox.append([DRAFT] * 2)
         await until(lambda: bool(caplog.messages))
@@ -187,25 +182,27 @@ async def test_without_a_required_connection_a_sender_starts_and_sends_later(
     assert "connected again, 2 events pending" in back
 
 
-async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allowed(
-    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("refused", ["head", "1/event"])
+async def test_events_wait_for_a_refused_event_but_not_for_a_refused_document(
+    tmp_path: Path,
+    peer: Peer,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    refused: str,
 ) -> None:
     monkeypatch.setattr(sender, "HEALTH_EVERY", 0.1)
-    with caplog.at_level(logging.WARNING):
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            peer.refused |= {f"{RIG}/1/event", f"{RIG}/head"}
-            for number in range(40):
-                await outbox.append([draft(str(number % 2))])
-            await until(lambda: outbox.waiting == 20 and len(sending.refused) == 2)
-            assert peer.events() == [str(number) for number in range(1, 41, 2)]
-            peer.refused.clear()
-            await until(lambda: not outbox.waiting and not sending.refused and ("head", "40") in peer.got)
-            assert peer.events()[20:] == [str(number) for number in range(2, 41, 2)]
-    assert sorted(caplog.messages) == [
-        f"mqtt://localhost:1883: accepts {RIG}/1/event again",
-        f"mqtt://localhost:1883: accepts {RIG}/head again",
-        *["mqtt://localhost:1883: refuses; retrying"] * 2,
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        peer.refused.add(f"{RIG}/{refused}")
+        await outbox.append([draft(str(number // 20)) for number in range(40)])
+        first = 40 if refused == "head" else 20
+        await until(lambda: outbox.waiting == 40 - first and sending.refused == [f"{RIG}/{refused}"])
+        peer.refused.clear()
+        await until(lambda: not outbox.waiting and not sending.refused and ("head", "40") in peer.got)
+        assert list(dict.fromkeys(peer.events())) == [str(number) for number in range(1, 41)]
+    assert caplog.messages == [
+        "mqtt://localhost:1883: refuses; retrying",
+        f"mqtt://localhost:1883: accepts {RIG}/{refused} again",
     ]
 
 
