@@ -5,7 +5,6 @@ version counts. The recorded streams and the label by arm speed stay as they are
 """
 
 import os
-import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from itertools import islice, pairwise
@@ -23,14 +22,13 @@ from operators.ports import Description
 from storage import files
 from storage.description import check_identity, identity
 from storage.files import lock
-from storage.layout import FINGER_MAX, LABELS, files_of
+from storage.layout import FINGER_MAX, LABEL_FILES, LABELS, file_name, numbered_files
 
 FORMAT: Final = 1
 VALUES: Final = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
 
 SPANS_MAX: Final = 100_000  # of a session
 
-_FILE: Final = re.compile(r"[0-9]{6,12}\.json")
 _TIME_LIMIT: Final = 2**63  # ns
 
 
@@ -81,21 +79,6 @@ class HandLabels:
         return label, by_hand
 
 
-def label_file(version: int) -> str:
-    """Return the path of a version within the folder of the session."""
-    return f"{LABELS}/{version:06d}.json"
-
-
-def label_versions(folder: Path) -> dict[int, Path]:
-    """Return the files of the hand labels of a session by version, in order.
-
-    Raises:
-        SlipflowError: as `files_of`.
-    """
-    found = (path for path in files_of(folder, f"{LABELS}/*.json") if _FILE.fullmatch(path.name))
-    return dict(sorted((int(path.stem), path) for path in found))
-
-
 def read_hand_labels(folder: Path, about: Description, version: int | None = None) -> HandLabels:
     """Return the newest hand labels of a session, or those of a version; version 0: none.
 
@@ -108,7 +91,7 @@ def read_hand_labels(folder: Path, about: Description, version: int | None = Non
         InputError: if there is no such version, or its file is damaged or belongs to another session.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
-    versions = label_versions(folder)
+    versions = numbered_files(folder, LABEL_FILES)
     number = max(versions, default=0) if version is None else version
     if number == 0:
         return HandLabels()
@@ -148,13 +131,13 @@ def write_hand_labels(
         held = lock(folder / LABELS, wait=True)
         assert held is not None, "waited for it"
         try:
-            newest = max(label_versions(folder), default=0)
+            newest = max(numbered_files(folder, LABEL_FILES), default=0)
             if newest != based_on:
                 reason = f"has version {newest} of hand labels, not {based_on}: load it and mark again"
                 raise InputError(str(folder), reason)
             content = {"format": FORMAT, "version": newest + 1, **identity(about)}
             content["spans"] = [asdict(each) for each in ordered]
-            files.put_checked(folder / label_file(newest + 1), content)
+            files.put_checked(folder / file_name(LABEL_FILES, newest + 1), content)
         finally:
             os.close(held)
     except OSError as error:

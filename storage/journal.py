@@ -32,11 +32,12 @@ from storage import append_log, files
 from storage.append_log import AppendLog, LogReader
 from storage.layout import (
     JOURNAL,
+    SEGMENTS,
     TABLE_OF,
     Table,
+    file_name,
     files_of,
-    segment_file,
-    segments,
+    row_size,
 )
 
 VERSION: Final = 6  # of identity and records; other versions refuse the segment
@@ -254,7 +255,7 @@ class Journal:
             log.close()
 
     def _create(self, number: int, rows: Iterable[NumberedRows] = ()) -> AppendLog:
-        path = self._folder / segment_file(number)
+        path = self._folder / file_name(SEGMENTS, number)
         return AppendLog.create(path, identity(self._session, number), encode(rows))
 
 
@@ -297,8 +298,7 @@ def delete_journal(folder: Path) -> None:
     Raises:
         OSError: some of it is left.
     """
-    unfinished = files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")
-    for path in [*segments(folder).values(), *unfinished]:
+    for path in (*files_of(folder, SEGMENTS), *files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")):
         files.unlink(path)
     files.remove_folder(folder / JOURNAL)
     files.sync(folder)
@@ -306,7 +306,8 @@ def delete_journal(folder: Path) -> None:
 
 def identity(session: str, number: int) -> bytes:
     """Return the identity of a segment."""
-    return json.dumps(_identity(session, number)).encode()
+    about = {"version": VERSION, "session": session, "segment": number, "columns": _columns_sha256()}
+    return json.dumps(about).encode()
 
 
 def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
@@ -314,7 +315,7 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
     records = list[bytes]()
     for first, batch in rows:
         kind = type(batch)
-        names, most = columns(kind), (append_log.LIMIT - _HEAD.size) // _row_size(kind, batch.cells)
+        names, most = columns(kind), (append_log.LIMIT - _HEAD.size) // row_size(kind, batch.cells)
         for start in range(0, len(batch), most):
             part = batch if len(batch) <= most else batch[start : start + most]
             head = _HEAD.pack(_CODES[kind], batch.finger, batch.cells, len(part), first + start)
@@ -325,7 +326,7 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
 def _decode(record: bytes, where: str) -> NumberedRows:
     code, finger, cells, count, first = _HEAD.unpack(record[: _HEAD.size].ljust(_HEAD.size, b"\xff"))
     kind = _KINDS[code] if code < len(_KINDS) else None
-    if kind is None or len(record) != _HEAD.size + count * _row_size(kind, cells):
+    if kind is None or len(record) != _HEAD.size + count * row_size(kind, cells):
         raise InputError(where, f"has an invalid record{_MOVE}")
     values, offset = list[NDArray[Any]](), _HEAD.size
     for column in columns(kind).values():
@@ -334,11 +335,6 @@ def _decode(record: bytes, where: str) -> NumberedRows:
         values.append(column_values.reshape(shape))
         offset += column_values.nbytes
     return NumberedRows(first, kind(*values, finger=finger))
-
-
-def _row_size(kind: type[Batch], cells: int) -> int:
-    """Return the size of a row in bytes."""
-    return sum(each.dtype.itemsize * math.prod(each.sizes(cells)) for each in columns(kind).values())
 
 
 def _check_identity(content: bytes, where: str, session: str, number: int) -> None:
@@ -351,17 +347,13 @@ def _check_identity(content: bytes, where: str, session: str, number: int) -> No
         about: dict[str, Any] = dict(json.loads(content))
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(where, f"has an invalid description{_MOVE}: {error!r}") from error
-    expected = _identity(session, number)
+    expected = json.loads(identity(session, number))
     if about.get("version") != VERSION or about.get("columns") != expected["columns"]:
         reason = f"has version {about.get('version')!r} or other columns; this slipflow reads {VERSION}"
         raise InputError(where, f"{reason}: recover it with the software named in session.json")
     if about != expected:
         own = f"segment {about.get('segment')!r} of session {about.get('session')!r}"
         raise InputError(where, f"is {own}; move it back there")
-
-
-def _identity(session: str, number: int) -> dict[str, Any]:
-    return {"version": VERSION, "session": session, "segment": number, "columns": _columns_sha256()}
 
 
 @cache

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
 from functools import cached_property
+from math import prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -51,14 +52,14 @@ SESSIONS: Final = "sessions"
 SESSION: Final = "session.json"
 MANIFEST: Final = "MANIFEST.json"
 JOURNAL: Final = "journal"
+SEGMENTS: Final = "journal/*.wal"  # numbered files
 DAMAGED: Final = "damaged"
 LABELS: Final = "labels"
+LABEL_FILES: Final = "labels/*.json"  # numbered files
 FINGER_MAX: Final = 2**15 - 1  # largest number of a fingertip, which is stored in 16 bits
 
 _LINK: Final = "is a link; a session must have none: replace it by the files"
 _MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
-_DIGITS: Final = 12  # of the number of a file at most
-_SEGMENT: Final = re.compile(rf"[0-9]{{6,{_DIGITS}}}\.wal")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -80,20 +81,12 @@ class Table:
 
     @property
     def pattern(self) -> str:
-        """Glob pattern of its files."""
-        return f"{self.name}/part-*.parquet" if self.parted else self.file(0)
+        """Pattern of its files within the folder of the session, as `file_name` takes it."""
+        return f"{self.name}/part-*.parquet" if self.parted else f"{self.name}.parquet"
 
     def has(self, path: str) -> bool:
-        """Return true if a path within the folder of the session belongs to the table."""
+        """Return true if the path of a listed file is one of the table."""
         return path.startswith((f"{self.name}/", f"{self.name}."))
-
-    def file(self, number: int) -> str:
-        """Return the path of a file within the folder of the session.
-
-        >>> SAMPLES.file(2), SLIPS.file(0)
-        ('samples/part-000002.parquet', 'slips.parquet')
-        """
-        return f"{self.name}/part-{number:06d}.parquet" if self.parted else f"{self.name}.parquet"
 
 
 TOUCH: Final = Table("touch", Touch)
@@ -110,34 +103,48 @@ TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
 )
 
 
-def is_table_file(path: str) -> bool:
-    """Return true if a path within the folder of a session is that of a table's file.
+def table_of(path: str) -> Table | None:
+    """Return the table of a file by its path within the folder of a session, None if it is no table's.
 
-    >>> is_table_file("touch/part-000012.parquet"), is_table_file("touch/part-000012 (copy).parquet")
-    (True, False)
+    >>> table_of("touch/part-000012.parquet") == TOUCH, table_of("touch/part-000012 (copy).parquet")
+    (True, None)
     """
-    return any(table.has(path) and path == table.file(part_number(path)) for table in TABLES)
+    found = (table for table in TABLES if table.has(path) and file_number(table.pattern, path) is not None)
+    return next(found, None)
 
 
-def part_number(path: str) -> int:
-    """Return the number of a table's file by its path, 0 for a single-file table or more than 12 digits.
+def file_name(pattern: str, number: int) -> str:
+    """Return the path of a numbered file within the folder of a session.
 
-    >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
-    (12, 0)
+    >>> file_name("touch/part-*.parquet", 12), file_name("slips.parquet", 0)
+    ('touch/part-000012.parquet', 'slips.parquet')
     """
-    stem = path.rpartition("-")[2].partition(".")[0]
-    return int(stem) if stem.isdecimal() and len(stem) <= _DIGITS else 0
+    return pattern.replace("*", f"{number:06d}")
 
 
-def table_files(folder: Path, table: Table) -> list[str]:
-    """Return the paths of a table's files within the folder of a session, in order; others are ignored.
+def file_number(pattern: str, path: str) -> int | None:
+    """Return the number of a file by its path, 0 if its pattern has none, None if it does not match."""
+    match = re.fullmatch(re.escape(pattern).replace(r"\*", "([0-9]{6,12})"), path)
+    number = int(match[1]) if match and match.groups() else 0
+    return number if match and path == file_name(pattern, number) else None
+
+
+def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
+    """Return the files of a session that match a pattern by number, in order; others are ignored.
 
     Raises:
         SlipflowError: as `files_of`.
     """
-    base = f"{table.name}/" if table.parted else ""
-    found = (base + path.name for path in files_of(folder, table.pattern))
-    return sorted((path for path in found if path == table.file(part_number(path))), key=part_number)
+    found = (
+        (file_number(pattern, path.relative_to(folder).as_posix()), path)
+        for path in files_of(folder, pattern)
+    )
+    return dict(sorted((number, path) for number, path in found if number is not None))
+
+
+def row_size(kind: type[Batch], cells: int) -> int:
+    """Return the size of a row of a fingertip with this number of cells, in bytes."""
+    return sum(each.dtype.itemsize * prod(each.sizes(cells)) for each in columns(kind).values())
 
 
 def session_folder(root: Path, session: str) -> Path:
@@ -172,19 +179,12 @@ def new_session_folder(root: Path, session: str) -> Path:
     return session_folder(root, session)
 
 
-def session_names(root: Path) -> list[str]:
-    """Return the names of the sessions of a dataset, sorted; include folders without read permission.
+def session_folders(path: Path, *, lost: bool = False) -> list[Path]:
+    """Return the folder of a session, or those of all sessions of a dataset, in the order of their names.
 
-    Raises:
-        SlipflowError: as `files_of`, or if the folder of the sessions is a file.
-    """
-    return [path.name for path in _session_folders(root) if may_exist(path / SESSION)]
-
-
-def session_folders(path: Path) -> list[Path]:
-    """Return the folder of a session, or those of all sessions of a dataset, sorted.
-
-    A folder without session.json counts if it has any other file: then session.json is lost.
+    Args:
+        path: Folder of the dataset or session.
+        lost: Also return the folders that have files, but no session.json.
 
     Raises:
         InputError: if the path is neither, or may not be read.
@@ -192,13 +192,17 @@ def session_folders(path: Path) -> list[Path]:
     """
     if may_exist(path / SESSION) or may_exist(path / MANIFEST):
         return [path]
-    if not path.is_dir():
-        reason = "is a file, must be the folder of a dataset or session"
-        raise InputError(str(path), reason if path.exists() else "there is no such folder")
-    if not may_exist(path / DATASET) and not may_exist(path / SESSIONS):
+    sessions = path / SESSIONS
+    if not path.is_dir() or sessions.is_file():
+        path, kind = (sessions, "of the sessions") if path.is_dir() else (path, "of a dataset or session")
+        reason = f"is a file, must be the folder {kind}" if path.exists() else "there is no such folder"
+        raise InputError(str(path), reason)
+    if not may_exist(path / DATASET) and not may_exist(sessions):
         raise InputError(str(path), f"is not a session (no {SESSION}) and not a dataset (no {DATASET})")
-    found = _session_folders(path)
-    return [each for each in found if may_exist(each / SESSION) or (each.is_dir() and _has_files(each))]
+    found = files_of(path, f"{SESSIONS}/*")
+    return [
+        each for each in found if may_exist(each / SESSION) or (lost and each.is_dir() and _has_files(each))
+    ]
 
 
 def may_exist(path: Path) -> bool:
@@ -229,30 +233,9 @@ def files_of(folder: Path, pattern: str) -> list[Path]:
     return [folder / base / each for each in sorted(names) if fnmatch(each, name)]
 
 
-def _session_folders(root: Path) -> list[Path]:
-    if (root / SESSIONS).is_file():
-        raise InputError(str(root / SESSIONS), "is a file, must be the folder of the sessions")
-    return files_of(root, f"{SESSIONS}/*")
-
-
 def _has_files(folder: Path) -> bool:
     """Return true if a folder has more than files that a killed process did not complete."""
     return any(path.suffix != SCRATCH for path in files_of(folder, "*"))
-
-
-def segments(folder: Path) -> dict[int, Path]:
-    """Return the segments of a journal by number, in order; none if there is no journal.
-
-    Raises:
-        SlipflowError: as `files_of`.
-    """
-    found = (path for path in files_of(folder, f"{JOURNAL}/*.wal") if _SEGMENT.fullmatch(path.name))
-    return dict(sorted((int(path.stem), path) for path in found))
-
-
-def segment_file(number: int) -> str:
-    """Return the path of a segment within the folder of the session, such as ``journal/000007.wal``."""
-    return f"{JOURNAL}/{number:06d}.wal"
 
 
 def check_links(folder: Path) -> None:

@@ -11,14 +11,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
 
-from operators.batch import s
 from operators.errors import EndpointError, InputError
 from operators.ports import Description
 from storage import files
 from storage.arrow import pa, pq
 from storage.description import UNKNOWN, check_identity, identity
-from storage.layout import MANIFEST, TABLES, Table, is_table_file, may_exist, table_files
-from storage.schema import fields_of, fitted, flat
+from storage.layout import MANIFEST, TABLES, Table, file_name, may_exist, numbered_files, row_size, table_of
+from storage.schema import cells_of, fields_of, flat, schema
 
 MANIFEST_VERSION: Final = 2
 UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
@@ -52,15 +51,6 @@ class Part:
         """Line of the manifest; cached, since a manifest is rewritten with every part."""
         return json.dumps(vars(self))  # `asdict` takes five times as long
 
-    @property
-    def extent(self) -> str:
-        """Rows and duration as text.
-
-        >>> Part("touch/part-000000.parquet", 6000, 0, 60 * s, "0" * 64).extent
-        '6,000 rows, 60.0 s'
-        """
-        return f"{self.rows:,} rows, {(self.last - self.first) / s:.1f} s"
-
 
 def write_manifest(
     folder: Path, parts: Iterable[Part], put: files.Put = files.put, about: Description = UNKNOWN
@@ -89,7 +79,7 @@ def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]
         InputError: if the manifest is missing or damaged, or belongs to another session.
     """
     path = folder / MANIFEST
-    if not may_exist(path) and not any(table_files(folder, table) for table in TABLES):
+    if not may_exist(path) and not any(numbered_files(folder, table.pattern) for table in TABLES):
         return {}
     content = files.read_json(path, files.LIST_LIMIT)
     if content.get("version") != MANIFEST_VERSION or not isinstance(content.get("parts"), list):
@@ -144,49 +134,50 @@ def write_parts(
     if table.parted:
         files.make_folder(folder / table.name)
     return [
-        write_part(folder, table.file(number + file), rows.slice(start, size), put)
+        write_part(folder, file_name(table.pattern, number + file), rows.slice(start, size), put)
         for file, start in enumerate(range(0, max(len(rows), 1), size))
     ]
 
 
-def read_part(path: Path, expected: pa.Schema, sha256: str) -> pa.Table:
-    """Return the columns of a schema from a Parquet file, which may have others.
+def read_part(folder: Path, part: Part) -> pa.Table:
+    """Return the columns of a table from its Parquet file, which may have others.
 
     Args:
-        path: The file.
-        expected: Columns that it must have, with their types and units.
-        sha256: Its sha256 (hex) in the manifest.
+        folder: Folder of the session.
+        part: Entry of the manifest.
 
     Raises:
-        InputError: if the file is missing, damaged, lacks a column or has more than `UNPACKED_LIMIT` bytes.
+        InputError: if the file is missing, damaged, not as listed, lacks a column or has more than
+            `UNPACKED_LIMIT` bytes.
         EndpointError: if the disk fails or memory is short.
     """
+    path, table = folder / part.path, table_of(part.path)
+    assert table, "the manifest lists files of tables only"
     data = files.read(path)
-    if hashlib.sha256(data).hexdigest() != sha256:
+    if hashlib.sha256(data).hexdigest() != part.sha256:
         raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        expected = fitted(expected, file.schema_arrow)
-        _check_columns(path, file.schema_arrow, expected)
-        if (
-            file.metadata.num_rows * sum(_row_size(field.type) for field in fields_of(expected))
-            > UNPACKED_LIMIT
-        ):
+        cells = cells_of(file.schema_arrow)
+        if file.metadata.num_rows * row_size(table.kind, cells) > UNPACKED_LIMIT:
             reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
             raise InputError(str(path), reason)
+        expected = schema(table, cells=cells)
+        _check_columns(path, file.schema_arrow, expected)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
-        table: pa.Table = file.read(expected.names, use_threads=False)
-        table.validate(full=True)
+        rows: pa.Table = file.read(expected.names, use_threads=False)
+        rows.validate(full=True)
     except MemoryError as error:
         raise EndpointError(str(path), files.NO_MEMORY) from error
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
         raise InputError(str(path), f"is damaged or not a Parquet file: {reason}; restore a copy") from error
-    for field in fields_of(expected):
-        column = table[field.name]
-        if not field.nullable and (column.null_count or flat(column).null_count):
-            raise InputError(str(path), f"column {field.name!r} has nulls, must have none")
-    return table
+    for name in expected.names:
+        if rows[name].null_count or flat(rows[name]).null_count:
+            raise InputError(str(path), f"column {name!r} has nulls, must have none")
+    if Part.of(part.path, rows, part.sha256) != part:
+        raise InputError(str(path), "has other rows or times than in the manifest; restore a copy of both")
+    return rows
 
 
 def _digest(lines: str) -> str:
@@ -200,16 +191,13 @@ def _part(where: str, content: Any) -> Part:
         InputError: if it is invalid.
     """
     values: dict[str, Any] = content if isinstance(content, dict) else {}
-    if {key: type(value) for key, value in values.items()} != _TYPES:
-        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types; {_FIX}")
-    part = Part(**values)
-    times = -_TIME_LIMIT <= part.first <= part.last < _TIME_LIMIT
-    empty = not part.rows and not part.first and not part.last and "/" not in part.path  # a single-file table
-    if (part.rows < 1 and not empty) or not times or not _SHA256.fullmatch(part.sha256):
-        raise InputError(where, f"has invalid rows, times or sha256; {_FIX}")
-    if not is_table_file(part.path):
-        raise InputError(where, f"{part.path!r} is not a file of a session; {_FIX}")
-    return part
+    if {key: type(value) for key, value in values.items()} == _TYPES:
+        part, table = Part(**values), table_of(values["path"])
+        whole = part.rows > 0 or (not (part.rows or part.first or part.last) and table and not table.parted)
+        times = -_TIME_LIMIT <= part.first <= part.last < _TIME_LIMIT
+        if table and whole and times and _SHA256.fullmatch(part.sha256):
+            return part
+    raise InputError(where, f"must be {', '.join(_TYPES)} of a file of the session; {_FIX}")
 
 
 def _encodings(schema: pa.Schema) -> dict[str, str]:
@@ -226,13 +214,6 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
     return encodings
 
 
-def _row_size(kind: Any) -> int:
-    """Return the size of a value in bytes."""
-    if pa.types.is_fixed_size_list(kind):
-        return int(kind.list_size) * _row_size(kind.value_type)
-    return 8 if pa.types.is_dictionary(kind) else -(-int(kind.bit_width) // 8)
-
-
 def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
     columns = {field.name: field for field in fields_of(found)}
     for field in fields_of(expected):
@@ -241,15 +222,13 @@ def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
             raise InputError(str(path), f"has no column {field.name!r}; it has {', '.join(columns)}")
         if _with_any_index(other.type) != _with_any_index(field.type):
             raise InputError(str(path), f"column {field.name!r} is {other.type}, must be {field.type}")
-        if _unit(other) != _unit(field):
-            reason = f"column {field.name!r} is in {_unit(other)!r}, must be in {_unit(field)!r}"
-            raise InputError(str(path), reason)
+        one, must_be = (
+            (each.metadata or {}).get(b"unit", b"").decode(errors="replace") for each in (other, field)
+        )
+        if one != must_be:
+            raise InputError(str(path), f"column {field.name!r} is in {one!r}, must be in {must_be!r}")
 
 
 def _with_any_index(kind: Any) -> Any:
     """Return a type; if it is a dictionary, with one index type: pyarrow 16 reads int32 for all."""
     return pa.dictionary(pa.int32(), kind.value_type) if pa.types.is_dictionary(kind) else kind
-
-
-def _unit(field: pa.Field[Any]) -> str:
-    return (field.metadata or {}).get(b"unit", b"").decode(errors="replace")

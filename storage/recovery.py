@@ -23,14 +23,14 @@ from storage.layout import (
     JOURNAL,
     LABELS,
     MANIFEST,
+    SEGMENTS,
     TABLES,
     Table,
     check_links,
+    file_number,
     files_of,
     may_exist,
-    part_number,
-    segments,
-    table_files,
+    numbered_files,
 )
 from storage.parts import Part, read_manifest, write_manifest, write_parts
 from storage.schema import to_arrow
@@ -122,16 +122,19 @@ class Repair:
         self.lost, self.cut, self.done = list[str](), list[str](), list[str]()  # as in `Recovery`
         self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
         self._listed = listed = read_manifest(folder, about)
-        self._parts = {table.name: [listed[path] for path in _sorted(table, listed)] for table in TABLES}
-        self._strays = [path for table in TABLES for path in table_files(folder, table) if path not in listed]
-        self._logs = segments(folder)
+        self._parts = {
+            table.name: [part for path, part in listed.items() if table.has(path)] for table in TABLES
+        }
+        found = [path for table in TABLES for path in numbered_files(folder, table.pattern).values()]
+        self._strays = [path for path in found if path.relative_to(folder).as_posix() not in listed]
+        self._logs = numbered_files(folder, SEGMENTS)
         self._damaged = list[Path]()  # segments to be kept
         self._rows = Counter[str]()  # that the journal adds, by table
         self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
         self._read_journal()
         self._covered = not self._strays or (bool(self._logs) and not self.lost)  # the journal has their rows
         if not self._covered:
-            self.done += [f"{path}: is not in the manifest" for path in self._strays]
+            self.done += [f"{path.relative_to(folder)}: is not in the manifest" for path in self._strays]
         if not self._rows and (folder / JOURNAL).is_dir():
             self.done.append("its journal was deleted: all its rows are in parts")
         if "end_ns" not in about:
@@ -147,7 +150,7 @@ class Repair:
         before = {name: _count(parts) for name, parts in self._parts.items()}
         if not self._covered:
             for path in self._strays:
-                self._move_away(self._folder / path)
+                self._move_away(path)
         self._commit_journal()
         after = {name: _count(parts) for name, parts in self._parts.items()}
         found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
@@ -226,7 +229,7 @@ class Repair:
                 buffers.setdefault(table, Buffer(type(rows), cells=rows.cells)).add(rows)
         for table, buffer in buffers.items():
             before = self._parts[table.name] if table.parted else []
-            number = 1 + max((part_number(part.path) for part in before), default=-1)
+            number = 1 + max((file_number(table.pattern, part.path) or 0 for part in before), default=-1)
             found = to_arrow(table, buffer.batches())
             parts = write_parts(self._folder, table, found, number=number, limit=PART_ROWS)
             self._parts[table.name] = [*before, *parts]
@@ -251,9 +254,9 @@ class Repair:
         """Delete temporary files, strays and the journal, keep damaged files; return lines for `done`."""
         for path in self._damaged:
             self._move_away(path)
-        listed, scratch = {part.path for part in self._all_parts()}, scratch_files(self._folder)
-        strays = [self._folder / path for path in self._strays if path not in listed]
-        for path in (*scratch, *strays):
+        listed = {self._folder / part.path for part in self._all_parts()}
+        scratch = scratch_files(self._folder)
+        for path in (*scratch, *(path for path in self._strays if path not in listed)):
             files.unlink(path)
         if (self._folder / JOURNAL).is_dir():
             delete_journal(self._folder)
@@ -274,10 +277,6 @@ def scratch_files(folder: Path) -> list[Path]:
     patterns = "*", f"{LABELS}/*", *(f"{table.name}/*" for table in TABLES if table.parted)
     found = (path for each in patterns for path in files_of(folder, each + files.SCRATCH))
     return [path for path in found if not path.is_dir()]
-
-
-def _sorted(table: Table, paths: Iterable[str]) -> list[str]:
-    return sorted(filter(table.has, paths), key=part_number)
 
 
 def _count(parts: Iterable[Part]) -> int:

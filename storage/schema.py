@@ -7,13 +7,12 @@ the fields.
 from __future__ import annotations  # they name classes of pyarrow
 
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS, CELLS, EVERY, Batch, Column, columns
+from operators.batch import BAROMETERS, CELLS, EVERY, Batch, columns
 from operators.errors import BatchError
 from storage.arrow import pa
 from storage.layout import TABLE_OF, TABLES, Table
@@ -29,17 +28,23 @@ def schema(table: Table, kind: type[Batch] | None = None, cells: int = BAROMETER
     >>> schema(TOUCH).field("counts").type
     FixedSizeListType(fixed_size_list<item: int16>[6])
     """
-    return _schema(table, (kind or table.kind).__name__, cells)
+    fields = list[Any]()
+    for name, column in table.columns.items():
+        element: pa.DataType = pa.from_numpy_dtype(column.dtype)
+        if column.names:
+            element = pa.dictionary(cast("Any", element), pa.string())
+        of_row = pa.list_(element, *column.sizes(cells)) if column.shape else element
+        unit = {"unit": column.unit} if column.unit else None
+        fields.append(pa.field(name, of_row, nullable=False, metadata=unit))
+    if table.finger:
+        fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
+    return pa.schema(fields, {"batch": (kind or table.kind).__name__})
 
 
-def fitted(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
-    """Return an expected schema with as many cells as a file has."""
-    kept = fields_of(expected)
-    for field in fields_of(found):
-        if field.name in _PER_CELL and pa.types.is_fixed_size_list(field.type):
-            kept = [_resized(each, int(field.type.list_size)) for each in kept]
-            break
-    return pa.schema(kept, cast("Any", expected.metadata))
+def cells_of(found: pa.Schema) -> int:
+    """Return the number of cells of the fingertip in a file; of a TakkTile if it has no column per cell."""
+    kinds = (field.type for field in fields_of(found) if field.name in _PER_CELL)
+    return next((int(kind.list_size) for kind in kinds if pa.types.is_fixed_size_list(kind)), BAROMETERS)
 
 
 def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
@@ -69,7 +74,7 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
         BatchError: if a name has no code.
     """
     values: dict[str, NDArray[Any]] = {}
-    cells = next((_width(rows, name) for name in table.columns if name in _PER_CELL), 0)
+    cells = cells_of(rows.schema)
     for name, each in columns(kind).items():
         if name in table.columns:
             if each.names:
@@ -105,35 +110,6 @@ def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:
     return values
 
 
-@cache
-def _schema(table: Table, batch: str, cells: int) -> pa.Schema:
-    return pa.schema(_fields(table, cells), {"batch": batch})
-
-
-def _fields(table: Table, cells: int) -> list[pa.Field[Any]]:
-    fields = [_field(name, each, cells) for name, each in table.columns.items()]
-    if table.finger:
-        fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
-    return fields
-
-
-def _field(name: str, column: Column, cells: int) -> pa.Field[Any]:
-    element: pa.DataType = pa.from_numpy_dtype(column.dtype)
-    if column.names:
-        element = pa.dictionary(cast("Any", element), pa.string())
-    kind = pa.list_(element, *column.sizes(cells)) if column.shape else element
-    return pa.field(name, kind, nullable=False, metadata={"unit": column.unit} if column.unit else None)
-
-
-def _resized(field: pa.Field[Any], cells: int) -> pa.Field[Any]:
-    """Return a field; if it has one value per cell, with another number of cells."""
-    return field.with_type(pa.list_(field.type.value_type, cells)) if field.name in _PER_CELL else field
-
-
-def _width(rows: pa.Table, name: str) -> int:
-    return int(cast("Any", rows).schema.field(name).type.list_size)
-
-
 def _array(values: NDArray[Any], names: Sequence[str]) -> pa.Array[Any]:
     array: pa.Array[Any] = pa.array(values.reshape(-1))
     if names:
@@ -153,11 +129,8 @@ def _codes(kind: type[Batch], column: str, names: tuple[str, ...], rows: pa.Tabl
     Raises:
         BatchError: if a name has no code.
     """
-    array: Any = flat(rows[column])
-    stored: list[str] = array.dictionary.to_pylist()
+    stored: list[Any] = cast("Any", rows)[column].to_pylist()
     if unknown := set(stored) - set(names):
         reason = f"holds {', '.join(map(repr, sorted(unknown)))}, must be one of {', '.join(names)}"
         raise BatchError(kind.__name__, column, reason)
-    code = np.array([names.index(each) for each in stored], columns(kind)[column].dtype)
-    codes: NDArray[Any] = code[array.indices.to_numpy()]
-    return codes
+    return np.array([names.index(each) for each in stored], columns(kind)[column].dtype)

@@ -20,15 +20,13 @@ from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_h
 from storage.layout import (
     JOURNAL,
     SESSION,
-    SESSIONS,
     TABLE_OF,
     TABLES,
     Table,
     check_links,
     may_exist,
-    part_number,
-    session_folder,
-    session_names,
+    session_folders,
+    table_of,
 )
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
@@ -52,16 +50,16 @@ class _Part:
 
 
 @lru_cache(maxsize=PARTS_IN_MEMORY)
-def _read_part(path: Path, table: Table, sha256: str) -> _Part:
+def _read_part(folder: Path, part: Part) -> _Part:
     """Read and verify a part; fingertips that are read in parallel share it.
 
     Raises:
         InputError: as `read_part`, or if the type of its rows is not that of the table.
     """
-    rows = read_part(path, schema.schema(table), sha256)
+    rows, table = read_part(folder, part), cast("Table", table_of(part.path))
     stored = schema.batch_type(rows)
     if stored is None or not issubclass(stored, table.kind):
-        raise InputError(str(path), _OTHER_TYPE)
+        raise InputError(str(folder / part.path), _OTHER_TYPE)
     return _Part(stored, schema.from_arrow(table, stored, rows))
 
 
@@ -114,12 +112,7 @@ class Session:
     @property
     def tables(self) -> tuple[str, ...]:
         """Tables that it has."""
-        return tuple(table.name for table in TABLES if self._paths(table))
-
-    def files(self, kind: type[Batch]) -> dict[str, str]:
-        """Return the files with its rows of `kind`, in order, with their sha256."""
-        table = TABLE_OF.get(kind)
-        return {path: self.listed[path].sha256 for path in (self._paths(table) if table else [])}
+        return tuple(table.name for table in TABLES if self._listed(table))
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip of the rows of `kind`; measured, if session.json does not state it.
@@ -176,13 +169,12 @@ class Session:
         """
         import polars as pl
 
-        parts: list[pa.Table] = []
-        for each in TABLES:
-            if each.name == table:
-                parts += [
-                    read_part(self.folder / path, schema.schema(each), self.listed[path].sha256)
-                    for path in self._paths(each)
-                ]
+        parts = [
+            read_part(self.folder, part)
+            for each in TABLES
+            if each.name == table
+            for part in self._listed(each)
+        ]
         if not parts:
             reason = f"has no table {table!r}; it has {', '.join(self.tables) or 'none'}"
             raise InputError(str(self.folder), reason)
@@ -211,17 +203,17 @@ class Session:
     def _parts(self, kind: type[Batch]) -> Iterator[_Part]:
         """Yield the parts with rows of `kind`; all parts of a table have rows of one type."""
         table, first = TABLE_OF.get(kind), None
-        for path in self._paths(table) if table else ():
-            part = _read_part(self.folder / path, cast("Table", table), self.listed[path].sha256)
+        for listed in self._listed(table) if table else ():
+            part = _read_part(self.folder, listed)
             if first not in {None, part.kind}:
-                raise InputError(str(self.folder / path), _OTHER_TYPE)
+                raise InputError(str(self.folder / listed.path), _OTHER_TYPE)
             first = part.kind
             if issubclass(first, kind):
                 yield part
 
-    def _paths(self, table: Table) -> list[str]:
-        """Return the files of a table in order."""
-        return sorted(filter(table.has, self.listed), key=part_number)
+    def _listed(self, table: Table) -> list[Part]:
+        """Return the parts of a table in order."""
+        return [part for path, part in self.listed.items() if table.has(path)]
 
 
 def _recover(folder: Path) -> None:
@@ -240,14 +232,11 @@ def _warn(folder: Path, reason: str) -> None:
 
 
 def _only_session(dataset: Path) -> Path:
-    if not (dataset / SESSIONS).is_dir():
-        reason = f"is not a session (no {SESSION}) and not a dataset (no folder {SESSIONS!r})"
-        raise InputError(str(dataset), reason if dataset.exists() else "there is no such folder")
-    names = session_names(dataset)
-    if not names:
+    folders = session_folders(dataset)
+    if len(folders) == 1:
+        return folders[0]
+    if not folders:
         raise InputError(str(dataset), "has no session: record one, or give another dataset")
-    if len(names) > 1:
-        example = dataset / SESSIONS / names[-1]
-        reason = f"has {len(names)} sessions: give one, such as {example}; it has {', '.join(names)}"
-        raise InputError(str(dataset), reason)
-    return session_folder(dataset, names[0])
+    names = ", ".join(each.name for each in folders)
+    reason = f"has {len(folders)} sessions: give one, such as {folders[-1]}; it has {names}"
+    raise InputError(str(dataset), reason)

@@ -3,29 +3,32 @@
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
-from operators.batch import Touch
+from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Description
-from storage import files, schema
+from storage import files
 from storage.description import VersionError, read_dataset, read_session
 from storage.files import locked
-from storage.hand_labels import HandLabels, label_file, label_versions, read_hand_labels
+from storage.hand_labels import HandLabels, read_hand_labels
 from storage.layout import (
     DAMAGED,
     JOURNAL,
+    LABEL_FILES,
     MANIFEST,
     SAMPLES,
     SESSION,
     TABLES,
+    TOUCH,
     check_links,
+    file_name,
     files_of,
-    is_table_file,
     may_exist,
+    numbered_files,
     session_folders,
+    table_of,
 )
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import Repair, scratch_files
@@ -88,7 +91,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     root, findings = Path(path), list[SessionFinding]()
-    folders = session_folders(root)
+    folders = session_folders(root, lost=True)
     if folders != [root]:
         try:
             read_dataset(root)
@@ -126,7 +129,7 @@ class _SessionCheck:
         self.findings, self.read = list[SessionFinding](), list[int]()
         self.about: Description = {}
         self.listed: Mapping[str, Part] = {}
-        self._spans = dict[int, tuple[int, int]]()  # first and last time (ns) of the rows of a fingertip
+        self._extents = list[tuple[int, int, set[object]]]()  # first and last time, fingertips of touch parts
         self._has_links = self._has_manifest = True
         with self._losing():
             check_links(folder)
@@ -142,14 +145,17 @@ class _SessionCheck:
         if self._has_links:  # reported already
             return
         self._check_description()
-        for path, part in self.listed.items():
+        for part in self.listed.values():
             try:
-                self.read.append(self._check_part(path, part))
+                rows = read_part(self.folder, part)
+                self.read.append(len(rows))
+                if part.path.startswith((TOUCH.name, SAMPLES.name)):
+                    self._extents.append((part.first, part.last, set(rows["finger"].unique().to_pylist())))
             except InputError as error:
-                self._add("lost", f"{error}; it had {part.extent}")
+                extent = f"{part.rows:,} rows, {(part.last - part.first) / s:.1f} s"
+                self._add("lost", f"{error}; it had {extent}")
             yield
-        with self._losing():
-            self._check_hand_labels()
+        self._check_hand_labels()
         self._check_rest()
 
     def _add(self, weight: Weight, text: str) -> None:
@@ -191,10 +197,8 @@ class _SessionCheck:
             self._add("repaired" if rows else "lossy", text)
             for each in recovered["lost"]:
                 cut = each in recovered.get("cut", [])
-                self._add(
-                    "lossy" if cut else "lost",
-                    f"{'cut off' if cut else 'lost'} before it was recovered: {each}",
-                )
+                how = "cut off" if cut else "lost"
+                self._add("lossy" if cut else "lost", f"{how} before it was recovered: {each}")
         elif about.get("error"):
             self._add("note", f"ended early: {about['error']}")
 
@@ -202,10 +206,8 @@ class _SessionCheck:
         sinks = cast("dict[str, dict[str, int]]", about.get("sinks", {}))
         for name, sink in sinks.items():
             if sink["dropped"]:
-                self._add(
-                    "lossy" if sink.get("records") else "note",
-                    f"{sink['dropped']} rows for {name} were dropped",
-                )
+                weight: Weight = "lossy" if sink.get("records") else "note"
+                self._add(weight, f"{sink['dropped']} rows for {name} were dropped")
         written = [sink["rows"] for sink in sinks.values() if sink.get("records")]
         found = sum(part.rows for part in self.listed.values())
         if len(written) == 1 and found < written[0]:  # several sinks are several datasets
@@ -213,45 +215,30 @@ class _SessionCheck:
             self._add("lost", text)
         for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
             for gap in stream["gaps"]:
-                seconds = (gap["end"] - gap["start"]) / 1e9
-                self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
-
-    def _check_part(self, path: str, part: Part) -> int:
-        """Return the rows of a listed part.
-
-        Raises:
-            InputError: if it is damaged.
-        """
-        table = next(table for table in TABLES if table.has(path))
-        rows = read_part(self.folder / path, schema.schema(table), part.sha256)
-        if Part.of(path, rows, part.sha256) != part:
-            raise InputError(str(self.folder / path), "has other rows or times than in the manifest")
-        if issubclass(table.kind, Touch):
-            for finger, batch in schema.from_arrow(table, table.kind, rows).items():
-                first, last = int(batch.time.min()), int(batch.time.max())
-                known = self._spans.get(finger, (first, last))
-                self._spans[finger] = min(known[0], first), max(known[1], last)
-                if table is SAMPLES and (batch.time[1:] < batch.time[:-1]).any():
-                    self._add("lossy", f"{path}: rows of finger {finger} are not in order of time")
-        return len(rows)
+                self._add(
+                    "note", f"{name} was down for {(gap['end'] - gap['start']) / s:.1f} s: {gap['reason']}"
+                )
 
     def _check_hand_labels(self) -> None:
         """Read all versions of the hand labels, numbered from 1, and compare the newest with the rows."""
-        versions = label_versions(self.folder)
-        missing = max(versions, default=0) - len(versions)
-        if missing:
-            number = next(each for each in count(1) if each not in versions)
-            more = f", and {missing - 1} others" if missing > 1 else ""
-            self._add("lost", f"{label_file(number)}: is missing, with its labels{more}")
         labels = HandLabels()
-        for number in versions:
-            with self._losing():
-                labels = read_hand_labels(self.folder, self.about, number)
+        with self._losing():
+            versions = numbered_files(self.folder, LABEL_FILES)
+            missing = sorted({*range(1, max(versions, default=0))} - versions.keys())
+            if missing:
+                more = f", and {len(missing) - 1} others" if missing[1:] else ""
+                self._add("lost", f"{file_name(LABEL_FILES, missing[0])}: is missing, with its labels{more}")
+            for number in versions:
+                with self._losing():
+                    labels = read_hand_labels(self.folder, self.about, number)
         for span in labels.spans if self.read and not self._recording else ():
-            first, last = self._spans.get(span.finger, (0, -1))
-            if span.end <= first or span.begin > last:
+            if not any(
+                span.begin <= last and first < span.end and span.finger in fingers
+                for first, last, fingers in self._extents
+            ):
                 where = f"finger {span.finger}, {span.begin} to {span.end} ns"
-                self._add("lossy", f"{label_file(labels.version)}: labels no row of the session: {where}")
+                path = file_name(LABEL_FILES, labels.version)
+                self._add("lossy", f"{path}: labels no row of the session: {where}")
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""
@@ -282,5 +269,5 @@ class _SessionCheck:
             self._add("note", f"{path.name} was left over: slipflow verify --repair deletes it")
         for table in TABLES:
             for path in files_of(self.folder, table.pattern):
-                if not is_table_file(path.relative_to(self.folder).as_posix()):
+                if table_of(path.relative_to(self.folder).as_posix()) is None:
                     self._add("note", f"{path}: is not read: its name is not that of a part")

@@ -69,14 +69,12 @@ def export(
     typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
 
 
-def _sessions(dataset: Path) -> "list[Session]":
+def _sessions(path: Path) -> "list[Session]":
     from storage import Session
-    from storage.layout import SESSION, session_folder, session_names
+    from storage.layout import session_folders
 
-    names = [] if (dataset / SESSION).exists() else session_names(dataset)
-    if not names:
-        return [Session.open(dataset)]  # raises an error if it is not a session
-    return [Session.open(session_folder(dataset, name)) for name in names]
+    # opening a dataset without sessions raises an error that says so
+    return [Session.open(each) for each in session_folders(path) or [path]]
 
 
 def _lerobot(source: Path, out: Path, rate: int | None) -> tuple[dict[str, Any], str]:

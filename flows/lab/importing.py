@@ -23,7 +23,7 @@ from operators.errors import InputError, ParameterError
 from operators.ports import Description
 from storage import Dataset
 from storage.description import read_session
-from storage.layout import session_folder, session_names
+from storage.layout import SESSION, SESSIONS, may_exist, session_folder, session_folders
 
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _DEFAULT: Final = ColumnMap()
@@ -304,8 +304,8 @@ def _traces(
 
 def _resolutions(out: Path) -> dict[str, float]:
     """Return the resolution of a dataset's touch by its unit."""
-    for name in session_names(out) if out.is_dir() else ():
-        fingertips: Any = read_session(session_folder(out, name)).get("fingertips")
+    for folder in session_folders(out) if (out / SESSIONS).is_dir() else ():
+        fingertips: Any = read_session(folder).get("fingertips")
         if tip := fingertips and fingertips.get("touch"):
             return {str(tip["unit"]): float(tip["resolution"])}
     return {}
@@ -317,9 +317,10 @@ def _is_present(out: Path, session: str, sha256: str) -> bool:
     Raises:
         InputError: if it has a session of that name of another file, or an incomplete one.
     """
-    if not out.is_dir() or session not in session_names(out):
+    folder = session_folder(out, session)
+    if not may_exist(folder / SESSION):
         return False
-    about = read_session(session_folder(out, session))
+    about = read_session(folder)
     if f'"sha256": "{sha256}"' not in json.dumps(about.get("sources")):
         raise InputError(str(out), f"already has a session {session!r} of another file: rename the file")
     if not about.get("complete"):

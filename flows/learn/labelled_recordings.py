@@ -39,7 +39,7 @@ from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
 from operators.score import forward_fill
 from storage import HandLabels, Session
-from storage.layout import SESSION, may_exist, session_folder, session_names
+from storage.layout import session_folders
 
 Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
 TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
@@ -180,12 +180,6 @@ def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
         return ""
     samples, total = sum(each.by_hand for each in recordings), sum(map(len, recordings))
     return f"labels by hand: {samples:,} of {total:,} samples of {counted(len(recordings), 'recording')}"
-
-
-def session_folders(path: Path) -> list[Path]:
-    """Return the folders of a dataset's sessions, in the order of their names; or a session's own folder."""
-    alone = may_exist(path / SESSION) or not path.is_dir()
-    return [path] if alone else [session_folder(path, name) for name in session_names(path)]
 
 
 def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:

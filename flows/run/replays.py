@@ -37,7 +37,7 @@ from operators.ports import Recording
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import make_folder
-from storage.layout import SESSION, SESSIONS, session_folder, session_names
+from storage.layout import SESSION, SESSIONS, session_folder, session_folders
 
 _UNPACKED: Final = list[
     TemporaryDirectory[str]
@@ -246,8 +246,8 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
     for path in paths:
         if path.suffix == ".csv" or (path / SESSION).exists() or not (path / SESSIONS).is_dir():
             found.append(path)  # opening reports the error if it is not a recording
-        elif names := session_names(path):
-            found += [session_folder(path, name) for name in names]
+        elif folders := session_folders(path):
+            found += folders
         else:
             raise InputError(str(path), "has no session: give a dataset, a session's folder, or a trace")
     return found

@@ -12,7 +12,7 @@ from time import perf_counter
 
 from flows.run.executor import workers
 from flows.run.replays import FlowSource, Replays
-from storage.layout import session_folder, session_names
+from storage.layout import session_folders
 from tests.benchmarks.machine import print_head
 from tests.dask_cluster import DaskCluster
 from tests.flows.run.recorder import Recorder
@@ -57,7 +57,7 @@ def main() -> None:
             recorder = Recorder(root / "in", f"s{number:02d}", seed=number)
             recorder.record(seconds, tuple(range(8)))
             recorder.close()
-        short, *long = [session_folder(root / "in", name) for name in session_names(root / "in")]
+        short, *long = session_folders(root / "in")
         replay([short], root / "first", None)  # compiles
         speeds, expected = dict[int, float](), dict[str, bytes]()
         with DaskCluster(root) as cluster:

@@ -38,7 +38,7 @@ from operators import Batch, Clock, Run, Score, Source, Touch, Zero, s
 from operators.batch import concat
 from storage import Session, load_detector
 from storage.description import describe_dataset, describe_session
-from storage.layout import TOUCH, session_folder
+from storage.layout import TOUCH, file_name, session_folder
 from storage.parts import Part, write_manifest, write_part
 from storage.schema import to_arrow
 from tests.benchmarks.bench_replay import BLOCK, RATE, Watch, replay
@@ -166,7 +166,7 @@ def tiled(touch: Touch, out: Path, hours: int) -> Path:
         first = number % tiles * BLOCK
         time_ = start + (number * BLOCK + np.arange(BLOCK)) * (s // RATE)
         rows = to_arrow(TOUCH, [replace(touch[first : first + BLOCK], time=time_)])
-        parts.append(write_part(folder, TOUCH.file(number), rows))
+        parts.append(write_part(folder, file_name(TOUCH.pattern, number), rows))
     write_manifest(folder, parts)
     return folder
 

@@ -28,7 +28,7 @@ from operators.batch import (
 from operators.fingertip import Fingertip, grid
 from operators.ports import Description, Run
 from storage import Dataset, Session
-from storage.layout import TABLE_OF
+from storage.layout import TABLE_OF, session_folders
 from storage.writer import SessionWriter
 
 STREAMS: list[tuple[type[Batch], int]] = [(Touch, 0), (Touch, 1), (Motion, -1), (Labelled, 0), (Slips, 0)]
@@ -189,3 +189,7 @@ def rows(
             assert getattr(found, name).tobytes() == getattr(written, name)[: len(found)].tobytes()
         counts.append(len(found))
     return counts
+
+
+def session_names(root: Path) -> list[str]:
+    return [folder.name for folder in session_folders(root)]

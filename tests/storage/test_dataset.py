@@ -33,9 +33,8 @@ from operators.errors import BatchError, EndpointError, InputError, ParameterErr
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 from storage import Dataset, Session, description, files, verify
 from storage.description import describe_dataset, read_dataset
-from storage.layout import session_names
 from tests.storage.disk_steps import observed
-from tests.storage.made import new_batch, new_run
+from tests.storage.made import new_batch, new_run, session_names
 
 
 @pytest.fixture

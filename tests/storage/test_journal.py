@@ -16,7 +16,7 @@ from operators.errors import InputError
 from storage import journal
 from storage.append_log import AppendLog
 from storage.journal import Journal, NumberedRows, SegmentReader
-from storage.layout import segments
+from storage.layout import SEGMENTS, numbered_files
 from tests.storage.made import new_batch
 
 
@@ -38,7 +38,7 @@ def found(folder: Path) -> list[tuple[str, int, int]]:
     """Type, first row and rows of each record."""
     return [
         (type(each.batch).__name__, each.first, len(each.batch))
-        for number, path in segments(folder).items()
+        for number, path in numbered_files(folder, SEGMENTS).items()
         for each in rows(path, number)
     ]
 
@@ -53,7 +53,7 @@ def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete_and
         written.begin_commit()
         written.append(NumberedRows(2 * number + 1, new_batch(Touch, 1)))  # not committed
         written.rotate([slips])
-        assert list(segments(tmp_path)) == [number, number + 1]
+        assert list(numbered_files(tmp_path, SEGMENTS)) == [number, number + 1]
     assert found(tmp_path) == [("Slips", 0, 2), ("Touch", 6, 1), ("Touch", 7, 1), ("Slips", 0, 2)]
 
 

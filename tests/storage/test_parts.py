@@ -4,10 +4,10 @@ import errno
 import hashlib
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -17,13 +17,14 @@ from hypothesis import strategies as st
 from operators.batch import EVERY, Episodes, Touch
 from operators.errors import BatchError, EndpointError, InputError
 from storage import arrow, files
-from storage.layout import EPISODES, MOTION, TOUCH
+from storage.layout import EPISODES, MOTION, TOUCH, file_name
 from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
-from storage.schema import from_arrow, schema, to_arrow
+from storage.schema import from_arrow, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
 
+PATH = "touch/part-000000.parquet"
 GOOD: dict[str, Any] = {
-    "path": "touch/part-000000.parquet",
+    "path": PATH,
     "rows": 3,
     "first": 1,
     "last": 5,
@@ -40,13 +41,18 @@ def rows() -> pa.Table:
 def data(rows: pa.Table, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """Content of a part."""
     folder = tmp_path_factory.mktemp("part")
-    write_part(folder, "part.parquet", rows)
-    return (folder / "part.parquet").read_bytes()
+    write(folder, rows)
+    return (folder / PATH).read_bytes()
 
 
-def read(path: Path, expected: pa.Schema | None = None) -> pa.Table:
-    """Read a part that the manifest lists as it is."""
-    return read_part(path, expected or schema(TOUCH), hashlib.sha256(path.read_bytes()).hexdigest())
+def write(folder: Path, rows: pa.Table, path: str = PATH) -> Part:
+    (folder / path).parent.mkdir(exist_ok=True)
+    return write_part(folder, path, rows)
+
+
+def read(folder: Path) -> pa.Table:
+    """Read a file that the manifest lists with its sha256."""
+    return read_part(folder, Part(PATH, 0, 0, 0, hashlib.sha256((folder / PATH).read_bytes()).hexdigest()))
 
 
 @settings(deadline=None)
@@ -54,39 +60,41 @@ def read(path: Path, expected: pa.Schema | None = None) -> pa.Table:
 def test_a_flipped_bit_or_a_cut_is_always_reported(
     data: bytes, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int, *, cut: bool
 ) -> None:
-    path, position = tmp_path_factory.getbasetemp() / "flipped.parquet", round(place * (len(data) - 1))
+    folder, position = tmp_path_factory.getbasetemp(), round(place * (len(data) - 1))
     damaged = bytearray(data[:position] if cut else data)
     if not cut:
         damaged[position] ^= 1 << bit
-    path.write_bytes(damaged)
-    with pytest.raises(InputError, match=r"flipped\.parquet: is damaged"):
-        read_part(path, schema(TOUCH), hashlib.sha256(data).hexdigest())
+    (folder / PATH).parent.mkdir(exist_ok=True)
+    (folder / PATH).write_bytes(damaged)
+    with pytest.raises(InputError, match=r"part-000000\.parquet: is damaged"):
+        read_part(folder, Part(PATH, 10, 0, 0, hashlib.sha256(data).hexdigest()))
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1PAR1", b"no parquet at all"])
 def test_a_file_that_is_not_parquet_is_reported(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "x.parquet").write_bytes(content)
-    with pytest.raises(InputError, match=r"x\.parquet: is damaged or not a Parquet file"):
-        read(tmp_path / "x.parquet")
+    (tmp_path / "touch").mkdir()
+    (tmp_path / PATH).write_bytes(content)
+    with pytest.raises(InputError, match=r"part-000000\.parquet: is damaged or not a Parquet file"):
+        read(tmp_path)
 
 
 def test_a_part_that_unpacks_to_too_much_is_refused_unread(tmp_path: Path) -> None:
     """A file of a few MB declares 72 million rows."""
-    zeros = {"time": np.zeros(600_000, np.int64)}
-    expected: pa.Schema = cast("Any", pa).schema([cast("Any", schema(TOUCH)).field("time")])
-    path = tmp_path / "bomb.parquet"
-    with cast("Any", pq).ParquetWriter(path, expected, compression="zstd") as writer:
-        for _ in range(120):
-            writer.write_table(cast("Any", pa).table(zeros, schema=expected))
-    assert path.stat().st_size < 2_000_000
+    zeros = to_arrow(TOUCH, [Touch.zeros(600_000)])
+    (tmp_path / "touch").mkdir()
+    with cast("Any", pq).ParquetWriter(tmp_path / PATH, zeros.schema, compression="zstd") as writer:
+        for _ in range(24):
+            writer.write_table(zeros)
+    assert (tmp_path / PATH).stat().st_size < 2_000_000
+    del zeros
     before = pa.total_allocated_bytes()
     with pytest.raises(InputError, match="unpacks to more than 512 MiB"):
-        read(path, expected)
+        read(tmp_path)
     assert pa.total_allocated_bytes() == before
 
 
 def test_a_failing_disk_or_a_lack_of_memory_is_not_reported_as_damage(
-    data: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rows: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail_disk(*_: object) -> bytes:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -94,20 +102,19 @@ def test_a_failing_disk_or_a_lack_of_memory_is_not_reported_as_damage(
     def fail_memory(*_: object, **__: object) -> None:
         raise pa.ArrowMemoryError("malloc of size 64 failed")
 
-    (tmp_path / "x.parquet").write_bytes(data)
+    part = write(tmp_path, rows)
     with monkeypatch.context() as patch:
         patch.setattr(files, "read_at", fail_disk)
         with pytest.raises(EndpointError, match="Input/output error"):
-            read(tmp_path / "x.parquet")
+            read_part(tmp_path, part)
     monkeypatch.setattr(arrow.pq, "ParquetFile", fail_memory)
     with pytest.raises(EndpointError, match="not enough memory"):
-        read(tmp_path / "x.parquet")
+        read_part(tmp_path, part)
 
 
 def test_other_columns_and_nulls_are_reported_by_name_and_further_ones_ignored(
     rows: pa.Table, tmp_path: Path
 ) -> None:
-    path = tmp_path / "x.parquet"
     counts = cast("Any", pa).array([[0.5] * 6] * len(rows), pa.list_(pa.float64(), 6))
     holed = cast("Any", pa).array([[None, 0, 0, 0, 0, 0]] * len(rows), pa.list_(pa.int16(), 6))
     column = pa.field("counts", pa.list_(pa.int16(), 6), metadata={"unit": "count"})
@@ -118,11 +125,13 @@ def test_other_columns_and_nulls_are_reported_by_name_and_further_ones_ignored(
         (rows.set_column(0, time, rows["time"]), "column 'time' is in 'ms', must be in 'ns'"),
         (rows.set_column(2, column, holed), "column 'counts' has nulls"),
     ):
-        write_part(tmp_path, "x.parquet", table)
+        part = write(tmp_path, table)
         with pytest.raises(InputError, match=complaint):
-            read(path)
-    write_part(tmp_path, "x.parquet", rows.append_column("more", rows["time"]))
-    assert read(path).equals(rows)
+            read_part(tmp_path, part)
+    part = write(tmp_path, rows.append_column("more", rows["time"]))
+    assert read_part(tmp_path, part).equals(rows)
+    with pytest.raises(InputError, match="has other rows or times than in the manifest"):
+        read_part(tmp_path, replace(part, rows=9))
 
 
 def test_names_with_indices_of_another_type_are_read_as_pyarrow_16_returns_them(tmp_path: Path) -> None:
@@ -132,9 +141,8 @@ def test_names_with_indices_of_another_type_are_read_as_pyarrow_16_returns_them(
             wide = field.with_type(pa.dictionary(pa.int32(), pa.string()))
             column = cast("Any", pa).array(table[field.name].to_pylist(), wide.type)
             table = table.set_column(place, wide, column)
-    write_part(tmp_path, "x.parquet", table)
-    found = read(tmp_path / "x.parquet", schema(EPISODES))
-    same(from_arrow(EPISODES, Episodes, found)[EVERY], batch)
+    part = write(tmp_path, table, "episodes.parquet")
+    same(from_arrow(EPISODES, Episodes, read_part(tmp_path, part))[EVERY], batch)
 
 
 times = st.integers(-(2**63), 2**63 - 1)
@@ -145,7 +153,11 @@ def parts(draw: st.DrawFn) -> Part:
     first, last = sorted([draw(times), draw(times)])
     sha256 = draw(st.binary(min_size=32, max_size=32)).hex()
     return Part(
-        MOTION.file(draw(st.integers(0, 10_000_000))), draw(st.integers(1, 2**40)), first, last, sha256
+        file_name(MOTION.pattern, draw(st.integers(0, 10_000_000))),
+        draw(st.integers(1, 2**40)),
+        first,
+        last,
+        sha256,
     )
 
 

@@ -12,7 +12,7 @@ import pytest
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.files import lock
-from storage.layout import segments
+from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
 from tests.storage.made import leave, new_run, rows, side_by_side
 
@@ -71,7 +71,7 @@ def test_an_unlisted_part_that_the_journal_may_not_have_is_kept_aside(left: Path
     if journal == "none":
         recover(left)
     else:
-        path = max(segments(left).values())
+        path = max(numbered_files(left, SEGMENTS).values())
         flip(path, path.stat().st_size // 2)
     stray = left / "touch/part-000007.parquet"
     copyfile(left / "touch/part-000000.parquet", stray)
@@ -103,7 +103,7 @@ def test_without_its_manifest_a_session_is_refused_reported_and_not_changed(left
 
 
 def test_damage_in_the_middle_ends_the_tables_there_and_the_segment_is_kept(left: Path) -> None:
-    path = max(segments(left).values())
+    path = max(numbered_files(left, SEGMENTS).values())
     data = path.read_bytes()
     (left / "touch/part-000009.parquet.tmp").write_text("half")
     data = flip(path, data.rindex(b"SLIP", 0, data.rindex(b"SLIP")) + 20)  # in the last frame but one
@@ -120,7 +120,7 @@ def test_damage_in_the_middle_ends_the_tables_there_and_the_segment_is_kept(left
 
 @pytest.mark.parametrize("tail", ["cut", "zeros"])
 def test_a_torn_end_costs_its_own_rows_only(left: Path, tail: str) -> None:
-    path = max(segments(left).values())
+    path = max(numbered_files(left, SEGMENTS).values())
     data = path.read_bytes()
     torn = data[: data.rindex(b"SLIP")] + bytes(100) if tail == "zeros" else data[:-1]
     path.write_bytes(torn)
@@ -150,7 +150,7 @@ def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(
 ) -> None:
     if lost == "all":
         rmtree(left / "journal")
-    for path in segments(left).values() if lost == "segments" else []:
+    for path in numbered_files(left, SEGMENTS).values() if lost == "segments" else []:
         path.unlink()
     for _ in range(2):
         assert verify(left).worst == worst
@@ -160,7 +160,7 @@ def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(
 
 
 def test_a_flipped_bit_in_the_journal_never_gives_a_wrong_row(left: Path, tmp_path: Path) -> None:
-    paths = [*segments(left).values()]
+    paths = [*numbered_files(left, SEGMENTS).values()]
     for seed in range(60):
         folder = copytree(left, tmp_path / str(seed))
         path = folder / paths[seed % len(paths)].relative_to(left)

@@ -29,9 +29,8 @@ from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from operators.ports import Recording
 from storage import Dataset, Session, files
-from storage.layout import TABLE_OF, TOUCH
+from storage.layout import TABLE_OF
 from storage.parts import read_manifest, read_part, write_manifest, write_part
-from storage.schema import schema
 from tests.storage.made import new_batch, new_episodes, new_run, rows, write
 
 KINDS: list[type[Batch]] = [Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
@@ -186,7 +185,7 @@ def test_a_damaged_part_is_reported_wherever_it_is_read(folder: Path) -> None:
 
 def test_parts_without_a_batch_type_or_with_different_ones_are_reported(folder: Path) -> None:
     path, listed = "touch/part-000001.parquet", read_manifest(folder)
-    rows = read_part(folder / path, schema(TOUCH), listed[path].sha256)
+    rows = read_part(folder, listed[path])
     metadata: list[dict[str, str]] = [{}, {"batch": "Motion"}, {"batch": "Zeroed"}, {"batch": "dict"}]
     for each in metadata:
         listed[path] = write_part(folder, path, rows.replace_schema_metadata(each))

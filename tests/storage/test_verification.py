@@ -7,12 +7,12 @@ from shutil import copyfile, copytree, rmtree
 
 import pytest
 
-from operators.batch import Labelled, ms, s
+from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Gap, SinkStatus, SourceStatus
 from storage import LabelSpan, Session, verify
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import new_batch, new_run, side_by_side, two_sessions, write
+from tests.storage.made import new_run, side_by_side, two_sessions, write
 
 BATCHES = side_by_side(5)
 
@@ -82,12 +82,6 @@ def test_a_manifest_with_fewer_rows_than_the_closed_session_counts_is_a_loss(tmp
         "10 of the 125 recorded rows are in no part": "lost",
         "touch/part-000002.parquet": "repairable",
     }
-
-
-def test_samples_out_of_the_order_of_time_are_found(tmp_path: Path) -> None:
-    write(tmp_path, new_run(), [new_batch(Labelled, 3, start=50 * ms), new_batch(Labelled, 3)]).close()
-    [finding] = verify(tmp_path).findings
-    assert (finding.weight, "are not in order of time" in finding.text) == ("lossy", True)
 
 
 def test_a_session_that_is_being_recorded_is_checked_up_to_its_last_commit(tmp_path: Path) -> None:

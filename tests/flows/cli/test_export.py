@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 
 from storage import Session
-from storage.layout import session_names
 from tests.command import error, slipflow
+from tests.storage.made import session_names
 
 
 @pytest.fixture(scope="module")

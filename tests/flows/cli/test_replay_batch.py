@@ -8,8 +8,8 @@ from pathlib import Path
 from shutil import copytree
 from time import monotonic, sleep
 
-from storage.layout import session_names
 from tests.command import SLIPFLOW, slipflow
+from tests.storage.made import session_names
 from tests.waiting import PATIENCE
 
 WRONG = """

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from storage.layout import session_folder, session_names
+from storage.layout import session_folder
 from tests.command import SLIPFLOW, slipflow
 from tests.dask_cluster import DaskCluster, kill
 from tests.flows.run.recorder import Recorder
+from tests.storage.made import session_names
 from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.cluster

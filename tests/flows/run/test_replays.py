@@ -19,9 +19,10 @@ from operators.detectors import Psd
 from operators.errors import FlowError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
 from storage import Session
-from storage.layout import session_folder, session_names
+from storage.layout import session_folder
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.flows.run.recorder import Recorder
+from tests.storage.made import session_names
 
 FLOW = """
 from connectors import Console, Mqtt
