@@ -5,7 +5,7 @@ from typing import Final
 from connectors import Console, Gripper, TakkTile
 from connectors.gripper.robotiq import WEAKEST
 from connectors.sim.grasp import least_force
-from connectors.sim.grasp_source import SimulatedGrasp
+from connectors.sim.hand import Hand
 from connectors.sim.objects import OBJECTS, named
 from flows.graph import Flow, Stream
 from flows.graph.quantity import Force
@@ -57,8 +57,8 @@ def lift(
     else:
         if thing not in OBJECTS:
             raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
-        held = SimulatedGrasp(named(thing), seed)
-        source, hand = held, held.hand
+        held = Hand(named(thing), seed)
+        source, hand = held.touch, held
         rule = grip_controller(detector, force or least_force(held.held) / 2, max_force)
     scores, commands = declare_grip(flow, source, load_detector(detector), rule)
     (scores | (load_debounce(detector) or Debounce())).to(Console())

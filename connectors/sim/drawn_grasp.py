@@ -13,11 +13,10 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from connectors.sim.grasp import Grasp, GraspState, least_force
-from connectors.sim.grasp_actions import Lift, Tap
+from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
-from connectors.sim.scene import Curvature, Parameters, Vibration
+from connectors.sim.scene import Curvature, Parameters, Travel, Vibration
 from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Touch, Truth, concat
 
@@ -73,7 +72,7 @@ def _draw_grasp(
 ) -> Grasp:
     """Draw lift, grip position, blows and vibration."""
     start = float(random.uniform(1.4, 2.4))
-    lift = Lift(
+    lift = Travel(
         start,
         float(random.uniform(0.03, 0.08)),
         _log_uniform(random, 0.02, 0.12),
@@ -82,7 +81,7 @@ def _draw_grasp(
     x = float(random.uniform(-0.3, 0.3) * held.width / 2)
     y = float(random.uniform(-0.3, 0.3) * held.reach)
     momentum = held.mass * BLOW * math.sqrt(gripper.force / gripper.least)
-    taps = list(_draw_taps(random, momentum, lift.instant + float(random.uniform(0.4, 1.6))))
+    taps = list(_draw_taps(random, momentum, lift.start + float(random.uniform(0.4, 1.6))))
     vibration = Vibration(
         _log_uniform(random, 2e-6, 1e-4), float(random.uniform(4, 16)), float(random.uniform(0, 360))
     )

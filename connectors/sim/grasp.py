@@ -8,7 +8,7 @@ are as stiff as the sensorised one; their material and that of the table are ass
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -17,9 +17,8 @@ from connectors.sim.barometers import Barometers
 from connectors.sim.body import GRAVITY, GripModel
 from connectors.sim.contact import FingerState
 from connectors.sim.finger import contact_model, pad, vibration_velocity
-from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
-from connectors.sim.scene import Faults, Parameters, Scene, Vibration
+from connectors.sim.scene import Faults, Parameters, Scene, Travel, Vibration
 from operators.batch import Reals, Touch, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
@@ -102,6 +101,31 @@ def grip_model(held: Object, scene: Scene, position: tuple[float, float], passiv
 
 
 @dataclass(frozen=True, slots=True)
+class Tap:
+    """A mallet blow: a half sine of force.
+
+    On top it pushes down through the centre of the object. On the side it pushes along x (or -x for a
+    negative momentum), a quarter of the length above the centre, so that it also rotates the object.
+
+    Raises:
+        ParameterError: if the duration is not above 0.
+    """
+
+    instant: float  # s since the run began
+    momentum: float  # N s
+    place: Literal["top", "side"] = "top"
+    seconds: float = 0.01  # duration; assumed: a soft mallet
+
+    def __post_init__(self) -> None:
+        check_above("Tap", "seconds", self.seconds, 0)
+
+    def momentum_until(self, t: Reals) -> Reals:
+        """Return the momentum transferred until instants (k,) (s): (k,) N s."""
+        u = np.clip((t - self.instant) / self.seconds, 0.0, 1.0)
+        return np.asarray(self.momentum * (1 - np.cos(math.pi * u)) / 2)
+
+
+@dataclass(frozen=True, slots=True)
 class GraspState:
     """True state of a grasp at one instant: for tests and summaries, never for a detector."""
 
@@ -147,7 +171,7 @@ class Grasp:
         *,
         rate: float = 10.0,
         taps: Sequence[Tap] = (),
-        lift: Lift | None = None,
+        lift: Travel | None = None,
         friction: float = 1.0,
         mass: float = 1.0,
         passive: float = PASSIVE_FRICTION,
@@ -247,8 +271,8 @@ class Grasp:
             return drive
         if self._vibration is not None:
             drive[:, :2] = vibration_velocity(self._vibration, t)
-        if self._lift is not None and edges[-1] > self._lift.instant and t[0] < self._lift.end:
-            drive[:, 1] += np.diff(self._lift.climbed(edges)) / self._step
+        if self._lift is not None and edges[-1] > self._lift.start and t[0] < self._lift.end:
+            drive[:, 1] += np.diff(self._lift.at(edges)[0]) / self._step
         drive[:, 3] = self._forces(t)
         for tap in self._taps:
             if edges[-1] > tap.instant and t[0] < tap.instant + tap.seconds:

@@ -220,6 +220,46 @@ class Scene:
             start += move.seconds
 
 
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """Motion over a distance, from rest to rest, with a trapezoidal velocity profile.
+
+    Raises:
+        ParameterError: if distance, speed or acceleration is not above 0.
+
+    >>> Travel(2.0, distance=0.05, speed=0.1, acceleration=0.5).end
+    2.7
+    """
+
+    start: float  # s since the run began
+    distance: float = 0.05  # m
+    speed: float = 0.05  # m/s, maximum
+    acceleration: float = 0.5  # m/s2
+
+    def __post_init__(self) -> None:
+        for name in ("distance", "speed", "acceleration"):
+            check_above("Travel", name, getattr(self, name), 0)
+
+    @property
+    def _ramp(self) -> float:
+        """Duration of acceleration and of deceleration (s)."""
+        return min(self.speed / self.acceleration, sqrt(self.distance / self.acceleration))
+
+    @property
+    def end(self) -> float:
+        """Instant of the standstill at the end (s since the run began)."""
+        return self.start + self._ramp + self.distance / (self.acceleration * self._ramp)
+
+    def at(self, t: Reals) -> tuple[Reals, Reals]:
+        """Return distance and speed at instants (k,) (s): (k,) m and (k,) m/s."""
+        gone, ramp = np.clip(t - self.start, 0.0, self.end - self.start), self._ramp
+        left = self.end - self.start - gone
+        cruise = np.clip(gone - ramp, 0.0, self.end - self.start - 2 * ramp)
+        up, down = np.minimum(gone, ramp), np.minimum(left, ramp)
+        distance = self.acceleration * (up**2 / 2 + ramp * cruise + (ramp**2 - down**2) / 2)
+        return distance, self.acceleration * np.minimum(up, down)
+
+
 def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
     """Return the depth (m) of a surface below its highest point.
 

@@ -1,15 +1,14 @@
 """Arm of the simulated scene, which `collect --virtual` drives in its own process, without a controller.
 
-It moves exactly as planned, with linear ramps of speed, and presses the fingertip onto the surface. It does
-not have the wire protocol of a robot. Its coordinates are those of the fingertip that just touches the middle
-of the surface: x right, y up, z into the surface, yaw about z::
+It moves exactly as planned, with linear ramps of speed, and presses the fingertip onto the surface; it stops
+at once. It does not have the wire protocol of a robot. Its coordinates are those of the fingertip that just
+touches the middle of the surface: x right, y up, z into the surface, yaw about z::
 
     F = k max(0, z - drop(x, y))         normal force (N), k `STIFFNESS`
 """
 
 import asyncio
 import logging
-import math
 from bisect import bisect_right
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
@@ -18,9 +17,9 @@ from typing import Final, Self
 
 import numpy as np
 
-from connectors.sim.scene import Scene, surface_drop
+from connectors.sim.scene import Scene, Travel, surface_drop
 from connectors.sim.simulated_rig import SENSOR, SimulatedSource
-from connectors.ur.ur_state import ArmState, Bounds, Point, Pose, offset_pose
+from connectors.ur.ur_state import ArmState, Bounds, Pose, offset_pose
 from operators.batch import Motion, Reals, Touch, s
 from operators.errors import EndpointError
 from operators.ports import Clock
@@ -38,59 +37,32 @@ _SHORTEST: Final = 1e-12  # m, rad; a leg of length 0 has no direction
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """Motion along a polyline; its speed is linear between instants, and 0 from the last one on."""
+    """Motion along a polyline, from rest to rest; its distance is that of the rotation where it is longer."""
 
     corners: Reals  # (n, 4) m, m, m, rad: x, y, z, yaw
-    instants: Reals  # (k,) s
-    speeds: Reals  # (k,) m/s; rad/s if the rotation is longer
-    acceleration: float  # m/s2, rad/s2, at which it brakes
-    begun: float = 0.0  # m or rad, travelled before the first instant
-
-    @classmethod
-    def planned(cls, corners: Sequence[Reals], start: float, speed: float, acceleration: float) -> "Ride":
-        """Return the ride from the first to the last corner, from rest to rest."""
-        ride = cls(np.array(corners), np.array([start, start]), np.zeros(2), acceleration)
-        distance = float(ride.distances[-1])
-        top = min(speed, math.sqrt(acceleration * distance))
-        if not top:
-            return ride
-        ramp, slowing = top / acceleration, distance / top
-        instants = start + np.array([0.0, ramp, slowing, slowing + ramp])
-        return replace(ride, instants=instants, speeds=np.array([0.0, top, top, 0.0]))
-
-    @property
-    def end(self) -> float:
-        """Instant at which it comes to rest, s."""
-        return float(self.instants[-1])
+    start: float = 0.0  # s
+    speed: float = 1.0  # m/s or rad/s
+    acceleration: float = 1.0  # m/s2 or rad/s2
 
     @property
     def distances(self) -> Reals:
-        """Distance (n,) from the first corner to each: of the translation, or of the rotation if longer."""
+        """Distance (n,) from the first corner to each."""
         legs = np.diff(self.corners, axis=0)
         longer = np.maximum(np.linalg.norm(legs[:, :3], axis=1), np.abs(legs[:, 3]))
         return np.concatenate([[0.0], np.cumsum(longer)])
 
-    def travelled(self, times: Reals) -> tuple[Reals, Reals]:
-        """Return the distance from the first corner, and the speed, at instants (k,) (s)."""
-        t, steps = np.clip(times, self.instants[0], self.end), np.diff(self.instants)
-        speed = np.interp(t, self.instants, self.speeds)
-        covered = np.concatenate([[self.begun], steps * (self.speeds[1:] + self.speeds[:-1]) / 2]).cumsum()
-        part = np.clip(self.instants.searchsorted(t, "right") - 1, 0, len(steps) - 1)
-        return covered[part] + (self.speeds[part] + speed) / 2 * (t - self.instants[part]), speed
+    @property
+    def travel(self) -> Travel:
+        """Motion over the whole distance."""
+        return Travel(self.start, max(self.distances[-1], _SHORTEST), self.speed, self.acceleration)
 
     def at(self, times: Reals) -> tuple[Reals, Reals]:
         """Return place and velocity (k, 4) at instants (k,) (s)."""
-        (distance, speed), corners = self.travelled(times), self.distances
+        (distance, speed), corners = self.travel.at(times), self.distances
         leg = np.clip(corners.searchsorted(distance, "right") - 1, 0, len(corners) - 2)
         along = np.diff(self.corners, axis=0) / np.maximum(np.diff(corners), _SHORTEST)[:, None]
         place = self.corners[leg] + (distance - corners[leg])[:, None] * along[leg]
         return place, speed[:, None] * along[leg]
-
-    def braked(self, instant: float) -> "Ride":
-        """Return the ride that comes to rest from an instant (s) on."""
-        [distance], [speed] = self.travelled(np.array([instant]))
-        instants = instant + np.array([0.0, speed / self.acceleration])
-        return replace(self, instants=instants, speeds=np.array([speed, 0.0]), begun=float(distance))
 
 
 class SimulatedArm:
@@ -126,7 +98,7 @@ class SimulatedArm:
         self._curvatures, self._surface = scene.curvatures, surface
         self._clock, self._origin = clock, clock.now()
         above = np.array([0.0, 0.0, -HEIGHT, 0.0])
-        self._starts, self._rides = [0.0], [Ride.planned([above, above], 0.0, 1.0, 1.0)]
+        self._rides = [Ride(np.array([above, above]))]
         self._fingertips = [Finger(scene, seed, each, self) for each in fingers]
         self.fingertips = SimulatedSource(
             "VirtualTouch", Touch, self._touch, {"sensor": SENSOR}, fingers=fingers, rate=100.0
@@ -168,38 +140,26 @@ class SimulatedArm:
         drive[:, 2], drive[:, 3] = velocity[:, 3], force
         return drive, place[:, [0, 1, 3]]
 
-    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
-        """Move in a straight line to a pose and stop there.
+    async def line(self, poses: Sequence[Pose], speed: float, acceleration: float, seconds: float) -> None:
+        """Move along straight lines through poses, and stop at the last.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
         del seconds
-        await self._move_along([pose], speed, acceleration)
+        for pose in poses:
+            if reason := self.bounds.violation(ArmState(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))):
+                self.fail(f"target outside the bounds: {reason}")
+        await self._follow([*map(self._local, poses)], speed, acceleration)
 
-    async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
-        """Move along a polyline at constant speed and orientation.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
-        """
-        del seconds
-        turned = self.state.pose[3:]
-        await self._move_along([(*point, *turned) for point in points], speed, acceleration)
-
-    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
-        """Move with a velocity (m/s, rad/s) for a time (s), then come to rest.
+    async def turn(self, spin: float, seconds: float, acceleration: float) -> None:
+        """Rotate about the TCP's own z (rad/s) for a time (s), then come to rest.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        back, start = self._to_surface, self._now()
-        along = np.array([*rotate(velocity[:3], back), rotate(velocity[3:], back)[2]])
-        speed = max(float(np.linalg.norm(along[:3])), abs(float(along[3])))
-        top = min(speed, acceleration * seconds)
-        instants = start + np.array([0.0, top / acceleration, seconds, seconds + top / acceleration])
-        corners = np.array([self._place, self._place + along * seconds])
-        await self._follow(Ride(corners, instants, np.array([0.0, top, top, 0.0]), acceleration))
+        angle = spin * seconds * min(1.0, seconds * acceleration / abs(spin))
+        await self._follow([self._place + np.array([0.0, 0.0, 0.0, angle])], abs(spin), acceleration)
 
     async def wait(self, seconds: float) -> None:
         """Wait while the arm continues its motion.
@@ -218,12 +178,11 @@ class SimulatedArm:
         if not self.fault:
             self.fault = reason
             log.error("%s is stopped: %s", NAME, reason)
-            self._brake()
+            self._halt()
 
     async def stop(self) -> None:
-        """Stop the arm; return when it stands."""
-        self._brake()
-        await self._clock.sleep_until(self._origin + round(self._rides[-1].end * s))
+        """Stop the arm."""
+        self._halt()
 
     async def _touch(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield a sample of each fingertip every 10 ms; a late one shows the instant at which it was due."""
@@ -263,9 +222,10 @@ class SimulatedArm:
         """Return place (k, 4), velocity (k, 4) and normal force (k,) at increasing instants (k,) (s)."""
         place, velocity = np.zeros((2, len(times), 4))
         if len(times):
-            first = bisect_right(self._starts, times[0]) - 1
-            cuts = [0, *np.searchsorted(times, self._starts[first + 1 :]), len(times)]
-            for number, ride in enumerate(self._rides[first:]):
+            first = bisect_right(self._rides, times[0], key=lambda ride: ride.start) - 1
+            rides = self._rides[first:]
+            cuts = [0, *np.searchsorted(times, [ride.start for ride in rides[1:]]), len(times)]
+            for number, ride in enumerate(rides):
                 part = slice(cuts[number], cuts[number + 1])
                 place[part], velocity[part] = ride.at(times[part])
         drop = np.zeros(len(times))  # (k,) m
@@ -273,32 +233,21 @@ class SimulatedArm:
             drop[:] = [surface_drop(self._curvatures, x, y) for x, y in place[:, :2].tolist()]
         return place, velocity, STIFFNESS * np.maximum(0.0, place[:, 2] - drop)
 
-    def _begin(self, ride: Ride) -> None:
-        self._starts.append(float(ride.instants[0]))
-        self._rides.append(ride)
-
-    async def _move_along(self, poses: Sequence[Pose], speed: float, acceleration: float) -> None:
-        for pose in poses:
-            if reason := self.bounds.violation(ArmState(pose, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))):
-                self.fail(f"target outside the bounds: {reason}")
-        corners = [self._place, *map(self._local, poses)]
-        await self._follow(Ride.planned(corners, self._now(), speed, acceleration))
-
-    async def _follow(self, ride: Ride) -> None:
-        """Follow a ride to its end; stop if cancelled."""
+    async def _follow(self, corners: Sequence[Reals], speed: float, acceleration: float) -> None:
+        """Move from the present place along corners (4,) to the last one; stop if cancelled."""
         self._check()
-        self._begin(ride)
+        ride = Ride(np.array([self._place, *corners]), self._now(), speed, acceleration)
+        self._rides.append(ride)
         try:
-            while (left := ride.end - self._now()) > _TICK:
+            while (left := ride.travel.end - self._now()) > _TICK:
                 await self.wait(min(left, STEP))
         except asyncio.CancelledError:
-            self._brake()
+            self._halt()
             raise
 
-    def _brake(self) -> None:
-        """Come to rest on the path of the current ride."""
-        if (now := self._now()) < self._rides[-1].end:
-            self._begin(self._rides[-1].braked(now))
+    def _halt(self) -> None:
+        """Stand still from now on."""
+        self._rides.append(Ride(np.array([self._place, self._place]), self._now()))
 
     def _check(self) -> None:
         if not self.fault and (reason := self.bounds.violation(self.state)):

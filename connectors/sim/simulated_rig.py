@@ -31,6 +31,7 @@ class SimulatedSource(Source[AnyBatch]):
         fingers: Fingertips that the batches belong to.
         rate: Samples of a fingertip per second, Hz; None: not touch.
         stale_after: As in `Source`.
+        compile_physics: Compiles the physics; None: that of strokes.
     """
 
     def __init__(
@@ -43,9 +44,11 @@ class SimulatedSource(Source[AnyBatch]):
         fingers: tuple[int, ...] = (EVERY,),
         rate: float | None = None,
         stale_after: int | None = Source.stale_after,
+        compile_physics: Callable[[], object] | None = None,
     ) -> None:
         self._name, self._kind, self._rows, self._about = name, kind, rows, about
         self._fingers, self._rate, self.stale_after = fingers, rate, stale_after
+        self._compile_physics = compile_physics
 
     def __str__(self) -> str:
         return f"{self._name}()"
@@ -69,7 +72,7 @@ class SimulatedSource(Source[AnyBatch]):
         """Compile the physics, which takes seconds the first time and less than one afterwards."""
         from connectors.sim.finger import compile_physics
 
-        await asyncio.to_thread(compile_physics)
+        await asyncio.to_thread(self._compile_physics or compile_physics)
 
     def batches(self, clock: Clock) -> AsyncIterator[AnyBatch]:
         """Yield the rows."""

@@ -20,6 +20,7 @@ from connectors.ur.path_follower import PathFollower
 from connectors.ur.ur_state import ArmState, Bounds, Point, Pose, receive_states, state_client
 from operators.errors import EndpointError, os_error_reason
 from operators.ports import Clock
+from operators.rotation import quaternion, rotate
 from storage.background_task import BackgroundTask
 
 log = logging.getLogger("slipflow")
@@ -89,55 +90,59 @@ class UrArm:
             await self.close()
             raise
 
-    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
-        """Move in a straight line to a pose and stop there; `seconds` is the planned duration.
+    async def line(self, poses: Sequence[Pose], speed: float, acceleration: float, seconds: float) -> None:
+        """Move along straight lines through poses, and stop at the last; `seconds` is the planned duration.
+
+        Through several poses it moves at constant speed and orientation.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        self._check_target(pose)
+        for pose in poses:
+            if reason := self.bounds.violation(ArmState(pose, _REST)):
+                self.fail(f"target outside the bounds: {reason}")
+        self._check()
+        if len(poses) > 1:
+            await self._trace([pose[:3] for pose in poses], speed, acceleration, 2 * seconds + 2)
+            return
         self._moved = asyncio.get_running_loop().time()
         try:
-            self.control.send(MoveTo(pose, speed, acceleration))
+            self.control.send(MoveTo(poses[0], speed, acceleration))
             await self._until(
-                lambda: self._at(pose, speed, acceleration), 2 * seconds + 2, "to reach the target"
+                lambda: self._at(poses[0], speed, acceleration), 2 * seconds + 2, "to reach the target"
             )
         except asyncio.CancelledError:
             self.control.send(Signal.STOP)
             raise
 
-    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
-        """Move with a velocity (m/s, rad/s) for a time (s), then come to rest.
+    async def turn(self, spin: float, seconds: float, acceleration: float) -> None:
+        """Rotate about the TCP's own z (rad/s) for a time (s), then come to rest.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
         self._check()
-        async with self._velocity_control(max(map(abs, velocity)), acceleration):
-            self.control.send(Move(velocity, acceleration))
+        velocity = rotate((0.0, 0.0, spin), quaternion(self.state.pose[3:]))
+        async with self._velocity_control(abs(spin), acceleration):
+            self.control.send(Move((0.0, 0.0, 0.0, *velocity), acceleration))
             await self.wait(seconds)
 
-    async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
-        """Move along a polyline at constant speed and orientation; `seconds` is the planned duration.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
-        """
-        for point in points:
-            self._check_target((*point, *self.state.pose[3:]))
-        self._check()
+    async def _trace(
+        self, points: Sequence[Point], speed: float, acceleration: float, longest: float
+    ) -> None:
+        """Steer along a polyline at constant speed and orientation."""
         loop = asyncio.get_running_loop()
-        follower = PathFollower([self._position, *points], speed, acceleration)
-        end = loop.time() + 2 * seconds + 2
+        follower = PathFollower([self.state.pose[:3], *points], speed, acceleration)
+        end = loop.time() + longest
 
         def deviates(state: ArmState) -> str:
-            error = follower.deviation((state.pose[0], state.pose[1], state.pose[2]))
+            error = follower.deviation(state.pose[:3])
             return f"it is {1000 * error:.1f} mm off its path" if error > self._path_tolerance else ""
 
         async with self._velocity_control(speed, acceleration, deviates):
-            while (velocity := follower.velocity(self._position)) is not None:
+            while (velocity := follower.velocity(self.state.pose[:3])) is not None:
                 if loop.time() > end:
-                    self.fail(f"takes more than {2 * seconds + 2:.1f} s to reach the target")
+                    self.fail(f"takes more than {longest:.1f} s to reach the target")
                     self._check()
                 self.control.send(Move((*velocity, 0.0, 0.0, 0.0), acceleration))
                 await self.wait(_STEERING)
@@ -188,17 +193,6 @@ class UrArm:
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
-
-    @property
-    def _position(self) -> Point:
-        x, y, z, *_ = self.state.pose
-        return x, y, z
-
-    def _check_target(self, pose: Pose) -> None:
-        """Stop the arm if a target is outside its bounds, and raise if the arm was stopped."""
-        if reason := self.bounds.violation(ArmState(pose, _REST)):
-            self.fail(f"target outside the bounds: {reason}")
-        self._check()
 
     @asynccontextmanager
     async def _velocity_control(

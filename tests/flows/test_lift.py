@@ -3,7 +3,7 @@
 import pytest
 
 from connectors.sim.grasp import GraspState, least_force
-from connectors.sim.grasp_source import SimulatedGrasp
+from connectors.sim.hand import Hand
 from connectors.sim.objects import named
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
@@ -43,16 +43,16 @@ def test_hardware_needs_both_bus_and_gripper() -> None:
 @pytest.mark.parametrize("ruled", [True, False])
 def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> None:
     ball = named("ball")
-    handling, commands, flow = SimulatedGrasp(ball, seed=3), TestSink(), Flow("lift")
+    hand, commands, flow = Hand(ball, seed=3), TestSink(), Flow("lift")
     rule = grip_controller(DETECTOR, least_force(ball) / 2)
     rule = rule if ruled else Grip(force=rule.force, gain=0.0)
-    _, given = declare_grip(flow, handling, load_detector(DETECTOR), rule)
-    given.to(handling.hand)
+    _, given = declare_grip(flow, hand.touch, load_detector(DETECTOR), rule)
+    given.to(hand)
     given.to(commands)
     run = _for(flow, 6)
     assert not any(status.error for status in run.sinks.values())
     assert not any(status.error for status in run.sources.values())
-    assert handling.grasp is not None
-    _, last = handling.grasp.sense(6.0)
+    assert hand.grasp is not None
+    _, last = hand.grasp.sense(6.0)
     assert _is_held(last) is ruled
     assert (len(commands.rows(Commands, 0)) > 1) is ruled

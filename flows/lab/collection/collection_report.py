@@ -12,7 +12,7 @@ def path_text(path: PlannedPath) -> str:
     head = f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"
     rows = list[str]()
     for each in path.series:
-        extent = Extent.of(each.steps, each.begin.pose)
+        extent = Extent.of(each.steps, each.begin.poses[-1])
         size = f"{each.name:28} {len(each.strokes):7} {extent.seconds:7.1f} s"
         rows.append(f"{size}   {_spans(extent.low, extent.high)} {each.split}")
     whole, strokes = path.extent, sum(len(each.strokes) for each in path.series)

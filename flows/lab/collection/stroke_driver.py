@@ -7,8 +7,8 @@ from typing import Final, Protocol, Self
 
 import numpy as np
 
-from connectors.ur.ur_state import ArmState, Point, Pose
-from flows.lab.collection.arm_path import Line, Slide, Step, Trace, Wait
+from connectors.ur.ur_state import ArmState, Pose
+from flows.lab.collection.arm_path import Line, Step, Turn, Wait
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import Stroke, StrokeSeries
 from operators.batch import MOTIONS, SURFACES, Episodes
@@ -27,11 +27,10 @@ class Arm(Protocol):
 
     @property
     def state(self) -> ArmState: ...  # noqa: D102
-    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None: ...  # noqa: D102
-    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None: ...  # noqa: D102
-    async def trace(  # noqa: D102
-        self, points: Sequence[Point], speed: float, acceleration: float, seconds: float
+    async def line(  # noqa: D102
+        self, poses: Sequence[Pose], speed: float, acceleration: float, seconds: float
     ) -> None: ...
+    async def turn(self, spin: float, seconds: float, acceleration: float) -> None: ...  # noqa: D102
     async def wait(self, seconds: float) -> None: ...  # noqa: D102
     async def stop(self) -> None: ...  # noqa: D102
     def fail(self, reason: str) -> None: ...  # noqa: D102
@@ -98,14 +97,12 @@ class StrokeDriver(Source[Episodes]):
             EndpointError: if the arm had to be stopped.
         """
         for step in steps:
-            seconds = step.seconds(self._arm.state.pose)
             match step:
-                case Line(pose, speed, acceleration):
-                    await self._arm.line(pose, speed, acceleration, seconds)
-                case Slide(velocity, time, acceleration):
-                    await self._arm.slide(velocity, time, acceleration)
-                case Trace(points, speed, acceleration):
-                    await self._arm.trace(points, speed, acceleration, seconds)
+                case Line(poses, speed, acceleration):
+                    seconds = step.seconds(self._arm.state.pose)
+                    await self._arm.line(poses, speed, acceleration, seconds)
+                case Turn(spin, time, acceleration):
+                    await self._arm.turn(spin, time, acceleration)
                 case Wait(time):
                     await self._arm.wait(time)
 

@@ -19,7 +19,7 @@ import numpy as np
 from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_state import Bounds, Point, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
-from flows.lab.collection.arm_path import Extent, Line, Slide, Step, Trace, Wait, spin_velocity
+from flows.lab.collection.arm_path import Extent, Line, Step, Turn, Wait
 from flows.lab.collection.surfaces import Surface
 from flows.learn.datasets import TURNS
 from operators.checks import check_above, check_at_least, check_between
@@ -213,28 +213,23 @@ class CollectionPlan:
                     yield self._translation(surface, math.radians(45.0 * direction), speed)
 
     def _rotation(self, surface: Surface, spin: float) -> Stroke:
-        time, acceleration = self.path.rotation_time, self.path.rotation_acceleration
-        slide = Slide(spin_velocity(surface.middle, spin), time, acceleration)
-        begin = replace(surface, pose=offset_pose(surface.middle, yaw=-spin * slide.cruise / 2))
-        end = replace(surface, pose=slide.end(begin.middle))
+        turn = Turn(spin, self.path.rotation_time, self.path.rotation_acceleration)
+        begin = replace(surface, pose=offset_pose(surface.middle, yaw=-turn.angle / 2))
+        end = replace(surface, pose=turn.end(begin.middle))
         return Stroke(
             0.0,
             spin,
             rotates=True,
             approach=self._approach(begin, 0.0, 0.0),
-            contact=(Wait(self.path.rest), slide, Wait(self.path.rest)),
+            contact=(Wait(self.path.rest), turn, Wait(self.path.rest)),
             retreat=(self._retreat(end, 0.0, 0.0),),
         )
 
     def _translation(self, surface: Surface, direction: float, speed: float) -> Stroke:
         half = speed * self.path.slide_time / 2
         x, y = half * math.cos(direction), half * math.sin(direction)
-        poses = [surface.at(part * x, part * y, self.path.depth) for part in surface.waypoints(x, y)]
-        slide: Step
-        if len(poses) > 1:
-            slide = Trace(tuple(pose[:3] for pose in poses), speed, self.path.acceleration)
-        else:  # by its end pose, which the controller reaches regardless of our delays
-            slide = Line(poses[0], speed, self.path.acceleration)
+        poses = tuple(surface.at(part * x, part * y, self.path.depth) for part in surface.waypoints(x, y))
+        slide = Line(poses, speed, self.path.acceleration)
         return Stroke(
             direction,
             speed,
@@ -246,7 +241,7 @@ class CollectionPlan:
 
     def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:
         """Return the steps through the air to above an offset (m) from the middle, and down onto it."""
-        down = Line(surface.at(x, y, self.path.depth), self.path.press_speed, self.path.acceleration)
+        down = Line((surface.at(x, y, self.path.depth),), self.path.press_speed, self.path.acceleration)
         return self._through_air(surface, x, y), down
 
     def _retreat(self, surface: Surface, x: float, y: float) -> Line:
@@ -256,7 +251,7 @@ class CollectionPlan:
         """Return the move to above an offset (m) from the middle; all are at one height, above the middle."""
         path = self.path
         pose = offset_pose(surface.middle, (x, y, -path.clearance))
-        return Line(pose, path.travel_speed, path.acceleration)
+        return Line((pose,), path.travel_speed, path.acceleration)
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +278,7 @@ class PlannedPath:
         """
         series, limits = tuple(plan.series(surface)), plan.limits
         steps = chain.from_iterable(each.steps for each in series)
-        path = Extent.of(steps, here or series[0].begin.pose)
+        path = Extent.of(steps, here or series[0].begin.poses[-1])
         if limits.workspace is None:
             a, b, c = (each - limits.margin for each in path.low)
             d, e, f = (each + limits.margin for each in path.high)

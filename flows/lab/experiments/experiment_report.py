@@ -165,7 +165,7 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     height.plot(t, 1000 * trace.height, color=MAIN, label="object")
     height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
     height.legend(loc="upper left")
-    events = tap_trial.BLOWS if experiment == "tap" else (lift_trial.LIFT.instant,)
+    events = tap_trial.BLOWS if experiment == "tap" else (lift_trial.LIFT.start,)
     for axis in axes:
         _shade(axis, trace)
         for event in events:

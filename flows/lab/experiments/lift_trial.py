@@ -10,14 +10,14 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.grasp_actions import Lift
+from connectors.sim.scene import Travel
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.trial import HELD, Outcome, Trace, Trial, run_trial
 from operators.batch import Reals, s
 from operators.detectors import Detector
 from operators.grip import GripController
 
-LIFT: Final = Lift(2.5)  # 50 mm at 50 mm/s, assumed; the gripper closes at 1 s
+LIFT: Final = Travel(2.5)  # 50 mm at 50 mm/s, assumed; the gripper closes at 1 s
 END: Final = 6.0  # s; the arm stopped 2.3 s before
 WEAK: Final = (0.4, 0.8)  # range of the initial force, relative to the least expected to hold; assumed
 ROOM: Final = 0.02  # m; a held object hangs at most this much lower than it was gripped
@@ -54,7 +54,7 @@ def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: 
     enough at some time; ``given up``, released by the controller; ``not lifted``, hangs too low, still slides
     or stands on the table; else ``too late``.
     """
-    lifting = trace.between(LIFT.instant, END + 1)
+    lifting = trace.between(LIFT.start, END + 1)
     slides = trace.t[lifting][trace.speed[lifting] > SLIDING]
     began = float(slides[0]) if len(slides) else math.inf
     onsets = trace.onsets(rule)

@@ -12,8 +12,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from connectors.sim.body import GRAVITY
-from connectors.sim.grasp import PASSIVE_FRICTION, grip_model, surface
-from connectors.sim.grasp_actions import Tap
+from connectors.sim.grasp import PASSIVE_FRICTION, Tap, grip_model, surface
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial
 from operators.detectors import Detector

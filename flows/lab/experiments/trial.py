@@ -8,10 +8,9 @@ from typing import Final, Self
 import numpy as np
 
 from connectors.gripper.robotiq import FULL, PACE, SETTLE
-from connectors.sim.grasp import Grasp, GraspState, least_force
-from connectors.sim.grasp_actions import Lift, Tap
+from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
 from connectors.sim.objects import Object
-from connectors.sim.scene import Parameters, Vibration
+from connectors.sim.scene import Parameters, Travel, Vibration
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
@@ -28,7 +27,7 @@ OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object'
 VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's recordings; amplitude assumed
 
 FIRM: Final = (1.6, 2.0)  # range of a firm grip's force, relative to the least; nothing slides above 1.6
-FIRM_LIFT: Final = Lift(2.0)  # of a firm grip, until 3.1 s
+FIRM_LIFT: Final = Travel(2.0)  # of a firm grip, until 3.1 s
 HELD: Final = 4.0  # s; a firm grip has been lifted and held undisturbed
 STILL: Final = 0.1  # mm; a shorter slide, such as of the edge of the pad when the load rises, is not slip
 MOVED: Final = 0.5  # mm; a longer slide is a slip, one between the two may be either
@@ -113,7 +112,7 @@ class Trial:
         """Least force under nominal friction and mass (N), as a robot would assume."""
         return self.least_force * self.conditions.friction / self.conditions.mass
 
-    def grasp(self, lift: Lift, taps: Sequence[Tap] = ()) -> Grasp:
+    def grasp(self, lift: Travel, taps: Sequence[Tap] = ()) -> Grasp:
         """Return the simulated grasp: an open gripper around the object, which is then lifted and tapped."""
         return Grasp(
             self.held,

@@ -3,10 +3,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from connectors.sim.grasp import Grasp, GraspState, least_force
-from connectors.sim.grasp_actions import Lift, Tap
+from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
 from connectors.sim.objects import OBJECTS
-from connectors.sim.scene import Parameters, Vibration
+from connectors.sim.scene import Parameters, Travel, Vibration
 from operators.batch import Touch, concat
 from operators.errors import ParameterError
 
@@ -24,7 +23,7 @@ def test_the_least_force_is_where_a_loosening_grip_begins_to_slip(name: str) -> 
     """With Stribeck friction, lever and tilt, but the same friction everywhere."""
     thing = OBJECTS[name]
     least = least_force(thing, SMOOTH)
-    grasp = gripped(Grasp(thing, SMOOTH, rate=100.0, lift=Lift(0.3, 0.02)), 1.5 * least, closing=0.0)
+    grasp = gripped(Grasp(thing, SMOOTH, rate=100.0, lift=Travel(0.3, 0.02)), 1.5 * least, closing=0.0)
     _, before = grasp.sense(2.0)
     assert not before.on_table
     grasp.press(0.5 * least, 2.0, rate=0.1 * least)
@@ -45,7 +44,7 @@ def watch(grasp: Grasp, until: float, start: float = 0.0) -> tuple[Touch, list[G
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_firm_grip_lifts_and_the_object_follows_the_hand(name: str) -> None:
     thing = OBJECTS[name]
-    touch, held = watch(gripped(Grasp(thing, lift=Lift(2.0)), 2 * least_force(thing)), 4.0)
+    touch, held = watch(gripped(Grasp(thing, lift=Travel(2.0)), 2 * least_force(thing)), 4.0)
     touch.check()
     assert not any(h.force or h.height > 1e-5 for h in held[:100])
     assert all(h.on_table for h in held[:200])
@@ -61,7 +60,7 @@ def test_what_is_held_creeps_by_no_more_than_a_bounded_bit(name: str) -> None:
     """Ten seconds on a hand that shakes."""
     thing = OBJECTS[name]
     shaking = Vibration(5e-5, 12.0, 70.0)
-    grasp = gripped(Grasp(thing, lift=Lift(1.5), vibration=shaking), 1.5 * least_force(thing))
+    grasp = gripped(Grasp(thing, lift=Travel(1.5), vibration=shaking), 1.5 * least_force(thing))
     slides = [grasp.sense(t)[1].slide_y for t in (3.0, 8.0, 13.0)]
     assert abs(slides[2] - slides[0]) < 2e-4
     assert abs(slides[2] - slides[1]) < abs(slides[1] - slides[0]) + 2e-5
@@ -70,7 +69,7 @@ def test_what_is_held_creeps_by_no_more_than_a_bounded_bit(name: str) -> None:
 @pytest.mark.parametrize("name", OBJECTS)
 def test_a_grip_that_is_far_too_weak_leaves_it_on_the_table(name: str) -> None:
     thing = OBJECTS[name]
-    climb = Lift(2.0, height=thing.length, speed=0.1)
+    climb = Travel(2.0, distance=thing.length, speed=0.1)
     touch, held = watch(gripped(Grasp(thing, lift=climb), 0.3 * least_force(thing)), climb.end + 1.0)
     assert held[-1].dropped
     assert held[-1].on_table
@@ -86,7 +85,7 @@ def test_a_grip_that_is_far_too_weak_leaves_it_on_the_table(name: str) -> None:
 
 def test_a_tap_on_the_side_turns_it_and_its_mirror_image_turns_it_back() -> None:
     ends = [
-        gripped(Grasp(CAN, lift=Lift(1.5), taps=[Tap(4.0, momentum, "side")]), 4.0).sense(6.0)[1]
+        gripped(Grasp(CAN, lift=Travel(1.5), taps=[Tap(4.0, momentum, "side")]), 4.0).sense(6.0)[1]
         for momentum in (0.1, -0.1)
     ]
     assert ends[0].turned < -0.05  # pushed to the right above its middle: clockwise
@@ -106,7 +105,7 @@ def test_the_force_follows_commands_at_their_rate() -> None:
 
 def test_the_same_seed_gives_the_same_and_another_differs_in_its_cells_alone() -> None:
     def run(seed: int) -> tuple[Touch, list[GraspState]]:
-        return watch(gripped(Grasp(CAN, seed=seed, lift=Lift(1.5), taps=[Tap(2.0, 0.1)]), 2.0), 3.0)
+        return watch(gripped(Grasp(CAN, seed=seed, lift=Travel(1.5), taps=[Tap(2.0, 0.1)]), 2.0), 3.0)
 
     (one, held), (again, also), (other, truth) = run(3), run(3), run(4)
     np.testing.assert_array_equal(one.counts, again.counts)
@@ -130,3 +129,14 @@ def test_the_same_seed_gives_the_same_and_another_differs_in_its_cells_alone() -
 def test_a_value_out_of_range_is_refused_by_its_name(name: str, build: Callable[[], object]) -> None:
     with pytest.raises(ParameterError, match=name):
         build()
+
+
+def test_a_tap_is_half_a_sine_of_its_momentum() -> None:
+    t = np.linspace(0.9, 1.1, 20_001)
+    given = Tap(1.0, 0.05, seconds=0.02).momentum_until(t)
+    force = np.diff(given) / np.diff(t)
+    assert given[0] == 0.0
+    assert given[-1] == pytest.approx(0.05)
+    assert force.max() == pytest.approx(np.pi * 0.05 / 0.04, rel=1e-4)
+    assert t[:-1][force > 1e-9].min() == pytest.approx(1.0, abs=1e-4)
+    assert t[:-1][force > 1e-9].max() == pytest.approx(1.02, abs=1e-4)

@@ -4,27 +4,27 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Line, Slide, spin_velocity
+from flows.lab.collection.arm_path import Line, Turn
 from operators.rotation import rotation_difference
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
 
 
 def test_a_line_has_a_trapezoidal_speed_profile() -> None:
-    assert Line((0.5, 0.1, 0.2, math.pi, 0, 0), 0.1, 0.5).seconds(START) == pytest.approx(1.0 + 0.2)
+    assert Line(((0.5, 0.1, 0.2, math.pi, 0, 0),), 0.1, 0.5).seconds(START) == pytest.approx(1.0 + 0.2)
 
 
 def test_the_duration_of_a_pure_rotation_follows_from_its_angle() -> None:
     turned = offset_pose(START, yaw=0.3)
-    assert Line(turned, 0.1, 0.5).seconds(START) == pytest.approx(0.3 / 0.1 + 0.2)
+    assert Line((turned,), 0.1, 0.5).seconds(START) == pytest.approx(0.3 / 0.1 + 0.2)
 
 
 @pytest.mark.parametrize(("time", "angle", "seconds"), [(2.0, 2.0, 3.0), (0.5, 0.25, 1.0)])
-def test_the_angle_of_a_slide_includes_its_ramps(time: float, angle: float, seconds: float) -> None:
-    slide = Slide(spin_velocity(START, 1.0), time, 1.0)
-    end = slide.end(START)
+def test_the_angle_of_a_turn_includes_its_ramps(time: float, angle: float, seconds: float) -> None:
+    turn = Turn(1.0, time, 1.0)
+    end = turn.end(START)
     assert math.hypot(*rotation_difference(START[3:], end[3:])) == pytest.approx(angle)
-    assert slide.seconds(START) == pytest.approx(seconds)
+    assert turn.seconds(START) == pytest.approx(seconds)
     assert end[:3] == START[:3]
 
 

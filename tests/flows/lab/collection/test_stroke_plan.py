@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Extent, Line, Slide, Trace
+from flows.lab.collection.arm_path import Extent, Line, Turn
 from flows.lab.collection.plan_file import load_plan
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
@@ -51,23 +51,23 @@ def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) ->
         down = stroke.approach[-1].end(place)
         (slide,) = [step for step in stroke.contact if isinstance(step, Line)]
         assert slide.speed == 0.1
-        assert math.dist(down[:3], slide.pose[:3]) == pytest.approx(0.06)
-        middle = [(a + b) / 2 for a, b in zip(down[:3], slide.pose[:3], strict=True)]
+        assert math.dist(down[:3], slide.poses[0][:3]) == pytest.approx(0.06)
+        middle = [(a + b) / 2 for a, b in zip(down[:3], slide.poses[0][:3], strict=True)]
         np.testing.assert_allclose(middle, offset_pose(place, (0, 0, STROKES.path.depth))[:3], atol=1e-12)
         forward = offset_pose(
             (0, 0, 0, *place[3:]),
             (math.cos(stroke.direction), math.sin(stroke.direction), 0),
         )
         np.testing.assert_allclose(
-            np.subtract(slide.pose[:3], down[:3]), 0.06 * np.array(forward[:3]), atol=1e-12
+            np.subtract(slide.poses[0][:3], down[:3]), 0.06 * np.array(forward[:3]), atol=1e-12
         )
 
 
 def test_rotations_alternate_at_their_rate_in_place() -> None:
     session = only(TURNS)
-    slides = [step for stroke in session.strokes for step in stroke.contact if isinstance(step, Slide)]
-    assert [round(slide.velocity[5], 9) for slide in slides] == [1.0, -1.0] * 8  # about the base's z, up
-    reach = Extent.of(session.steps, session.begin.pose)
+    turns = [step for stroke in session.strokes for step in stroke.contact if isinstance(step, Turn)]
+    assert [turn.spin for turn in turns] == [-1.0, 1.0] * 8
+    reach = Extent.of(session.steps, session.begin.poses[0])
     np.testing.assert_allclose((reach.low[:2], reach.high[:2]), ([0.4, 0.0],) * 2, atol=1e-9)
 
 
@@ -92,9 +92,9 @@ def test_the_seed_determines_the_order_of_directions() -> None:
 def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
     for stroke in only(STROKES, Surface("sphere")).strokes:
         down = stroke.approach[-1].end(PLACE)
-        (trace,) = [step for step in stroke.contact if isinstance(step, Trace)]
+        (line,) = [step for step in stroke.contact if isinstance(step, Line)]
         centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.path.depth)
-        for point in (down[:3], *trace.points):
+        for point in (down[:3], *(pose[:3] for pose in line.poses)):
             assert math.dist(point, centre) == pytest.approx(0.06)
-        assert trace.speed == 0.1
-        assert math.dist(down[:2], trace.points[-1][:2]) == pytest.approx(0.06)
+        assert line.speed == 0.1
+        assert math.dist(down[:2], line.poses[-1][:2]) == pytest.approx(0.06)

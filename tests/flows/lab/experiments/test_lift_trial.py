@@ -77,12 +77,12 @@ def test_without_control_a_weak_grip_loses_the_object() -> None:
     assert outcome.ending == "missed"
     assert trace.force.max() < outcome.metrics["peak"] * 2
     assert outcome.metrics["peak"] < 1
-    assert trace.gripper_height[-1] == pytest.approx(LIFT.height, abs=1e-4)
+    assert trace.gripper_height[-1] == pytest.approx(LIFT.distance, abs=1e-4)
     assert outcome.metrics["slide"] > 10
 
 
 @pytest.mark.parametrize("rate", [10.0, 25.0])
 def test_the_gripper_has_closed_before_the_lift_at_every_rate(rate: float) -> None:
     [(trace, _)] = lift(Trial.draw(BALL, 1, Conditions(rate=rate)), [(load_detector("tcn_grasp"), Grip())])
-    assert trace.force[trace.between(BASELINE + 0.3, LIFT.instant)].min() > 0
+    assert trace.force[trace.between(BASELINE + 0.3, LIFT.start)].min() > 0
     assert np.diff(trace.t[trace.between(BASELINE, 6)]) == pytest.approx(1 / rate)
