@@ -2,50 +2,74 @@
 
 import errno
 import os
+import re
 import sys
 import traceback
 from contextlib import suppress
+from inspect import getdoc
 from pathlib import Path
-from typing import Annotated, Final, NoReturn
+from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
 import typer
+from typer.core import TyperGroup
 
-from flows.cli.commands import CommandTable, command_group, usage_error
+from flows.cli.calibrate import calibrate
+from flows.cli.check import check
+from flows.cli.collect import collect
+from flows.cli.demo_command import demo
+from flows.cli.doctor import doctor
+from flows.cli.evaluate import evaluate
+from flows.cli.experiment import experiment
+from flows.cli.export import export
+from flows.cli.fetch import fetch
+from flows.cli.import_command import import_
+from flows.cli.run import run
+from flows.cli.show import show
+from flows.cli.simulate import simulate
 from flows.cli.terminal import note
+from flows.cli.train import train
+from flows.cli.verify import verify
+from flows.cli.watch import watch
 
-TABLE: Final = CommandTable(  # with the first sentences of the functions' docstrings
-    {
-        "Record and run": {
-            "run": "Run a flow live, or replay recordings through it.",
-            "demo": "Detect slip on a simulated rig; no hardware is needed.",
-            "check": "Find errors in a flow without running it, and draw it.",
-            "doctor": "Check this machine, and the devices that a flow uses.",
-        },
-        "View": {
-            "show": "Show a recorded session in a browser, and label it by hand.",
-            "watch": "Print slip events from an MQTT broker, each once.",
-        },
-        "Train and evaluate": {
-            "train": "Train a slip detector.",
-            "calibrate": "Tune the debounce for a stated rate of false alarms.",
-            "evaluate": "Compare detectors on a dataset.",
-        },
-        "Robots": {
-            "collect": "Drive an arm through a collection plan and record it.",
-            "experiment": "Run a robot experiment of the paper in closed loop, simulated.",
-        },
-        "Data": {
-            "verify": "Read all files of a dataset and report losses and damage.",
-            "fetch": "Download, verify and import a public dataset of real touch.",
-            "import": "Import CSV or Parquet files of any fingertip as sessions.",
-            "export": "Export recordings to LeRobot or MCAP, or a model to ONNX.",
-            "simulate": "Simulate a collection plan as a labelled dataset.",
-        },
-    }
+if TYPE_CHECKING:
+    from typer._click import Context, HelpFormatter
+
+PANELS: Final = {
+    "Record and run": (run, demo, check, doctor),
+    "View": (show, watch),
+    "Train and evaluate": (train, calibrate, evaluate),
+    "Robots": (collect, experiment),
+    "Data": (verify, fetch, import_, export, simulate),
+}
+
+
+class PanelGroup(TyperGroup):
+    """A group whose help lists its commands by panel, with the first lines of their docstrings."""
+
+    def format_commands(self, ctx: "Context", formatter: "HelpFormatter") -> None:
+        """Write a section for each panel."""
+        for panel, functions in PANELS.items():
+            with formatter.section(panel):
+                formatter.write_dl(
+                    [
+                        (each.__name__.rstrip("_"), (getdoc(each) or "").partition("\n")[0])
+                        for each in functions
+                    ]
+                )
+
+
+app = typer.Typer(
+    cls=PanelGroup,
+    help="Detect slip from barometric fingertips: run flows, record datasets, train detectors.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
-app = command_group(
-    "Detect slip from barometric fingertips: run flows, record datasets, train detectors.", TABLE
-)
+for functions in PANELS.values():
+    for function in functions:
+        text, _, lines = (getdoc(function) or "").partition("Examples:\n")
+        epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
+        app.command(function.__name__.rstrip("_"), help=text.rstrip(), epilog=epilog)(function)
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 _NO_MEMORY: Final = ("failed to map segment", "cannot allocate memory", "can't start new thread")
 _debug = False
@@ -149,3 +173,30 @@ def _close_output() -> None:
             stream.flush()
         except OSError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def usage_error(error: typer.TyperException) -> str:
+    """Return one line with the error and the command for help, or the whole help if no command was given.
+
+    >>> usage_error(typer.BadParameter("--surface cube: give plane or sphere"))
+    'error: --surface cube: give plane or sphere'
+    """
+    text = error.format_message()
+    if text.startswith("Usage: "):
+        return text
+    if type(error) is typer.BadParameter and error.param is None:  # raised by a command: complete as it is
+        return f"error: {_one_line(error.message)}"
+    text = (
+        _one_line(text).removesuffix(".").replace("Value error, ", "").replace("Input should be", "must be")
+    )
+    text = re.sub(r", unable to parse string as an? \w+$", "", text)
+    text = re.sub(r" \(Possible options: (.*)\)$", r". Did you mean \1?", text)
+    text = text[0].lower() + text[1:]
+    context = getattr(error, "ctx", None)  # some errors have no context, which names the command
+    if context is not None:
+        text += f"{'' if text.endswith('?') else '.'} See {context.command_path} --help"
+    return f"error: {text}"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -6,8 +6,7 @@ import typer
 import typer.core
 import typer.main
 
-from flows.cli.commands import usage_error
-from flows.cli.main import app
+from flows.cli.main import app, usage_error
 
 
 def commands(group: typer.core.TyperGroup) -> dict[str, Any]:
