@@ -88,7 +88,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         """
         from aiohttp import web
 
-        from connectors.web.web_server import json_response, page_server
+        from connectors.web.web_server import PAGE_FILES, json_response, page_server
 
         self._zeroed = any(issubclass(kind, Zeroed) for kind in run.sink_types.get(self.destination, ()))
         self._run, self._frames = run, Frames(run, zeroed=self._zeroed)
@@ -105,7 +105,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
                 await self._follow(socket)
             return socket
 
-        await self._server.open(web.get("/about.json", about), web.get("/live", live))
+        await self._server.open(*PAGE_FILES, web.get("/about.json", about), web.get("/live", live))
         if self._opened:
             self._opened(self._server.url)
 

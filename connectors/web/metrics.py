@@ -119,7 +119,7 @@ class Metrics(Sink[Scores | Slips | Faults]):
             return web.Response(status=503, text=f"{failing}\n") if failing else await healthy(request)
 
         access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
-        self._server = WebServer(self._host, self._port, access, "metrics")
+        self._server = WebServer("metrics", self._host, self._port, access)
         await self._server.open(web.get(PATH, metrics), web.get(HEALTH, healthy), web.get(READY, ready))
         if self._opened:
             self._opened(self.url)

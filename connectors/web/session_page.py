@@ -12,7 +12,7 @@ from aiohttp import web
 
 from connectors.events import finger_name
 from connectors.web.session_curves import SessionCurves
-from connectors.web.web_server import json_response
+from connectors.web.web_server import PAGE_FILES, json_response
 from operators.batch import EVERY, ms
 from operators.errors import InputError, ParameterError
 from operators.ports import Json
@@ -41,9 +41,10 @@ class SessionPage:
         self.curves, self.session = curves, session
 
     @property
-    def routes(self) -> tuple[web.RouteDef, ...]:
+    def routes(self) -> tuple[web.AbstractRouteDef, ...]:
         """Requests of the page; a POST request stores the next version of the labels by hand."""
         return (
+            *PAGE_FILES,
             web.get("/about.json", self._about),
             web.get("/window", self._window),
             web.get("/events", self._events),

@@ -51,28 +51,17 @@ class WebServer:
     replaces the oldest of them.
     """
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        access: Access,
-        name: str,
-        *,
-        any_port: bool = False,
-        files: Path | None = None,
-    ) -> None:
+    def __init__(self, name: str, host: str, port: int | None, access: Access) -> None:
         """Prepare to serve.
 
         Args:
-            host: Address to listen on.
-            port: Port to listen on; 0 for any free port.
-            access: Access rules.
             name: Name of the service in messages.
-            any_port: Use any free port if `port` is in use.
-            files: Folder of static files, with index.html.
+            host: Address to listen on.
+            port: Port to listen on; 0 for any free port; None for 8765, or any free port if that is in use.
+            access: Access rules.
         """
-        self._host, self._port, self._access = host, port, access
-        self._name, self._any_port, self._files = name, any_port, files
+        self._name, self._host, self._access = name, host, access
+        self._any_port, self._port = port is None, PAGE_PORT if port is None else port
         self._strangers = dict[web.RequestHandler, None]()  # connections without access, the oldest first
 
     @property
@@ -86,8 +75,8 @@ class WebServer:
         """URL with the token, if there is one: keep it secret."""
         return f"{self.url}/?token={self._access.token}" if self._access.token else self.url
 
-    async def open(self, *routes: web.RouteDef) -> None:
-        """Listen, and serve the static files and the routes.
+    async def open(self, *routes: web.AbstractRouteDef) -> None:
+        """Listen, and serve the routes.
 
         Raises:
             EndpointError: if the server cannot listen on its address.
@@ -95,9 +84,6 @@ class WebServer:
         app = web.Application(middlewares=[self._admit, _guard], client_max_size=_BODY_MAX)
         app.on_response_prepare.append(_set_headers)
         app.add_routes(routes)
-        if self._files:
-            app.router.add_get("/", self._index)
-            app.router.add_static("/", self._files)
         self._runner = web.AppRunner(
             app,
             access_log=None,
@@ -111,9 +97,8 @@ class WebServer:
         except OSError as error:
             await self._runner.cleanup()
             number = error.errno or 0
-            reason = (
-                os.strerror(number) if number > 0 else error.strerror or error
-            )  # negative: name resolution
+            # negative: name resolution
+            reason = os.strerror(number) if number > 0 else error.strerror or error
             remedy = _REMEDIES.get(number, "choose an address of this machine")
             text = f"cannot serve {self._name}: {reason}; {remedy}"
             raise EndpointError(http_url(self._host, self._port), text) from None
@@ -166,20 +151,21 @@ class WebServer:
             return web.Response(status=403, text=text)
         return await handler(request)
 
-    async def _index(self, request: web.Request) -> web.StreamResponse:
-        assert self._files, "else there is no such request"
-        return web.FileResponse(self._files / "index.html")
+
+async def _index(_: web.Request) -> web.StreamResponse:
+    return web.FileResponse(STATIC / "index.html")
+
+
+PAGE_FILES: Final = (web.get("/", _index), web.static("/", STATIC))
 
 
 def page_server(host: str, port: int | None) -> WebServer:
-    """Return a server of the page's files; the default of `port` is 8765, or any free port if in use.
+    """Return a server of a page, whose `open` gets `PAGE_FILES` too.
 
     Raises:
         ParameterError: if the token is malformed, or missing although other machines can reach `host`.
     """
-    access = Access.of("Page", host)
-    number = PAGE_PORT if port is None else port
-    return WebServer(host, number, access, "the page", any_port=port is None, files=STATIC)
+    return WebServer("the page", host, port, Access.of("Page", host))
 
 
 @web.middleware
