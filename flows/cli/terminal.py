@@ -74,17 +74,15 @@ def command_line() -> str:
 
 
 def prepare_report(folder: Path) -> None:
-    """Check that a report can be written to a folder, before a long measurement.
-
-    Notes that figures need matplotlib. A measurement that fails leaves no empty folder.
+    """Create the folder of a report before a long measurement; note that figures need matplotlib.
 
     Raises:
         EndpointError: if the folder cannot be created or written.
     """
     from flows.report.figures import missing_matplotlib
-    from flows.report.report_page import check_output_folder
+    from flows.report.report_page import make_output_folder
 
-    check_output_folder(folder)
+    make_output_folder(folder)
     if reason := missing_matplotlib():
         note(f"the report will have no figures, which {reason}")
 

@@ -1,15 +1,12 @@
 """Figures in one style, as SVG files that are identical for identical data."""
 
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
-from functools import wraps
+from collections.abc import Callable, Iterable
 from io import StringIO
 from pathlib import Path
-from typing import Any, Final, ParamSpec, TypeAlias
+from typing import Any, Final, TypeAlias
 
 from operators.extras import install_command, missing_packages
 
-Given = ParamSpec("Given")
 Figure: TypeAlias = Any  # matplotlib lacks many type annotations
 Axes: TypeAlias = Any
 
@@ -37,35 +34,15 @@ def missing_matplotlib() -> str:
     return f"need {missing}: {install_command('report')}" if missing else ""
 
 
-def styled(draw: Callable[Given, Figure]) -> Callable[Given, Figure]:
-    """Decorate a function that draws a figure so that it uses the project's style; it needs matplotlib."""
-
-    @wraps(draw)
-    def drawn(*args: Given.args, **kwargs: Given.kwargs) -> Figure:
-        with _style():
-            return draw(*args, **kwargs)
-
-    return drawn
-
-
 def grid(
-    rows: int,
-    columns: int,
-    size: tuple[float, float],
-    *,
-    sharex: bool = False,
-    sharey: bool = False,
-    heights: Sequence[float] | None = None,
-    widths: Sequence[float] | None = None,
+    rows: int, columns: int, size: tuple[float, float], *, sharex: bool = False, sharey: bool = False
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of `size` inches and its panels, row by row; for use in `styled` functions."""
+    """Return a figure of `size` inches and its panels, row by row."""
     from matplotlib import figure as matplotlib
 
     figure: Figure = matplotlib.Figure(figsize=size, layout="constrained")
     figure.get_layout_engine().set(h_pad=_ROW_GAP)
-    axes = figure.subplots(
-        rows, columns, squeeze=False, sharex=sharex, sharey=sharey, height_ratios=heights, width_ratios=widths
-    )
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
     return figure, list(axes.flat)
 
 
@@ -93,17 +70,12 @@ def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tu
                       arrowprops=_LEADER)  # fmt: skip
 
 
-def svg(figure: Figure) -> str:
-    """Return a figure as the text of an SVG file."""
-    drawn = StringIO()
-    with _style():
-        figure.savefig(drawn, format="svg", metadata={"Date": None}, dpi=_DPI)
-    return drawn.getvalue()
-
-
-def _style() -> AbstractContextManager[None]:
+def svg(draw: Callable[[], Figure]) -> str:
+    """Draw a figure in the project's style, which needs matplotlib; return the text of its SVG file."""
     import matplotlib as mpl
 
     library: Any = mpl
-    context: AbstractContextManager[None] = library.rc_context(fname=_STYLE)
-    return context
+    text = StringIO()
+    with library.rc_context(fname=_STYLE):
+        draw().savefig(text, format="svg", metadata={"Date": None}, dpi=_DPI)
+    return text.getvalue()

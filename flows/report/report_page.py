@@ -3,7 +3,6 @@
 import json
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -34,7 +33,7 @@ class Section:
     @cached_property
     def svg(self) -> str:
         """Figure as the text of an SVG file; empty if there is none or matplotlib is not installed."""
-        return "" if self.draw is None or missing_matplotlib() else svg(self.draw())
+        return "" if self.draw is None or missing_matplotlib() else svg(self.draw)
 
     def markdown(self, figure: str) -> str:
         """Return the section without its heading as Markdown; `figure` is the address of its figure."""
@@ -60,10 +59,8 @@ class Report:
 
     def html(self) -> str:
         """Return one self-contained HTML page; its figures are images in the page."""
-        markdown, parts = (
-            MarkdownIt("commonmark", {"html": False}).enable("table"),
-            list[tuple[Section, str]](),
-        )
+        markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
+        parts = list[tuple[Section, str]]()
         for section in self.sections:
             image = b64encode(section.svg.encode()).decode()
             body = markdown.render(section.markdown("figure"))
@@ -104,33 +101,16 @@ class Report:
 
 
 def make_output_folder(folder: Path) -> None:
-    """Create the folder that results are written to.
-
-    Raises:
-        EndpointError: if it cannot be created.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise EndpointError(str(folder), f"cannot be created: {os_error_reason(error)}") from error
-
-
-def check_output_folder(folder: Path) -> None:
-    """Check before a long measurement that files can be created in a folder; leave no folder behind.
+    """Create the folder that results are written to, and check that files can be created in it.
 
     Raises:
         EndpointError: if it cannot be created or written.
     """
-    missing = [each for each in (folder, *folder.parents) if not each.exists()]
-    make_output_folder(folder)
     try:
+        folder.mkdir(parents=True, exist_ok=True)
         TemporaryFile(dir=folder).close()
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
-    finally:
-        with suppress(OSError):  # another process has written to it
-            for each in missing:
-                each.rmdir()
 
 
 def _figure_file(page: str, section: Section) -> str:

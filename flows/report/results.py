@@ -204,7 +204,6 @@ def estimates(
     by: Sequence[str] = ("method",),
     *,
     draws: int = DRAWS,
-    seed: int = 0,
 ) -> pl.DataFrame:
     """Compute statistics of each group of results, with their 95 % intervals over recordings.
 
@@ -213,7 +212,6 @@ def estimates(
         statistics: Statistics by name.
         by: Columns that make the groups.
         draws: Number of draws of as many recordings, with replacement; 0: no intervals.
-        seed: Random seed.
 
     Returns:
         A row for each group and statistic: the columns of `by`, ``statistic``, ``value``, ``low`` and
@@ -222,7 +220,7 @@ def estimates(
     found = list[dict[str, object]]()
     for key, part in results.group_by(by, maintain_order=True):
         group = Recordings(part)
-        weights = _weights(len(group.names), draws, seed)
+        weights = _weights(len(group.names), draws)
         for name, statistic in statistics.items():
             drawn = statistic.drawn(group, weights) if len(weights) else np.empty(0)
             known = drawn[np.isfinite(drawn)]
@@ -270,9 +268,9 @@ def estimate_table(
     return Table([*index, *names], cells, caption, dict(decimals))
 
 
-def _weights(recordings: int, draws: int, seed: int) -> Values:
+def _weights(recordings: int, draws: int) -> Values:
     """Return how often each recording is drawn; (draws, recordings)."""
     if recordings < _LEAST:
         return np.empty((0, recordings))
     shares = np.full(recordings, 1 / recordings)
-    return np.random.default_rng(seed).multinomial(recordings, shares, draws).astype(np.float64)
+    return np.random.default_rng(0).multinomial(recordings, shares, draws).astype(np.float64)

@@ -12,7 +12,7 @@ from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials
 from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
 from flows.learn.evaluation.event_metrics import runs
-from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
+from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid
 from flows.report.report_page import Report, Section
 from flows.report.results import Statistic, estimate_table, estimates, median, rate
 from flows.report.table import Table, Value
@@ -137,7 +137,6 @@ def _breaking_points(results: pl.DataFrame) -> Section:
     return Section("stress", "Where each method breaks", note, tables, folded=True)
 
 
-@styled
 def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     """Draw the first trial of a method with the ball, or else with the first object."""
     held = named(EXAMPLE if EXAMPLE in trials.objects else trials.objects[0])

@@ -20,7 +20,6 @@ from flows.report.figures import (
     Figure,
     grid,
     name_points,
-    styled,
 )
 
 _COLUMNS: Final = 4  # panels in a row
@@ -43,7 +42,6 @@ def pareto_front(points: pl.DataFrame) -> list[str]:
     return front
 
 
-@styled
 def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
     """Draw accuracy over CPU time, with the Pareto front and the paper's accuracy.
 
@@ -85,7 +83,6 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
     return figure
 
 
-@styled
 def stress_panels(balanced: pl.DataFrame) -> Figure:
     """Draw the balanced accuracy of each method along each stress field, from nominal to the last level.
 

@@ -2,10 +2,9 @@
 
 from itertools import pairwise
 
-from flows.report.figures import grid, name_points, styled
+from flows.report.figures import grid, name_points
 
 
-@styled
 def heights(points: list[tuple[str, float, float]]) -> list[float]:
     """Return the heights of the names in a panel of 252 points, sorted."""
     _, (axis,) = grid(1, 1, (5, 4))

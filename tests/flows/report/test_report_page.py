@@ -9,15 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.report.figures import Figure, grid, styled, svg
-from flows.report.report_page import Report, Section, check_output_folder, make_output_folder
+from flows.report.figures import Figure, grid, svg
+from flows.report.report_page import Report, Section, make_output_folder
 from flows.report.table import Table
 from operators.errors import EndpointError
 
 TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", 3.25]], caption="a > b")
 
 
-@styled
 def figure() -> Figure:
     drawn, (axis,) = grid(1, 1, (2, 2))
     axis.plot([0, 1], label="x")
@@ -114,32 +113,18 @@ def test_each_figure_is_rendered_once(tmp_path: Path) -> None:
     assert rendered.call_count == 2
 
 
-def test_a_folder_below_a_file_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_refused_before_the_measurement(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(EndpointError, match=r"file/out: cannot be created: "):
+    with pytest.raises(EndpointError, match=r"file/out: cannot be written: "):
         make_output_folder(tmp_path / "file" / "out")
-
-
-def test_a_checked_folder_is_left_as_it_was(tmp_path: Path) -> None:
-    check_output_folder(tmp_path / "new" / "out")
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "old").mkdir()
-    check_output_folder(tmp_path / "old" / "out")
-    check_output_folder(tmp_path / "old")
-    assert [path.name for path in tmp_path.rglob("*")] == ["old"]
-    (tmp_path / "file").write_text("")
-    with pytest.raises(EndpointError, match="cannot be created: "):
-        check_output_folder(tmp_path / "file" / "out")
-
-
-def test_a_folder_without_write_permission_is_refused_before_the_measurement(tmp_path: Path) -> None:
     refused = OSError(errno.EROFS, os.strerror(errno.EROFS))
     with (
         patch("os.open", side_effect=refused),
         pytest.raises(EndpointError, match="old: cannot be written: Read-only file system; use a writable"),
     ):
-        check_output_folder(tmp_path / "old")
-    assert list(tmp_path.iterdir()) == []
+        make_output_folder(tmp_path / "old")
+    make_output_folder(tmp_path / "old")
+    assert [path.name for path in tmp_path.rglob("*")] == ["file", "old"]
 
 
 def test_an_error_in_writing_names_the_folder_and_the_fix(tmp_path: Path) -> None:

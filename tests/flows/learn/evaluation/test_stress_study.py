@@ -80,5 +80,5 @@ def test_the_report_has_a_row_for_each_level_and_a_panel_for_each_field(
     assert len(levels.rows) == len(events.rows) == len(every_condition()) - 4 + 2
     assert ["slip speed", "10 mm/s"] in [row[:2] for row in levels.rows]
     figure = evaluation_figures.stress_panels(estimates(found.results, BALANCED, ("condition", "method")))
-    titles = [axis.get_title("left").partition(",")[0] for axis in figure.axes]
+    titles = [axis.get_title().partition(",")[0] for axis in figure.axes]
     assert [title for title in titles if title] == [FIELDS[field].text for field in dict(every_condition())]
