@@ -61,7 +61,7 @@ def report(run: "Run", out: Path) -> list[str]:
     import numpy as np
 
     from connectors.sim.simulated_rig import true_slips
-    from flows.learn.evaluation.event_metrics import match_onsets
+    from flows.learn.event_metrics import match_onsets
     from operators import SLIP, Slips, Truth, concat, ms, s
     from storage import Session
 

@@ -8,7 +8,6 @@ import typer
 from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
 from flows.cli.terminal import command_line, note, prepare_report, progress_bar, write_report
 
-_WEIGHTS = {".safetensors", ".npz"}
 _TURN = 0.02  # s, CPU time of each turn of timing
 
 
@@ -69,7 +68,6 @@ def evaluate(
     from flows.learn.evaluation.evaluation_report import evaluation_report, stress_report
     from flows.learn.evaluation.evaluation_study import evaluate as run_evaluation
     from flows.learn.evaluation.stress_study import stress as run_stress
-    from flows.learn.hold_out_training import learners
     from flows.run.executor import workers
     from operators.errors import InputError
 
@@ -78,19 +76,16 @@ def evaluate(
     if train and not hold_out:
         raise InputError("--train", "needs --hold-out: a detector is judged on groups that it did not see")
     prepare_report(out)
-    models = [Path(each) for each in method or [] if Path(each).suffix in _WEIGHTS]
-    names = [each for each in method or [] if Path(each).suffix not in _WEIGHTS]
     with workers(jobs, cluster) as executor, progress_bar("evaluating") as update:
         if dataset is None:
-            found = run_stress(models, names=names, executor=executor, progress=update, log=note)
+            found = run_stress(names=method or [], executor=executor, progress=update, log=note)
         else:
             found = run_evaluation(
                 dataset,
                 split=split,
                 hold_out=hold_out or [],
-                learners=learners(names) if train else [],
-                models=models,
-                names=names,
+                train=train,
+                names=method or [],
                 speed=_TURN if chart else 0,
                 executor=executor,
                 progress=update,

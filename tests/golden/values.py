@@ -21,10 +21,9 @@ from flows.lab.experiments.study import Trials, run_study
 from flows.lab.simulation import simulate
 from flows.learn.evaluation import evaluation_study, stress_study
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
-from flows.learn.evaluation.measures import AGAINST_SLIDING, BALANCED, EVENTS, SAMPLES, SHARES, SLIDING
-from flows.learn.evaluation.stress_fields import FIELDS
-from flows.learn.hold_out_training import learners
+from flows.learn.evaluation.stress_study import FIELDS
 from flows.learn.labelled_recordings import LabelledRecording, load
+from flows.learn.measures import AGAINST_SLIDING, BALANCED, EVENTS, SAMPLES, SHARES, SLIDING
 from flows.report.results import Statistic, estimates
 
 Numbers: TypeAlias = dict[str, Any]  # nested; leaves are numbers, strings and null
@@ -146,7 +145,7 @@ def held_out(dataset: Path) -> Numbers:
         return recordings
 
     with patch.object(evaluation_study, "load", loaded):
-        found = evaluate(dataset, hold_out=["all"], learners=learners(["logistic"]), names=["psd"])
+        found = evaluate(dataset, hold_out=["all"], train=True, names=["psd", "logistic"])
     return {
         {"psd": "zero-shot psd", "logistic": "in-domain logistic"}[name]: {
             "figures": figures(part),

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.evaluation.event_metrics import runs
+from flows.learn.event_metrics import runs
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Zero
 from operators.batch import BAROMETERS, Flags, Reals

@@ -13,9 +13,9 @@ from connectors.sim.barometers import DECADES
 from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Parameters, Scene
-from flows.learn.evaluation.measures import confusion, f1
 from flows.learn.evaluation.published import SURFACES, TABLE_3, TABLE_3_ANY
 from flows.learn.labelled_recordings import LabelledRecording, scene_seed, simulated_recordings
+from flows.learn.measures import confusion, f1
 from flows.learn.scoring import windows
 from operators import Health
 from operators.batch import UNKNOWN, Faults, Flags, Reals, concat

@@ -11,7 +11,7 @@ from flows.lab.experiments import lift_trial, tap_trial
 from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials
 from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
-from flows.learn.evaluation.event_metrics import runs
+from flows.learn.event_metrics import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid
 from flows.report.report_page import Report, Section
 from flows.report.results import Statistic, estimate_table, estimates, median, rate

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.learn.alarms.alarm_limit import TooLittleDataError, alarm_limit
-from flows.learn.evaluation.event_metrics import EventMetrics, Slips
+from flows.learn.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.batch import Reals, ms

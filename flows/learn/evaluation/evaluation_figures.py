@@ -7,8 +7,7 @@ import numpy as np
 import polars as pl
 
 from flows.learn.evaluation.published import TABLE_1
-from flows.learn.evaluation.stress_fields import FIELDS
-from flows.learn.evaluation.stress_study import condition_name
+from flows.learn.evaluation.stress_study import FIELDS, condition_name
 from flows.report.figures import (
     FAINT,
     GROUND,

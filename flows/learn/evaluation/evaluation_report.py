@@ -8,7 +8,10 @@ import polars as pl
 from flows.learn.evaluation import evaluation_figures as figures
 from flows.learn.evaluation.detector_speed import SPEED, SPEED_DECIMALS
 from flows.learn.evaluation.evaluation_study import Evaluation
-from flows.learn.evaluation.measures import (
+from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
+from flows.learn.evaluation.stress_study import FIELDS, NOMINAL, condition_name, every_condition
+from flows.learn.labelled_recordings import TARGETS
+from flows.learn.measures import (
     AGAINST_SLIDING,
     BALANCED,
     DECIMALS,
@@ -19,10 +22,6 @@ from flows.learn.evaluation.measures import (
     SLIDING,
     motion_name,
 )
-from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
-from flows.learn.evaluation.stress_fields import FIELDS
-from flows.learn.evaluation.stress_study import NOMINAL, condition_name, every_condition
-from flows.learn.labelled_recordings import TARGETS
 from flows.report.report_page import Report, Section
 from flows.report.results import estimate_table, estimates
 from flows.report.table import Table, Value, counted
@@ -137,7 +136,7 @@ def _events(of: Evaluation) -> Section:
     rows: list[list[Value]] = []
     for name, rate in rates.select("method", "value").rows():
         rule = of.methods[name].debounce or Debounce()
-        rows.append([name, rate, rule.threshold, rule.consecutive, rule.release, of.chosen_on[name]])
+        rows.append([name, rate, rule.threshold, rule.consecutive, rule.release, of.methods[name].chosen_on])
     head = ["method", _EVENTS_MIN, "threshold", "decisions on", "decisions off", "from"]
     return Section(
         "events", "Debounce", EVENTS_TEXT, [Table(head, rows, decimals={"threshold": 3})], folded=True

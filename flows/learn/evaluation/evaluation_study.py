@@ -5,31 +5,23 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 import polars as pl
 
 from flows.learn.datasets import learned_from
 from flows.learn.evaluation.detector_speed import speed_results
-from flows.learn.evaluation.event_metrics import DECISION, PAUSE
 from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
-from flows.learn.evaluation.measures import SHARES, judged
-from flows.learn.evaluation.methods import (
-    Candidate,
-    Method,
-    baselines,
-    choose_debounce,
-    default_psd,
-    ready,
-    trained_methods,
-)
+from flows.learn.evaluation.methods import Candidate, Method, baselines, hold_out_methods, trained_methods
+from flows.learn.event_metrics import DECISION, PAUSE
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     common_fingertip,
     hand_label_summary,
     load,
 )
+from flows.learn.measures import SHARES, judged
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 from flows.run.executor import map_tasks, one_thread
@@ -53,7 +45,6 @@ class Evaluation:
     subject: str  # what was judged
     results: pl.DataFrame  # long table; methods in the order of their accuracy
     methods: Mapping[str, Method]  # with the debounce that was used, in the same order
-    chosen_on: Mapping[str, str]  # origin of the debounce, by method
     missing: Mapping[str, str]  # reasons by method
     notes: Sequence[str] = ()  # what a reader must know to judge the numbers
     label: pl.DataFrame = field(default_factory=joined)  # the arm-speed label as a method
@@ -70,8 +61,7 @@ def evaluate(
     *,
     split: str = "test",
     hold_out: Collection[str] = (),
-    learners: Sequence[Candidate] = (),
-    models: Sequence[Path] = (),
+    train: bool = False,
     names: Collection[str] = (),
     speed: float = 0.0,
     executor: Executor | None = None,
@@ -87,9 +77,8 @@ def evaluate(
         dataset: Folder of the dataset.
         split: One of train, validation, test and all.
         hold_out: Groups (surfaces or objects) to hold out, one after the other; ``all``: each of them.
-        learners: Methods to fit to the groups that are not held out.
-        models: Files of weights to judge as well.
-        names: Only these methods, and those of `models`; empty: all.
+        train: With `hold_out`, fit methods to the groups that are not held out.
+        names: Files of weights to judge, too, and names: only these methods; empty: all.
         speed: CPU time of each turn of timing the methods, s; 0: they are not timed.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of fits and judgements done, and of all.
@@ -99,24 +88,25 @@ def evaluate(
         InputError: if the dataset, split, group, method or model does not exist, or no method can be judged.
         FingertipError: if the recordings have different fingertips.
     """
-    trained = trained_methods(models, names)
+    trained = trained_methods(names)
     log(f"reading {dataset.name}")
     recordings = _distinct(load(dataset, rate=_RATE if hold_out else None))
     common_fingertip(recordings)
     if hold_out:
         folds = group_folds(recordings, hold_out, str(dataset))
-        as_they_are = [*ready(trained), *default_psd(names)]
-        tasks = [(each, replace(fold, train=(), validation=())) for fold in folds for each in as_they_are]
-        tasks += [(each, fold) for fold in folds for each in learners]
+        candidates = [*trained, *hold_out_methods(names, train=train)]
         subject, parts = f"{dataset.resolve().name}, held out: {', '.join(hold_out)}", "group"
     else:
         folds = [split_fold(recordings, split, str(dataset))]
-        tasks = [(each, fold) for fold in folds for each in [*ready(trained), *baselines(names)]]
+        candidates = [*trained, *baselines(names)]
         subject, parts = f"{dataset.resolve().name}, split: {split}", "split"
     chosen = [each for fold in folds for each in fold.judged]
     notes = repeated(recordings, [getattr(each, parts) for each in recordings]) if split != EVERY else []
-    found = judge_all(subject, tasks, chosen, executor=executor, progress=progress, log=log)
-    notes += _trained_on(found.methods.values(), dataset, chosen)
+    tasks = [(each, fold) for each in candidates for fold in folds]
+    found = judge_all(subject, tasks, executor=executor, progress=progress, log=log)
+    if any(each.split in _LEARNED for each in chosen):
+        learned = [each.name for each in found.methods.values() if learned_from(each.card, dataset)]
+        notes += [f"{name} was trained on this dataset" for name in learned]
     notes += filter(None, [hand_label_summary(chosen)])
     for note in notes:
         log(note)
@@ -129,19 +119,9 @@ def evaluate(
     return replace(found, notes=notes, label=label)
 
 
-class _Answer(NamedTuple):
-    """A fitted method with its results on each judged recording of a fold; or why there are none."""
-
-    method: Method | None = None
-    chosen_on: str = ""
-    results: Sequence[pl.DataFrame] = ()
-    reason: str = ""
-
-
 def judge_all(
     subject: str,
     tasks: Sequence[tuple[Candidate, Fold]],
-    judged_ones: Sequence[LabelledRecording],
     *,
     executor: Executor | None = None,
     progress: Progress = lambda _done, _all: None,
@@ -152,7 +132,6 @@ def judge_all(
     Args:
         subject: What is judged.
         tasks: Candidates and folds; one that fails on a fold, or whose worker dies, has no results.
-        judged_ones: Judged recordings of all folds, in the order of the dataset.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of tasks done, and of all.
         log: Receives the reasons why methods are missing.
@@ -160,48 +139,49 @@ def judge_all(
     Raises:
         InputError: if no method can be judged.
     """
-    methods, chosen_on, missing = dict[str, Method](), dict[str, str](), dict[str, str]()
-    results = dict[tuple[str, str], pl.DataFrame]()  # by method and recording
-    answers = map_tasks(_judge, tasks, executor, progress=progress, lost=_lost)
-    for (candidate, fold), answer in zip(tasks, answers, strict=True):
-        if answer.method is None:
-            missing[candidate.name] = answer.reason
-            log(f"not evaluated: {candidate.name}: {answer.reason}")
-            continue
-        methods[candidate.name], chosen_on[candidate.name] = answer.method, answer.chosen_on
-        keys = [(candidate.name, recording.name) for recording in fold.judged]
-        results |= dict(zip(keys, answer.results, strict=True))
+    methods, missing, results = dict[str, Method](), dict[str, str](), joined()
+    answers = map_tasks(_judge, tasks, executor, progress=progress, lost=lambda _, reason: reason)
+    for (candidate, _), answer in zip(tasks, answers, strict=True):
+        if isinstance(answer, str):
+            missing[candidate.name] = answer
+            log(f"not evaluated: {candidate.name}: {answer}")
+        else:
+            methods[candidate.name], table = answer
+            results = joined([results, table])
     names = [name for name in methods if name not in missing]
     if not names:
         raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
-    table = joined(results[name, recording.name] for name in names for recording in judged_ones)
-    accuracy = estimates(table, {"accuracy %": SHARES["accuracy %"]}, draws=0).sort("value", descending=True)
+    judged = results.filter(pl.col("method").is_in(names))
+    accuracy = estimates(judged, {"accuracy %": SHARES["accuracy %"]}, draws=0).sort("value", descending=True)
     order = accuracy["method"].to_list() or names  # nothing is judged
     return Evaluation(
         subject,
-        joined(table.filter(method=name) for name in order),
+        joined(results.filter(method=name) for name in order),
         {name: methods[name] for name in order},
-        {name: chosen_on[name] for name in order},
         missing,
     )
 
 
 @one_thread()
-def _judge(task: tuple[Candidate, Fold]) -> _Answer:
+def _judge(task: tuple[Candidate, Fold]) -> tuple[Method, pl.DataFrame] | str:
+    """Return a fitted method and its results on a fold; or why there are none."""
     candidate, fold = task
     try:
-        method = candidate.fit(fold)
-        debounce, chosen_on = choose_debounce(method, fold)
-        method = replace(method, debounce=debounce)
-        results = method_results(method, fold.judged, fold=fold.name)
+        method = candidate.fit(fold).debounced(fold)
+        return method, method_results(method, fold.judged, fold=fold.name)
     except SlipflowError as error:  # such as a detector for another fingertip
-        return _Answer(reason=error.reason if isinstance(error, InputError) else str(error))
-    return _Answer(method, chosen_on, results)
+        return error.reason if isinstance(error, InputError) else str(error)
 
 
-def _lost(_: object, reason: str) -> _Answer:
-    """Return the answer of a method whose worker died."""
-    return _Answer(reason=reason)
+def method_results(
+    method: Method, recordings: Iterable[LabelledRecording], *, condition: str = "", fold: str = ""
+) -> pl.DataFrame:
+    """Judge a method, whose debounce was chosen, on recordings; see `judged`."""
+    assert method.debounce is not None, "it was chosen"
+    key = {"method": method.name, "condition": condition, "fold": fold}
+    return joined(
+        judged(each, probabilities(method.detector, each), method.debounce, **key) for each in recordings
+    )
 
 
 def _distinct(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording]:
@@ -212,35 +192,6 @@ def _distinct(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording
         number = seen[each.name]
         found.append(each if number == 1 else replace(each, name=f"{each.name}, fingertip {number}"))
     return found
-
-
-def method_results(
-    method: Method, recordings: Sequence[LabelledRecording], *, condition: str = "", fold: str = ""
-) -> list[pl.DataFrame]:
-    """Judge a method, whose debounce was chosen, on each recording; see `judged`."""
-    assert method.debounce is not None, "it was chosen"
-    return [
-        judged(
-            each,
-            probabilities(method.detector, each),
-            method.debounce,
-            method=method.name,
-            condition=condition,
-            fold=fold,
-        )
-        for each in recordings
-    ]
-
-
-def _trained_on(
-    methods: Iterable[Method], dataset: Path, recordings: Sequence[LabelledRecording]
-) -> list[str]:
-    """Return a line for each method that learned from judged recordings, by its card."""
-    if not any(each.split in _LEARNED for each in recordings):
-        return []
-    return [
-        f"{each.name} was trained on this dataset" for each in methods if learned_from(each.card, dataset)
-    ]
 
 
 def _label_results(recording: LabelledRecording) -> pl.DataFrame:

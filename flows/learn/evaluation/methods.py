@@ -1,30 +1,35 @@
-"""Methods to compare: shipped detectors, model files, and baselines that are fitted to a fold."""
+"""Methods to compare: shipped detectors, model files, and methods that are fitted to a fold."""
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, Baseline, Features
-from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.debounce_tuning import tuned_on
+from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, STROKES, Baseline, Features
 from flows.learn.evaluation.folds import Fold
 from flows.learn.sampling import Sampling
 from flows.learn.scoring import labels, windows
+from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts
-from operators.detectors import TRAINED, Detector, Psd
+from operators.detectors import TRAINED, Detector, Psd, Tcn
 from operators.errors import InputError
+from operators.extras import require_extra
 from storage import load_debounce, load_detector
 from storage.models import load_card, shipped_names, shipped_path
 
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
-_HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
+SHORT: Final = Recipe(steps=400, augmentation=REAL_TOUCH)
 _PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
 _FITTED: Final = {"gradient_boosting": ACTIVITY_AND_STEPS, "logistic": ACTIVITY}
 BASELINES: Final = (*_FITTED, *_PSD)
+_HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
+_SHORT_HOP: Final = 2  # the same, for recordings of few surfaces
+_SUFFIX: Final = ".safetensors"
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,70 +38,91 @@ class Method:
 
     name: str
     detector: Detector
-    debounce: Debounce | None = None  # None: its card has none
+    debounce: Debounce | None = None  # None: not chosen yet
+    chosen_on: str = "its card"  # origin of the debounce
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its model; empty: it has none
+
+    def fit(self, _: Fold) -> "Method":
+        """Return the method itself, which learns nothing from a fold."""
+        return self
+
+    def debounced(self, fold: Fold) -> "Method":
+        """Return the method with its debounce, or one tuned on the validation, or that of the paper."""
+        if self.debounce is not None:
+            return self
+        if fold.validation:
+            return replace(self, debounce=tuned_on(fold.validation, self.detector), chosen_on="validation")
+        return replace(self, debounce=fold.judged[0].sampling.rule(PAPER_RULE), chosen_on="the paper")
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
-    """Method that may have to be fitted first."""
+class Learner:
+    """Method that is fitted to a fold first."""
 
     name: str
-    fit: Callable[[Fold], Method]  # a function of a module, or a partial of one: it is pickled
+    learn: Callable[[Fold], Detector]  # a function of a module, or a partial of one: it is pickled
+
+    def fit(self, fold: Fold) -> Method:
+        """Return the method that has learned from the training of a fold."""
+        return Method(self.name, self.learn(fold))
 
 
-def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) -> list[Method]:
+Candidate: TypeAlias = Method | Learner
+
+
+def trained_methods(names: Collection[str] = ()) -> list[Method]:
     """Return the methods that have weights: shipped ones and model files.
 
     Args:
-        models: Files of weights to compare as well.
-        names: Only these methods, and those of `models`; empty: all.
+        names: Files of weights, which are added; and names: only these of the shipped ones.
 
     Raises:
         InputError: if a file does not hold the weights of a detector, or a name is unknown.
     """
     known = (*shipped_names(), *BASELINES)
-    if unknown := sorted({*names} - {*known, *TRAINED}):
-        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join(known)}")
-    judged = [name for name in known if not names or name in names]
-    found = [_shipped(name) for name in judged if name not in BASELINES]
-    for path in models:
-        found.append(_of_file(path, {*judged, *(each.name for each in found)}))
-    return found
+    files = [name for name in names if name.endswith(_SUFFIX)]
+    if unknown := sorted({*names} - {*files, *known, *TRAINED}):
+        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join(known)}, FILE{_SUFFIX}")
+    found = {name: _loaded(name, name) for name in wanted(names, shipped_names())}
+    for file in files:
+        name = Path(file).stem
+        if name in {*found, *wanted(names, BASELINES)}:
+            name = file
+        found[name] = _loaded(name, file)
+    return [*found.values()]
 
 
-def ready(methods: Sequence[Method]) -> list[Candidate]:
-    """Return methods as candidates that learn nothing from a fold."""
-    return [Candidate(method.name, partial(_as_it_is, method)) for method in methods]
+def wanted(names: Collection[str], known: Iterable[str]) -> list[str]:
+    """Return the known names that are among `names`; all if these are files only."""
+    chosen = [name for name in names if not name.endswith(_SUFFIX)]
+    return [name for name in known if not chosen or name in chosen]
 
 
-def baselines(names: Collection[str] = ()) -> list[Candidate]:
+def baselines(names: Collection[str] = ()) -> list[Learner]:
     """Return the baselines, which are fitted to the train split; `names`: only these."""
-    return [
-        Candidate(name, partial(fitted_baseline, name)) for name in BASELINES if not names or name in names
-    ]
+    return [Learner(name, partial(fitted_baseline, name)) for name in wanted(names, BASELINES)]
 
 
-def default_psd(names: Collection[str] = ()) -> list[Candidate]:
-    """Return the spectral detector with its default threshold, which learns nothing from a fold."""
-    psd = Method("psd", Psd())
-    return ready([psd]) if not names or psd.name in names else []
+def hold_out_methods(
+    names: Collection[str] = (), *, train: bool = False, recipe: Recipe = SHORT
+) -> list[Candidate]:
+    """Return the methods without weights that are judged on held-out groups.
 
-
-def choose_debounce(method: Method, fold: Fold) -> tuple[Debounce, str]:
-    """Choose the debounce of a method: of its card, tuned on validation recordings, or that of the paper.
-
-    Returns:
-        The debounce, and where it comes from.
+    Args:
+        names: Only these: psd, and with `train` logistic, gradient_boosting and tcn; empty: all.
+        train: Include those that learn from the other groups; else only psd with its default threshold.
+        recipe: Size and training of the network.
     """
-    if method.debounce is not None:
-        return method.debounce, "its card"
-    if fold.validation:
-        return tuned_on(fold.validation, method.detector), "validation"
-    return fold.judged[0].sampling.rule(PAPER_RULE), "the paper"
+    found: dict[str, Candidate] = {"psd": Method("psd", Psd(), PAPER_RULE, "the paper")}
+    if train:
+        for name in _FITTED:
+            learn = partial(fitted_baseline, name, features=STROKES, hop=_SHORT_HOP)
+            found[name] = Learner(name, learn)
+        found["tcn"] = Learner("tcn, trained", partial(_trained_tcn, recipe))
+    return [found[name] for name in wanted(names, found)]
 
 
-def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, hop: int = _HOP) -> Method:
+def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, hop: int = _HOP) -> Detector:
     """Fit a baseline to the training of a fold.
 
     Args:
@@ -119,27 +145,27 @@ def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, 
     def seen(length: int) -> Counts:
         return np.concatenate([windows(recording, length, every) for recording in training])
 
-    detector: Detector
     if name in _PSD:
         fingertip = training[0].fingertip
         psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
-        detector = psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
-    else:
-        own = (features or _FITTED[name]).at(sampling)
-        detector = Baseline.fitted(name, seen(own.length), slip, own)
-    return Method(name, detector)
+        return psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
+    own = (features or _FITTED[name]).at(sampling)
+    return Baseline.fitted(name, seen(own.length), slip, own)
 
 
-def _as_it_is(method: Method, _fold: Fold) -> Method:
-    return method
+def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
+    """Train our network; crops are as short as the shortest recording."""
+    require_extra("train", "--train")
+    from flows.learn.training.dense_training import train_dense
+
+    if not any(each.slip.any() for each in fold.train):
+        raise InputError("--train", "none of the recordings to learn from has slip")
+    own = replace(recipe, crop=min(recipe.crop, *map(len, fold.train)))
+    detector = Tcn(train_dense(fold.train, fold.validation, own).arrays)
+    detector.fingertip = fold.train[0].fingertip
+    return detector
 
 
-def _shipped(name: str) -> Method:
-    path = shipped_path(name)
-    return Method(name, load_detector(name), load_debounce(path), load_card(path))
-
-
-def _of_file(path: Path, taken: Collection[str]) -> Method:
-    """Load a model under the name of its file, or its path as given if that name is taken."""
-    name = str(path) if path.stem in taken else path.stem
-    return Method(name, load_detector(path), load_debounce(path), load_card(path))
+def _loaded(name: str, model: str) -> Method:
+    path = shipped_path(model) if model in shipped_names() else Path(model)
+    return Method(name, load_detector(model), load_debounce(path), card=load_card(path))

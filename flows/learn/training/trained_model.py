@@ -11,8 +11,8 @@ from typing import Any, Final, TypeAlias
 from numpy.typing import NDArray
 
 from flows.learn.datasets import dataset_digest
-from flows.learn.evaluation.measures import BALANCED, SHARES, judged
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.measures import BALANCED, SHARES, judged
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 from operators import Debounce

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 from flows.learn.datasets import SPLITS
-from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.debounce_tuning import tuned_on
 from flows.learn.labelled_recordings import (
     TARGETS,
     LabelledRecording,

@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from flows.learn.evaluation.measures import accuracy, balanced, confusion
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.measures import accuracy, balanced, confusion
 from flows.learn.training.trained_model import Arrays, Check, Progress
 from operators.batch import Codes, Flags
 

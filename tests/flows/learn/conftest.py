@@ -12,7 +12,19 @@ from numpy.typing import NDArray
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Check, Model
 from flows.learn.training.trainer import train
+from operators import Debounce
+from operators.batch import Codes
 from operators.detectors.tcn import shapes
+
+TWICE = Debounce(0.5, consecutive=2, release=2)
+
+
+def label(samples: int, *runs: tuple[int, int]) -> Codes:
+    """Slip from the first to before the second of each run."""
+    result = np.zeros(samples, np.int8)
+    for first, end in runs:
+        result[first:end] = 1
+    return result
 
 
 @pytest.fixture(scope="session")

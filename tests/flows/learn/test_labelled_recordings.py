@@ -15,7 +15,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
 from flows.learn.datasets import SPLITS, TURNS
-from flows.learn.evaluation.stress_fields import stressed
+from flows.learn.evaluation.stress_study import stressed
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.alarms.alarm_calibration import PATH, try_settings
-from flows.learn.evaluation.debounce_tuning import tuned
-from flows.learn.evaluation.event_metrics import Slips
-from flows.learn.evaluation.measures import judged
+from flows.learn.debounce_tuning import tuned
+from flows.learn.event_metrics import Slips
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.measures import judged
 from flows.learn.sampling import Sampling
 from operators import Debounce
 from operators.batch import Reals

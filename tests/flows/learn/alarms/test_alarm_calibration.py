@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from flows.learn.alarms.alarm_calibration import PATH, Trials, calibrated, try_settings
 from flows.learn.alarms.alarm_limit import TooLittleDataError
-from flows.learn.evaluation.event_metrics import EventMetrics
+from flows.learn.event_metrics import EventMetrics
 from flows.learn.labelled_recordings import LabelledRecording
 from operators.batch import Reals
 

@@ -8,24 +8,13 @@ import pytest
 from flows.learn.evaluation import evaluation_study
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
 from flows.learn.labelled_recordings import LabelledRecording
-from operators import Debounce
-from operators.batch import Codes
 
-TWICE = Debounce(0.5, consecutive=2, release=2)
 Having: TypeAlias = Callable[[Sequence[LabelledRecording]], Path]
 
 
 @pytest.fixture(scope="session")
 def found(tiny: Path) -> Evaluation:
     return evaluate(tiny, names=["psd", "logistic", "tcn"], speed=1e-4)
-
-
-def label(samples: int, *runs: tuple[int, int]) -> Codes:
-    """Slip from the first to before the second of each run."""
-    result = np.zeros(samples, np.int8)
-    for first, end in runs:
-        result[first:end] = 1
-    return result
 
 
 def stroke(seed: int, group: str) -> LabelledRecording:

@@ -8,8 +8,8 @@ import pytest
 from flows.learn.evaluation import evaluation_figures as figures
 from flows.learn.evaluation.evaluation_report import evaluation_report
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
-from flows.learn.evaluation.measures import BALANCED, SHARES
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.measures import BALANCED, SHARES
 from flows.report.report_page import Report
 from flows.report.results import estimates
 from flows.report.table import Value

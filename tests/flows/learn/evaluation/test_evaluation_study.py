@@ -7,15 +7,15 @@ import polars as pl
 import pytest
 
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate, judge_all
-from flows.learn.evaluation.folds import Fold
-from flows.learn.evaluation.measures import BALANCED
-from flows.learn.evaluation.methods import Candidate, Method, default_psd
-from flows.learn.hold_out_training import learners
+from flows.learn.evaluation.folds import Fold, group_folds
+from flows.learn.evaluation.methods import Learner, hold_out_methods
 from flows.learn.labelled_recordings import LabelledRecording, load
+from flows.learn.measures import BALANCED
 from flows.learn.training.recipe import Recipe
 from flows.report.results import estimates
 from flows.run.executor import workers
 from operators import Debounce
+from operators.detectors import Detector
 from operators.errors import InputError
 from operators.fingertip import TAKKTILE
 from tests.flows.learn.conftest import Trained
@@ -44,13 +44,13 @@ def test_tasks_on_processes_give_the_same_results(found: Evaluation, tiny: Path)
 
 def test_without_a_validation_split_the_papers_debounce_is_used(tiny: Path, having: Having) -> None:
     everything = load(tiny)
-    assert evaluate(tiny, names=["psd"], split="validation").chosen_on == {"psd": "the paper"}
+    assert evaluate(tiny, names=["psd"], split="validation").methods["psd"].chosen_on == "the paper"
     dataset = having(
         [replace(each, split="train") if each.split == "validation" else each for each in everything]
     )
     found = evaluate(dataset, names=["psd"])
     assert found.methods["psd"].debounce == Debounce(0.5, 2, 2)
-    assert found.chosen_on == {"psd": "the paper"}
+    assert found.methods["psd"].chosen_on == "the paper"
 
 
 def test_with_all_recordings_judged_nothing_is_fitted_or_tuned(tiny: Path) -> None:
@@ -85,20 +85,15 @@ def test_a_recording_in_two_splits_is_named_and_not_fitted_to(tiny: Path, having
 
 def test_a_model_that_was_trained_on_judged_recordings_is_named(small: Trained, tiny: Path) -> None:
     for split, notes in (("validation", ["small was trained on this dataset"]), ("test", [])):
-        assert [*evaluate(tiny, names=["psd"], models=[small.model.path], split=split).notes] == notes
+        assert [*evaluate(tiny, names=["psd", str(small.model.path)], split=split).notes] == notes
 
 
-def test_detectors_are_judged_on_groups_that_they_did_not_see(
-    surfaces: list[LabelledRecording], having: Having
-) -> None:
+def test_detectors_are_judged_on_groups_that_they_did_not_see(surfaces: list[LabelledRecording]) -> None:
     done = list[tuple[int, int]]()
-    found = evaluate(
-        having(surfaces),
-        hold_out=["wood"],
-        learners=learners(["logistic", "tcn"], SMALL),
-        names=["psd"],
-        progress=lambda number, of: done.append((number, of)),
-    )
+    methods = hold_out_methods(["psd", "logistic", "tcn"], train=True, recipe=SMALL)
+    [fold] = group_folds(surfaces, ["wood"], "strokes")
+    tasks = [(each, fold) for each in methods]
+    found = judge_all("strokes", tasks, progress=lambda number, of: done.append((number, of)))
     assert done[-1] == (3, 3)
     assert set(found.methods) == {"psd", "logistic", "tcn, trained"}
     balanced = estimates(found.results, BALANCED, ("method", "fold"))
@@ -113,7 +108,7 @@ def test_a_learner_that_fails_on_one_group_is_missing(
     still = [
         each if each.group == "steel" else replace(each, label=np.zeros_like(each.label)) for each in surfaces
     ]
-    found = evaluate(having(still), hold_out=["all"], learners=learners(["logistic"]), names=["psd"])
+    found = evaluate(having(still), hold_out=["all"], train=True, names=["psd", "logistic"])
     assert list(found.methods) == ["psd"]
     assert found.missing["logistic"]
 
@@ -135,18 +130,13 @@ def test_labels_by_hand_are_noted(surfaces: list[LabelledRecording], having: Hav
     assert note == "labels by hand: 5 of 700 samples of 1 recording"
 
 
-def die(_: Fold) -> Method:
+def die(_: Fold) -> Detector:
     os._exit(1)
 
 
 def test_a_method_whose_process_dies_is_missing(surfaces: list[LabelledRecording]) -> None:
-    fold = Fold("", (), (), surfaces[:1])
+    fold, methods = Fold("", (), (), surfaces[:1]), [*hold_out_methods(), Learner("own", die)]
     with workers(2) as executor:
-        found = judge_all(
-            "strokes",
-            [(each, fold) for each in (*default_psd(), Candidate("own", die))],
-            fold.judged,
-            executor=executor,
-        )
+        found = judge_all("strokes", [(each, fold) for each in methods], executor=executor)
     assert list(found.methods) == ["psd"]
     assert found.missing == {"own": "its process died, perhaps for lack of memory"}

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.debounce_tuning import tuned_on
 from flows.learn.evaluation.folds import Fold
-from flows.learn.evaluation.methods import PAPER_RULE, Method, baselines, choose_debounce, trained_methods
+from flows.learn.evaluation.methods import PAPER_RULE, Method, baselines, trained_methods
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from operators import Debounce
@@ -79,9 +79,14 @@ def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(
 def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[LabelledRecording]) -> None:
     own, psd = Debounce(0.8, 3, 8), Method("psd", fitted(training, "psd")["psd"])
     fold = Fold("", training, training, training)
-    assert choose_debounce(replace(psd, debounce=own), fold) == (own, "its card")
-    assert choose_debounce(psd, fold) == (tuned_on(training, psd.detector), "validation")
-    assert choose_debounce(psd, replace(fold, validation=[])) == (PAPER_RULE, "the paper")
+    tuned = tuned_on(training, psd.detector)
+    for method, learned, debounce, origin in (
+        (replace(psd, debounce=own), fold, own, "its card"),
+        (psd, fold, tuned, "validation"),
+        (psd, replace(fold, validation=[]), PAPER_RULE, "the paper"),
+    ):
+        chosen = method.debounced(learned)
+        assert (chosen.debounce, chosen.chosen_on) == (debounce, origin)
 
 
 def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path: Path) -> None:
@@ -89,21 +94,21 @@ def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path
     folder = tmp_path / "again"
     folder.mkdir()
     files += [model(folder / f"{name}.safetensors") for name in ("two", "tcn")]  # tcn ships
-    names = [method.name for method in trained_methods(files)]
+    names = [method.name for method in trained_methods([*map(str, files)])]
     assert names == [*shipped_names(), "one", "two", str(files[2]), str(files[3])]
-    [alone] = trained_methods(files[-1:], ["psd"])
+    [alone] = trained_methods([str(files[-1]), "psd"])
     assert alone.name == "tcn"  # the shipped one is not judged
 
 
 def test_the_debounce_of_a_model_is_that_of_its_card(tmp_path: Path) -> None:
     settings: dict[str, Any] = {"threshold": 0.8, "consecutive": 3, "release": 8}
     path = model(tmp_path / "slow.safetensors", debounce=settings)
-    [method] = trained_methods([path], ["psd"])
+    [method] = trained_methods([str(path), "psd"])
     assert method.debounce == Debounce(**settings)
 
 
 def test_a_card_with_invalid_debounce_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"odd\.json: debounce"):
-        trained_methods([model(tmp_path / "odd.safetensors", debounce={"speed": 1})])
+        trained_methods([str(model(tmp_path / "odd.safetensors", debounce={"speed": 1}))])
     with pytest.raises(InputError, match=r"odd\.json: debounce"):
-        trained_methods([model(tmp_path / "odd.safetensors", debounce={"consecutive": 0})])
+        trained_methods([str(model(tmp_path / "odd.safetensors", debounce={"consecutive": 0}))])

@@ -5,7 +5,7 @@ from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Moves, Parameters, Scene
-from flows.learn.evaluation.stress_fields import FIELDS, plan_of, stressed
+from flows.learn.evaluation.stress_study import FIELDS, plan_of, stressed
 from operators.batch import columns
 
 PLAN = Moves((Move("hold", 0.4, force=2.0), Move("translation", 0.5, 0.1, 30.0, 0.1)))

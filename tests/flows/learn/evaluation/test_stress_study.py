@@ -9,10 +9,16 @@ from connectors.sim.paper_plan import PaperPlan
 from flows.learn.evaluation import evaluation_figures, stress_study
 from flows.learn.evaluation.evaluation_report import stress_report
 from flows.learn.evaluation.evaluation_study import Evaluation
-from flows.learn.evaluation.measures import BALANCED, judged
-from flows.learn.evaluation.stress_fields import FIELDS, stressed
-from flows.learn.evaluation.stress_study import NOMINAL, condition_name, every_condition, stress
+from flows.learn.evaluation.stress_study import (
+    FIELDS,
+    NOMINAL,
+    condition_name,
+    every_condition,
+    stress,
+    stressed,
+)
 from flows.learn.labelled_recordings import simulated_recordings
+from flows.learn.measures import BALANCED, judged
 from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 
@@ -40,7 +46,7 @@ def test_every_value_of_every_field_is_judged(found: Evaluation) -> None:
     names = [condition_name(field, value) for field, value in every_condition()]
     assert found.results["condition"].unique(maintain_order=True).to_list() == list(dict.fromkeys(names))
     assert names.count(NOMINAL) == 3, "slip speed has a plan of its own"
-    assert found.chosen_on == {"psd": "validation"}
+    assert found.methods["psd"].chosen_on == "validation"
 
 
 def test_with_more_than_three_dead_cells_there_is_no_answer(found: Evaluation) -> None:

@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from flows.learn.evaluation.measures import balanced, confusion
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.measures import balanced, confusion
 from flows.learn.training import training_loop
 from flows.learn.training.paper_networks import PaperNetwork, paper_network
 from flows.learn.training.paper_training import Windows, train_windowed

@@ -1,7 +1,7 @@
 import numpy as np
 
-from flows.learn.evaluation.debounce_tuning import tuned
-from flows.learn.evaluation.event_metrics import EventMetrics, Slips
+from flows.learn.debounce_tuning import tuned
+from flows.learn.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.batch import Reals

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.evaluation.event_metrics import EventMetrics, Slips
+from flows.learn.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
 from flows.learn.scoring import probabilities

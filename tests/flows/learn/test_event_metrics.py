@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.learn.evaluation.event_metrics import (
+from flows.learn.event_metrics import (
     BRIEF,
     PAUSE,
     EventMetrics,
@@ -16,7 +16,7 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP, Sampling
 from operators import ms
 from operators.batch import Codes, Flags, Reals
-from tests.flows.learn.evaluation.conftest import TWICE, label
+from tests.flows.learn.conftest import TWICE, label
 
 PERIOD = 10 * ms
 

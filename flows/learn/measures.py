@@ -7,7 +7,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import polars as pl
 
-from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, match_onsets, onsets
+from flows.learn.event_metrics import DECISION, EventMetrics, Slips, match_onsets, onsets
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
 from flows.report.results import (

@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.learn.evaluation.baselines import sklearn
-from flows.learn.evaluation.measures import (
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.measures import (
     AGAINST_SLIDING,
     BALANCED,
     EVENTS,
@@ -18,13 +19,12 @@ from flows.learn.evaluation.measures import (
     judged,
     precision,
 )
-from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
 from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce
 from operators.batch import Codes, Reals
-from tests.flows.learn.evaluation.conftest import TWICE, label
+from tests.flows.learn.conftest import TWICE, label
 
 
 def recorded(codes: Codes, sliding: Codes | None = None, name: str = "one") -> LabelledRecording:
