@@ -9,11 +9,9 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Final, TextIO
 
 if TYPE_CHECKING:
-    from flows.graph import Flow
     from operators.ports import Json, Run
 
 _SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # in URLs
-_REPEAT_AFTER: Final = 10.0  # s
 
 log = logging.getLogger("slipflow")
 
@@ -61,23 +59,6 @@ class PipeHandler(logging.StreamHandler[TextIO]):
             super().handleError(record)
 
 
-class RepeatFilter:
-    """Filter of log records that passes records with the same first line at most once in 10 s."""
-
-    def __init__(self) -> None:
-        self._passed: dict[str, float] = {}  # time (s) of the newest record that passed, by first line
-
-    def __call__(self, record: logging.LogRecord) -> bool:
-        """Return True to pass a record; an event of a run always passes."""
-        if hasattr(record, "event"):
-            return True
-        self._passed = {
-            line: time for line, time in self._passed.items() if abs(record.created - time) < _REPEAT_AFTER
-        }
-        first = record.getMessage().partition("\n")[0]
-        return self._passed.setdefault(first, record.created) == record.created
-
-
 def begin_log(form: Format = Format.TEXT, stream: TextIO | None = None) -> None:
     """Send log records to stderr as text, or to `stream` (default stdout) as JSON."""
     logging.getLogger("slipflow.compilation").setLevel(logging.INFO)  # the user has to wait for it
@@ -88,24 +69,7 @@ def begin_log(form: Format = Format.TEXT, stream: TextIO | None = None) -> None:
         handler = PipeHandler(stream or sys.stdout)
         handler.setFormatter(JsonFormatter())
         log.setLevel(logging.INFO)
-    handler.addFilter(RepeatFilter())
     logging.basicConfig(handlers=[handler])
-
-
-def print_json(flow: "Flow") -> None:
-    """Let the consoles of a flow print JSON; if it has none, add one for slips and faults."""
-    from connectors import Console
-    from operators import Faults, Slips
-
-    consoles = [sink for sink in flow.sinks().values() if isinstance(sink, Console)]
-    for each in consoles:
-        each.format = "json"
-    if not consoles:
-        console = Console(format="json")
-        for kind in (Slips, Faults):
-            first = next((node for node in flow.nodes if node.gives is kind), None)
-            if first is not None:
-                flow.add_sink(console, first)
 
 
 @contextmanager

@@ -1,7 +1,9 @@
-"""Live page and metrics of a running flow: the sinks that serve them."""
+"""Sinks that the command line adds to a flow: live page, metrics, and a console of JSON lines."""
 
 import os
 import sys
+import webbrowser
+from threading import Thread
 from typing import TYPE_CHECKING
 
 from flows.cli.options import parse_address
@@ -27,7 +29,7 @@ def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -
         ParameterError: if the page cannot be served at this address.
     """
     from connectors import Page
-    from operators import Debounce
+    from operators import Debounce, Faults, Motion, Scores, Slips, Touch, Zeroed
 
     host, port = parse_address("--listen", listen) if listen else ("127.0.0.1", None)
     thresholds = [node.part.threshold for node in flow.nodes if isinstance(node.part, Debounce)]
@@ -37,32 +39,30 @@ def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -
 
     watch_cells(flow)
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=announce)
-    for node in page_streams(flow):
+    touch = first_streams(flow, Zeroed) or first_streams(flow, Touch)
+    for node in [*touch, *first_streams(flow, Motion, Scores, Slips, Faults)]:
         flow.add_sink(page, node)
 
 
-def page_streams(flow: "Flow") -> "list[Node]":
-    """Return the streams that the page shows: the first of each type, zeroed touch if there is any."""
-    from operators import Faults, Motion, Scores, Slips, Touch, Zeroed
-
+def first_streams(flow: "Flow", *kinds: "type[Batch]") -> "list[Node]":
+    """Return the first stream of each type, without the types that the flow lacks."""
     first: dict[type[Batch] | None, Node] = {}
     for node in flow.nodes:
         first.setdefault(node.gives, node)
-    kinds = (Zeroed if Zeroed in first else Touch, Motion, Scores, Slips, Faults)
     return [first[kind] for kind in kinds if kind in first]
 
 
 def watch_cells(flow: "Flow") -> "Node | None":
     """Add `Health` to the first raw touch of a known range and return it, unless the flow has faults."""
-    from operators import Faults, Health, Source, Touch
+    from operators import Faults, Health, Touch
     from operators.batch import s
 
-    if any(node.gives is Faults for node in flow.nodes):
+    if first_streams(flow, Faults):
         return None
-    for node in flow.nodes:
-        fingertip = node.part.fingertip if isinstance(node.part, Source) else None
-        if node.gives is Touch and fingertip is not None and fingertip.range is not None:
-            low, high = sorted(fingertip.range)
+    for node, source in flow.sources().items():
+        limits = source.fingertip and source.fingertip.range
+        if node.gives is Touch and limits:
+            low, high = sorted(limits)
             end = max(1, (high - low) // 100)  # counts at each end of the range
             return flow.add("faults", Health(clear_after=2 * s, floor=low + end, ceiling=high - end), node)
     return None
@@ -77,35 +77,32 @@ def add_metrics(flow: "Flow", listen: str) -> None:
     from operators import Faults, Scores, Slips
 
     host, port = parse_address("--metrics", listen)
-    kinds = Slips, Faults, Scores
-    inputs = [next((node for node in flow.nodes if node.gives is kind), None) for kind in kinds]
     metrics = Metrics(port, host, opened=lambda url: note(f"metrics: {url}"))
-    flow.add("metrics", metrics, *filter(None, inputs))
+    flow.add("metrics", metrics, *first_streams(flow, Slips, Faults, Scores))
+
+
+def print_json(flow: "Flow") -> None:
+    """Let the consoles of a flow print JSON; if it has none, add one for slips and faults."""
+    from connectors import Console
+    from operators import Faults, Slips
+
+    consoles = [sink for sink in flow.sinks().values() if isinstance(sink, Console)]
+    for each in consoles:
+        each.format = "json"
+    if not consoles:
+        console = Console(format="json")
+        for node in first_streams(flow, Slips, Faults):
+            flow.add_sink(console, node)
 
 
 def announce_page(title: str, url: str, login_url: str, *, browse: bool) -> None:
-    """Print the address of a page, and open a browser if `browse` is set and a person uses this terminal.
+    """Print the address of a page; open a browser if `browse` is set and no program reads the output.
 
     `login_url` is the URL with the access token. It is printed on a terminal only, never into a log. The
     browser gets the URL without it, because all users of this machine can read the arguments of a process.
     """
     hint = "" if login_url == url else " (asks for its token)"
     note(f"{title}: {login_url if sys.stderr.isatty() else url + hint}")
-    if browse:
-        _open_browser(url)
-
-
-def _open_browser(url: str) -> None:
-    """Open a browser if there is a screen and no program reads the output; failures are ignored."""
     screen = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if not (screen and sys.stdout.isatty() and sys.stderr.isatty()):
-        return
-    import webbrowser
-    from contextlib import suppress
-    from threading import Thread
-
-    def show() -> None:
-        with suppress(Exception):
-            webbrowser.open(url)
-
-    Thread(target=show, daemon=True).start()  # some browsers return only when they are closed
+    if browse and screen and sys.stdout.isatty() and sys.stderr.isatty():
+        Thread(target=webbrowser.open, args=(url,), daemon=True).start()  # some return only when closed

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.event_log import Format, begin_log, print_json
+from flows.cli.event_log import Format, begin_log
 from flows.cli.execution import execute, replay_all, report_run
-from flows.cli.live_view import add_metrics, add_page
+from flows.cli.live_view import add_metrics, add_page, print_json
 from flows.cli.options import (
     AsJson,
     Cluster,

@@ -28,27 +28,22 @@ Findings: TypeAlias = dict[str, list[Finding]]  # by part
 
 async def diagnose(parts: Mapping[str, Endpoint], clock: Clock, limit: float = LIMIT) -> Findings:
     """Return the findings about sources and sinks, by their names, each within `limit` (s)."""
-    found: Findings = {name: [] for name in parts}
-    await asyncio.gather(*(_diagnose(name, part, clock, limit, found[name]) for name, part in parts.items()))
-    return found
+    found = await asyncio.gather(*(_diagnose(name, part, clock, limit) for name, part in parts.items()))
+    return dict(zip(parts, found, strict=True))
 
 
-async def _diagnose(name: str, part: Endpoint, clock: Clock, limit: float, found: list[Finding]) -> None:
+async def _diagnose(name: str, part: Endpoint, clock: Clock, limit: float) -> list[Finding]:
+    found, timeout = list[Finding](), asyncio.timeout(limit)
     try:
         if part.extra:
             require_extra(part.extra, name)
-        async with asyncio.timeout(limit), aclosing(part.diagnose(clock)) as findings:
-            try:
-                async for finding in findings:
-                    found += [finding]  # at once: an error may follow
-            except TimeoutError as error:  # of the part itself, such as a connection's
-                found.append(_failure(name, error))
-    except TimeoutError:
-        found.append(Finding(name, f"no result within {limit:g} s: check that it responds", "bad"))
+        async with timeout, aclosing(part.diagnose(clock)) as findings:
+            async for finding in findings:
+                found += [finding]  # at once: an error may follow
     except Exception as error:  # noqa: BLE001 - the finding itself
-        found.append(_failure(name, error))
-    if not found:
-        found.append(Finding(name, f"{type(part).__name__}: nothing to check"))
+        silent = Finding(name, f"no result within {limit:g} s: check that it responds", "bad")
+        found.append(silent if timeout.expired() else _failure(name, error))
+    return found or [Finding(name, f"{type(part).__name__}: nothing to check")]
 
 
 def _failure(name: str, error: Exception) -> Finding:

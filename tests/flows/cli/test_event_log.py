@@ -14,11 +14,10 @@ from connectors import Console
 from flows.cli.event_log import (
     Format,
     PipeHandler,
-    RepeatFilter,
     begin_log,
     logged,
-    print_json,
 )
+from flows.cli.live_view import print_json
 from flows.cli.main import main
 from flows.cli.terminal import note
 from flows.graph import Flow
@@ -172,16 +171,3 @@ def test_a_closed_pipe_is_not_an_error_but_a_full_disk_is(capsys: pytest.Capture
     assert capsys.readouterr().err == ""
     PipeHandler(Gone(OSError("No space left on device"))).handle(record)
     assert "No space left on device" in capsys.readouterr().err
-
-
-def test_repeated_messages_are_suppressed_for_10_s_but_not_the_events_of_a_run() -> None:
-    def passed(text: str, time: float, **more: str) -> bool:
-        return repeats(logging.makeLogRecord({"msg": text, "created": time, **more}))
-
-    repeats = RepeatFilter()
-    assert [passed("accept failed\nsocket 7", k / 100) for k in range(1000)] == [True] + 999 * [False]
-    assert passed("another", 9.9)
-    assert passed("accept failed\nsocket 8", 10.0)
-    assert passed("accept failed\nsocket 9", -3600.0)  # the host's clock was set back
-    assert passed("touch failed", 0, event="source_failed")
-    assert passed("touch failed", 0, event="source_failed")
