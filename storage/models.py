@@ -21,7 +21,6 @@ from operators.fingertip import Fingertip
 from storage import files
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
-_DIGEST: Final = "slipflow.sha256"  # of the rest of a .safetensors file, whose format has no checksum
 _SUFFIX: Final = ".safetensors"
 ALARMS: Final = "alarms"  # entry of a model card: debounce settings by rate of false alarms
 LIMIT: Final = 256 * files.MiB  # bytes of a file
@@ -54,10 +53,9 @@ def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, s
         raise InputError(str(path), f"is not a model file: these end in {_SUFFIX}")
     data = files.read(path, LIMIT)
     try:
-        weights, (header, arrays) = safetensors.load(data), _split(data)
-        about = header.get("__metadata__", {})
-        if (digest := about.pop(_DIGEST, None)) and digest != _digest(header, arrays):
-            raise ValueError("its sha256 differs from the one that it contains")  # noqa: TRY301
+        weights = safetensors.load(data)
+        size = int.from_bytes(data[:8], "little")  # bytes of the header, which has the description
+        about = json.loads(data[8 : 8 + size]).get("__metadata__", {})
     except Exception as error:  # json, numpy and safetensors each raise their own
         reason = str(error).partition("\n")[0]
         raise InputError(
@@ -86,12 +84,7 @@ def save_weights(
     native = {
         name: np.asarray(array, array.dtype.newbyteorder("="), order="C") for name, array in weights.items()
     }
-    header, data = _split(safetensors.save(native))
-    header["__metadata__"] = dict(sorted((about or {}).items()))
-    header["__metadata__"] = {**header["__metadata__"], _DIGEST: _digest(header, data)}
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)  # the arrays are aligned
-    files.put(path, len(text).to_bytes(8, "little") + text + data)
+    files.put(path, safetensors.save(native, dict(about or {})))
 
 
 def save_card(path: Path, card: Mapping[str, Any]) -> None:
@@ -220,14 +213,3 @@ def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> An
     )
     command = f"slipflow calibrate {name} --on SESSIONS --false-alarms {per_minute:g}/min"
     raise InputError(name, f"is {known}; run `{command}`")
-
-
-def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the header of a .safetensors file and the bytes of its arrays."""
-    start = 8  # bytes, with the length of the header
-    end = start + int.from_bytes(data[:start], "little")
-    return json.loads(data[start:end]), data[end:]
-
-
-def _digest(header: Mapping[str, Any], arrays: bytes) -> str:
-    return files.hash_json({**header, "": hashlib.sha256(arrays).hexdigest()})
