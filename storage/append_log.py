@@ -82,7 +82,7 @@ class LogReader:
         self._start = self.end = -1  # of the first frame; below 0: the header is damaged
         self._file = files.open_file(path)
         try:
-            self._size = files.size_of(self._file)
+            self._size = os.fstat(self._file).st_size
             self.seed = self.crc = self._read_header()
         except BaseException:
             self.close()
@@ -99,9 +99,9 @@ class LogReader:
         """
         if self._start < 0:
             return
-        self.damage, self._size = None, files.size_of(self._file)
+        self.damage, self._size = None, os.fstat(self._file).st_size
         self.end = self._start if offset is None else offset
-        self.crc = _to_int(files.read_at(self._file, _CRC, self.end - _CRC))
+        self.crc = _to_int(os.pread(self._file, _CRC, self.end - _CRC))
         while self.end < self._size:
             found = self._frame(self.end, self.crc)
             if found is None:
@@ -114,7 +114,7 @@ class LogReader:
     def close(self) -> None:
         """Close the file; may be called again."""
         if self._file >= 0:
-            files.close(self._file)
+            os.close(self._file)
         self._file = -1
 
     def __enter__(self) -> Self:
@@ -125,14 +125,14 @@ class LogReader:
 
     def _read_header(self) -> int:
         """Read the header and return its CRC."""
-        head = files.read_at(self._file, _HEAD.size, 0)
+        head = os.pread(self._file, _HEAD.size, 0)
         if len(head) == _HEAD.size:
             magic, _, length = _HEAD.unpack(head)
             if magic[:-1] == _MAGIC and magic != _MAGIC + bytes([VERSION]):
                 reason = f"has log version {magic[-1]}; this slipflow reads version {VERSION}"
                 raise InputError(str(self.path), f"{reason}: read it with the slipflow that wrote it")
             if magic[:-1] == _MAGIC and length <= min(LIMIT, self._size - _HEAD.size - _CRC):
-                rest = files.read_at(self._file, length + _CRC, _HEAD.size)
+                rest = os.pread(self._file, length + _CRC, _HEAD.size)
                 crc = zlib.crc32(rest[:length], zlib.crc32(head))
                 if _to_int(rest[length:]) == crc:
                     self.identity = rest[:length]
@@ -143,13 +143,13 @@ class LogReader:
 
     def _frame(self, offset: int, before: int) -> tuple[bytes, int] | None:
         """Return record and CRC of the frame at `offset` after the CRC `before`; None if it is not whole."""
-        prefix = files.read_at(self._file, _PREFIX.size, offset)
+        prefix = os.pread(self._file, _PREFIX.size, offset)
         if len(prefix) < _PREFIX.size:
             return None
         magic, length = _PREFIX.unpack(prefix)
         if magic != _FRAME_MAGIC or length > min(LIMIT, self._size - offset - _OVERHEAD):
             return None
-        rest = files.read_at(self._file, length + _CRC, offset + _PREFIX.size)
+        rest = os.pread(self._file, length + _CRC, offset + _PREFIX.size)
         record = rest[:length]
         crc = _checksum(prefix, record, _POSITION.pack(offset, before), self.seed)
         return (record, crc) if _to_int(rest[length:]) == crc and len(rest) == length + _CRC else None
@@ -159,10 +159,10 @@ class LogReader:
         left = self._size - offset
         if left < _OVERHEAD:
             return True
-        magic, length = _PREFIX.unpack(files.read_at(self._file, _PREFIX.size, offset))
+        magic, length = _PREFIX.unpack(os.pread(self._file, _PREFIX.size, offset))
         if magic == _FRAME_MAGIC and left - _OVERHEAD < length <= LIMIT:
             return True
-        return left <= _ZEROS and not any(files.read_at(self._file, left, offset))
+        return left <= _ZEROS and not any(os.pread(self._file, left, offset))
 
 
 class AppendLog:
@@ -206,15 +206,12 @@ class AppendLog:
         if self.broken:
             raise OSError(EIO, "an earlier append failed and could not be undone", str(self.path))
         data, offsets, crc = _frames(records, self.end, self._crc, self._seed)
-        left, offset = memoryview(data), self.end
         try:
-            while left:
-                written = files.write_at(self._file, left, offset)
-                left, offset = left[written:], offset + written
+            files.write_at(self._file, data, self.end)
         except BaseException as error:
             self.broken = True
             with suppress(OSError):
-                files.truncate(self._file, self.end)
+                os.ftruncate(self._file, self.end)
                 self.broken = False
             if isinstance(error, OSError):
                 error.filename = str(self.path)
@@ -239,7 +236,7 @@ class AppendLog:
             end = self.end
             if end > self._synced and self._file >= 0:
                 try:
-                    files.fsync(self._file)
+                    os.fsync(self._file)
                 except OSError as error:
                     self.suspect, error.filename = True, str(self.path)
                     raise
@@ -249,7 +246,7 @@ class AppendLog:
         """Close the file without a sync; may be called again."""
         with self._closing:
             if self._file >= 0:
-                files.close(self._file)
+                os.close(self._file)
             self._file = -1
 
 

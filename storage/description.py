@@ -1,7 +1,6 @@
 """Descriptions of a dataset and a session: dataset.json and session.json."""
 
 import json
-import os
 import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
@@ -16,7 +15,6 @@ from operators.extras import software_version
 from operators.fingertip import Fingertip
 from operators.ports import Description, Run
 from storage import files
-from storage.files import lock
 from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, Table
 
 VERSION: Final = 2  # of the dataset format
@@ -39,16 +37,12 @@ def describe_dataset(root: Path) -> None:
     """
     path = root / DATASET
     if not path.exists():
-        held = lock(root, wait=True)
-        try:
+        with files.exclusive(root):
             if not path.exists():
                 if any(not each.name.startswith((".", DATASET, SESSIONS)) for each in root.iterdir()):
                     raise InputError(str(root), "has other files and is not a dataset: give another folder")
                 files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
-        finally:
-            if held is not None:
-                os.close(held)
-    _check_version(path, files.read_json(path))
+    read_dataset(root)
 
 
 def read_dataset(root: Path) -> Description:

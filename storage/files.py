@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM
 from pathlib import Path
 from shutil import rmtree
@@ -50,59 +50,12 @@ def open_file(path: Path, *, write: bool = False, follow: bool = False) -> int:
     return descriptor
 
 
-def create_file(path: Path) -> int:
-    """Create a file and return its descriptor."""
-    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
-
-
-def close(descriptor: int) -> None:
-    """Close a file."""
-    os.close(descriptor)
-
-
-def size_of(descriptor: int) -> int:
-    """Return the size of a file in bytes."""
-    return os.fstat(descriptor).st_size
-
-
-def read_at(descriptor: int, size: int, offset: int) -> bytes:
-    """Return `size` bytes at `offset`, fewer at the end of the file."""
-    return os.pread(descriptor, size, offset)
-
-
-def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> int:
-    """Write bytes at `offset` and return how many were written."""
-    return os.pwrite(descriptor, data, offset)
-
-
-def truncate(descriptor: int, size: int) -> None:
-    """Cut a file to `size` bytes."""
-    os.ftruncate(descriptor, size)
-
-
-def fsync(descriptor: int) -> None:
-    """Make the content of an open file durable."""
-    os.fsync(descriptor)
-
-
-def rename(source: Path, target: Path) -> None:
-    """Rename a file, and replace `target`."""
-    source.replace(target)
-
-
-def unlink(path: Path) -> None:
-    """Delete a file if it exists."""
-    path.unlink(missing_ok=True)
-
-
-def create_folder(path: Path, *, new: bool = False, mode: int = 0o777) -> None:
-    """Make a folder, which may exist unless it must be `new`."""
-    path.mkdir(mode, exist_ok=not new)
-
-
-def remove_folder(path: Path) -> None:
-    """Delete an empty folder."""
-    path.rmdir()
+def write_at(descriptor: int, data: bytes, offset: int) -> None:
+    """Write bytes at `offset`."""
+    left = memoryview(data)
+    while left:
+        written = os.pwrite(descriptor, left, offset)
+        left, offset = left[written:], offset + written
 
 
 def put(path: Path, data: bytes) -> None:
@@ -129,21 +82,19 @@ def replace(path: Path, data: bytes, *, durable: bool = False) -> None:
     """
     scratch = path.with_name(path.name + SCRATCH)
     try:
-        unlink(scratch)  # left by a killed process, or a link that must not be followed
-        descriptor = create_file(scratch)
+        scratch.unlink(missing_ok=True)  # left by a killed process, or a link that must not be followed
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
+        descriptor = os.open(scratch, flags, 0o666)
         try:
-            left, offset = memoryview(data), 0
-            while left:
-                written = write_at(descriptor, left, offset)
-                left, offset = left[written:], offset + written
+            write_at(descriptor, data, 0)
             if durable:
-                fsync(descriptor)
+                os.fsync(descriptor)
         finally:
-            close(descriptor)
-        rename(scratch, path)
+            os.close(descriptor)
+        scratch.replace(path)
     except OSError:
         with suppress(OSError):
-            unlink(scratch)
+            scratch.unlink(missing_ok=True)
         raise
 
 
@@ -173,12 +124,12 @@ def make_folder(path: Path, *, new: bool = False, parents: bool = False, mode: i
     """
     if parents and not path.parent.exists():
         make_folder(path.parent, parents=True)
-    create_folder(path, new=new, mode=mode)
+    path.mkdir(mode, exist_ok=not new)
     try:
         sync(path.parent)
     except OSError:
         if new:
-            remove_folder(path)
+            path.rmdir()
         raise
 
 
@@ -192,10 +143,10 @@ def read(path: Path, limit: int = LIMIT) -> bytes:
     try:
         descriptor = open_file(path, follow=True)
         try:
-            size = size_of(descriptor)
-            data = read_at(descriptor, size, 0) if size <= limit else b""
+            size = os.fstat(descriptor).st_size
+            data = os.pread(descriptor, size, 0) if size <= limit else b""
         finally:
-            close(descriptor)
+            os.close(descriptor)
     except OSError as error:
         raise read_error(path, error) from error
     except MemoryError as error:
@@ -257,7 +208,7 @@ def sync(path: Path) -> None:
     """Make the content of a file, or the names in a folder, durable."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        fsync(descriptor)
+        os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
@@ -275,30 +226,26 @@ def partial_file(path: Path) -> Generator[BinaryIO]:
     """Open a new file as `<path>.partial`; rename it to `path` if the block succeeds, else delete it.
 
     Raises:
-        EndpointError: if a file of either name exists, or it cannot be written.
+        EndpointError: as `partial_folder`.
     """
-    if path.exists():
-        raise EndpointError(str(path), "exists already; give another name, or remove it")
     with _partial(path, Path.touch) as scratch, scratch.open("wb") as file:
         yield file
 
 
-@contextmanager
-def partial_folder(path: Path) -> Generator[Path]:
+def partial_folder(path: Path) -> AbstractContextManager[Path]:
     """Make a folder `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it.
 
     Raises:
-        EndpointError: if `path` is a file or not empty, `<path>.partial` exists, or it cannot be written.
+        EndpointError: if `path` is a file or a folder with files, `<path>.partial` exists, or it cannot be
+            written.
     """
-    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise EndpointError(str(path), "must be a new or empty folder")
-    with _partial(path, Path.mkdir) as scratch:
-        yield scratch
+    return _partial(path, Path.mkdir)
 
 
 @contextmanager
 def _partial(path: Path, make: Callable[..., None]) -> Generator[Path]:
-    """Make `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it."""
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise EndpointError(str(path), "exists already: give another name, or remove it")
     path = path.resolve() if path.is_symlink() else path  # a folder cannot be renamed to a link
     scratch = path.with_name(path.name + PARTIAL)
     try:
@@ -322,15 +269,28 @@ def _partial(path: Path, make: Callable[..., None]) -> Generator[Path]:
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 
 
-def lock(folder: Path, *, wait: bool = False) -> int | None:
-    """Lock a folder; return the descriptor that holds the lock until it is closed.
-
-    Return None if another process holds the lock, unless `wait` is set.
+def lock(folder: Path) -> int | None:
+    """Lock a folder; return the descriptor that holds the lock until it is closed, None if another has it.
 
     Raises:
         OSError: if the folder cannot be locked.
     """
-    return _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=wait)
+    return _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=False)
+
+
+@contextmanager
+def exclusive(folder: Path) -> Generator[None]:
+    """Wait for the lock of a folder, and hold it.
+
+    Raises:
+        OSError: if the folder cannot be locked.
+    """
+    held = _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=True)
+    assert held is not None, "waited for it"
+    try:
+        yield
+    finally:
+        os.close(held)
 
 
 def lock_file(path: Path) -> int | None:
@@ -358,11 +318,10 @@ def locked(folder: Path) -> bool:
 def _flock(descriptor: int, *, wait: bool) -> int | None:
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-    except BlockingIOError:
+    except OSError as error:
         os.close(descriptor)
-        return None
-    except OSError:
-        os.close(descriptor)
+        if isinstance(error, BlockingIOError):
+            return None
         raise
     return descriptor
 

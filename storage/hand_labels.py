@@ -4,7 +4,6 @@ Each version is one JSON file, ``labels/000001.json`` and so on, with all spans 
 version counts. The recorded streams and the label by arm speed stay as they are.
 """
 
-import os
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from itertools import islice, pairwise
@@ -21,7 +20,6 @@ from operators.errors import EndpointError, InputError, ParameterError, os_error
 from operators.ports import Description
 from storage import files
 from storage.description import check_identity, identity
-from storage.files import lock
 from storage.layout import FINGER_MAX, LABEL_FILES, LABELS, file_name, numbered_files
 
 FORMAT: Final = 1
@@ -128,9 +126,7 @@ def write_hand_labels(
     ordered = _ordered(spans)
     try:
         files.make_folder(folder / LABELS)
-        held = lock(folder / LABELS, wait=True)
-        assert held is not None, "waited for it"
-        try:
+        with files.exclusive(folder / LABELS):
             newest = max(numbered_files(folder, LABEL_FILES), default=0)
             if newest != based_on:
                 reason = f"has version {newest} of hand labels, not {based_on}: load it and mark again"
@@ -138,8 +134,6 @@ def write_hand_labels(
             content = {"format": FORMAT, "version": newest + 1, **identity(about)}
             content["spans"] = [asdict(each) for each in ordered]
             files.put_checked(folder / file_name(LABEL_FILES, newest + 1), content)
-        finally:
-            os.close(held)
     except OSError as error:
         raise EndpointError(str(folder / LABELS), f"cannot be written: {os_error_reason(error)}") from error
     return HandLabels(newest + 1, ordered)

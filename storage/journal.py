@@ -235,7 +235,7 @@ class Journal:
         self._segments = [each for each in self._segments if each not in self._committing]
         while self._committing:
             self._committing[-1].close()
-            files.unlink(self._committing[-1].path)
+            self._committing[-1].path.unlink(missing_ok=True)
             self._committing.pop()
         if self._restarting:
             files.sync(self._folder / JOURNAL)
@@ -299,8 +299,8 @@ def delete_journal(folder: Path) -> None:
         OSError: some of it is left.
     """
     for path in (*files_of(folder, SEGMENTS), *files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")):
-        files.unlink(path)
-    files.remove_folder(folder / JOURNAL)
+        path.unlink(missing_ok=True)
+    (folder / JOURNAL).rmdir()
     files.sync(folder)
 
 

@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from operator import attrgetter
@@ -90,19 +90,14 @@ def recover(folder: str | Path) -> Recovery:
 @contextmanager
 def _exclusive(folder: Path) -> Generator[None]:
     """Lock a session against recorders and other recoveries."""
-    held = list[int]()
-    try:
+    with ExitStack() as stack:
         with suppress(FileNotFoundError):  # concurrent recoveries wait here, and then find no journal
-            turn = lock(folder / JOURNAL, wait=True)
-            held += [] if turn is None else [turn]
+            stack.enter_context(files.exclusive(folder / JOURNAL))
         own = lock(folder)
         if own is None:
             raise EndpointError(str(folder), "is being recorded: recover it when the recording ends")
-        held.append(own)
+        stack.callback(os.close, own)
         yield
-    finally:
-        for number in reversed(held):
-            os.close(number)
 
 
 class Repair:
@@ -257,7 +252,7 @@ class Repair:
         listed = {self._folder / part.path for part in self._all_parts()}
         scratch = scratch_files(self._folder)
         for path in (*scratch, *(path for path in self._strays if path not in listed)):
-            files.unlink(path)
+            path.unlink(missing_ok=True)
         if (self._folder / JOURNAL).is_dir():
             delete_journal(self._folder)
         return [f"{len(scratch)} incomplete files were deleted"] if scratch else []
@@ -268,7 +263,7 @@ class Repair:
         name = path.relative_to(self._folder).as_posix().replace("/", "-")
         names = (f"{name}.{number}" if number else name for number in count())
         free = next(each for each in names if not may_exist(self._folder / DAMAGED / each))
-        files.rename(path, self._folder / DAMAGED / free)
+        path.replace(self._folder / DAMAGED / free)
         files.sync(self._folder / DAMAGED)
 
 

@@ -80,9 +80,9 @@ class SessionWriter:
                 if run.live:
                     self._journal = Journal(self.folder, run.session)
             except BaseException:
-                rmtree(self.folder, ignore_errors=True)
                 if held is not None:
                     os.close(held)
+                rmtree(self.folder, ignore_errors=True)
                 raise
         self._release = weakref.finalize(self, _release, self._journal, held)
 

@@ -155,7 +155,7 @@ class OutboxLog:
             OSError: if a file cannot be deleted.
         """
         while len(self._segments) > SEGMENTS and self._segments[0].last <= sent[self._segments[0].epoch]:
-            files.unlink(self._segments.pop(0).path)
+            self._segments.pop(0).path.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Close the files and unlock the folder."""
@@ -173,7 +173,7 @@ class OutboxLog:
         records = reader.records()
         first = next(records, None)
         if first is None:
-            files.rename(reader.path, reader.path.with_suffix(".damaged"))
+            reader.path.replace(reader.path.with_suffix(".damaged"))
             log.error("%s: damaged, and renamed to .damaged", reader.path)
             return
         acknowledgements = 0
@@ -195,7 +195,7 @@ class OutboxLog:
         if segment.offsets or acknowledgements or reader.damage:
             self._segments.append(segment)
         else:  # of a run without events
-            files.unlink(reader.path)
+            reader.path.unlink(missing_ok=True)
 
     def _continues(self, entries: Sequence[Entry]) -> bool:
         """Return True if the newest segment is not full, and `entries` have its next numbers."""

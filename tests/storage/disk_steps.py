@@ -1,8 +1,10 @@
 """Steps of storage on the disk, which tests observe, fail, hold up, or end the process at."""
 
+import os
 from collections.abc import Callable, Generator, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -17,16 +19,7 @@ from tests.storage.made import new_episodes
 ROWS = 45  # of each stream
 SYNC_EVERY = 7  # rows
 KINDS = {".parquet": "part", ".wal": "segment"}
-CHANGES = (
-    "write_at",
-    "fsync",
-    "truncate",
-    "rename",
-    "unlink",
-    "create_folder",
-    "remove_folder",
-    "create_file",
-)
+CHANGES = ("pwrite", "fsync", "ftruncate", "replace", "unlink", "mkdir", "rmdir", "open")
 
 
 class Ended(BaseException):
@@ -38,16 +31,17 @@ def observed(reach: Callable[[str], None]) -> Generator[None]:
     """Call `reach` with the name of each step before it changes the disk."""
 
     def wrapped(name: str, real: Callable[..., object]) -> Callable[..., object]:
-        def call(where: Path | int, *rest: object, **named: object) -> object:
-            path = where if isinstance(where, Path) else Path(f"/proc/self/fd/{where}").readlink()
-            reach(f"{name} {_kind(path)}")
+        def call(where: Any, *rest: Any, **named: Any) -> object:
+            path = Path(f"/proc/self/fd/{where}").readlink() if isinstance(where, int) else Path(where)
+            if name != "open" or rest[0] & os.O_EXCL:
+                reach(f"{name} {_kind(path)}")
             return real(where, *rest, **named)
 
         return call
 
     with ExitStack() as stack:
         for name in CHANGES:
-            stack.enter_context(patch.object(files, name, wrapped(name, getattr(files, name))))
+            stack.enter_context(patch.object(os, name, wrapped(name, getattr(os, name))))
         yield
 
 

@@ -28,7 +28,7 @@ def copy(folder: Path, target: Path, phase: int) -> None:
 
 def test_a_copy_of_a_running_recording_has_all_rows_that_were_in_its_journal(tmp_path: Path) -> None:
     steps = steps_of(partial(record, tmp_path / "whole", new_run(), []))
-    first = steps.index("write_at segment")  # the journal exists
+    first = steps.index("pwrite segment")  # the journal exists
     starts = [number for number in each_kind(steps, turns=(1,), every=60) if number > first]
     due = [
         (start + phase * gap, phase, f"{start}-{gap}")

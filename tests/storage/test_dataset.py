@@ -3,8 +3,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from collections.abc import Generator, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from shutil import copytree
 from typing import Any
@@ -31,7 +31,7 @@ from operators.batch import (
 )
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
-from storage import Dataset, Session, description, files, verify
+from storage import Dataset, Session, files, verify
 from storage.description import describe_dataset, read_dataset
 from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch, new_run, session_names
@@ -196,7 +196,7 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
     writing, go_on = threading.Event(), threading.Event()
 
     def wait(step: str) -> None:
-        if step == "rename new part":
+        if step == "replace new part":
             writing.set()
             assert go_on.wait(60)
 
@@ -251,7 +251,7 @@ async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
     go_on, took = threading.Event(), list[int]()
 
     def wait(step: str) -> None:
-        if step == "write_at segment":
+        if step == "pwrite segment":
             assert go_on.wait(60)
 
     async def write(dataset: Dataset, ten: asyncio.Event) -> None:
@@ -300,12 +300,12 @@ print(storage.arrow.pa.default_memory_pool().backend_name)
 def test_of_several_processes_that_begin_a_dataset_one_describes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def beaten(root: Path, *, wait: bool) -> int:
+    @contextmanager
+    def beaten(root: Path) -> Generator[None]:
         """By a process that held the lock when we asked for it."""
-        assert wait
         files.put_json(root / "dataset.json", {"format": "slipflow dataset", "version": 2, "by": "another"})
-        return os.open(root, os.O_RDONLY)
+        yield
 
-    monkeypatch.setattr(description, "lock", beaten)
+    monkeypatch.setattr(files, "exclusive", beaten)
     describe_dataset(tmp_path)
     assert read_dataset(tmp_path)["by"] == "another"

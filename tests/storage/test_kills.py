@@ -42,7 +42,7 @@ def test_a_killed_recovery_is_carried_out_by_the_next(tmp_path: Path) -> None:
     left = leave(tmp_path / "data", new_run(), BATCHES)
     copytree(left, tmp_path / "whole")
     steps = steps_of(partial(recover, tmp_path / "whole"))
-    assert {"unlink segment", "remove_folder journal", "rename new part"} <= set(steps)
+    assert {"unlink segment", "rmdir journal", "replace new part"} <= set(steps)
     for number in range(len(steps)):
         place = tmp_path / str(number)
         copytree(left, place)

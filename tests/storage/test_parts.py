@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from operators.batch import EVERY, Episodes, Touch
 from operators.errors import BatchError, EndpointError, InputError
-from storage import arrow, files
+from storage import arrow
 from storage.layout import EPISODES, MOTION, TOUCH, file_name
 from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
 from storage.schema import from_arrow, to_arrow
@@ -104,7 +104,7 @@ def test_a_failing_disk_or_a_lack_of_memory_is_not_reported_as_damage(
 
     part = write(tmp_path, rows)
     with monkeypatch.context() as patch:
-        patch.setattr(files, "read_at", fail_disk)
+        patch.setattr(os, "pread", fail_disk)
         with pytest.raises(EndpointError, match="Input/output error"):
             read_part(tmp_path, part)
     monkeypatch.setattr(arrow.pq, "ParquetFile", fail_memory)

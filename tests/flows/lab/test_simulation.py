@@ -217,7 +217,7 @@ def test_an_existing_dataset_or_file_is_kept(tmp_path: Path, tiny: SimulatedData
     (tmp_path / "file").write_text("")
     before = hashes(tiny.out)
     for path in (tiny.out, tmp_path / "file"):
-        with pytest.raises(EndpointError, match="must be a new or empty folder"):
+        with pytest.raises(EndpointError, match="exists already: give another name"):
             simulate(path, "tiny", 0)
     with pytest.raises(EndpointError, match="cannot be written: "):
         simulate(tmp_path / "file" / "below", "tiny", 0)
@@ -242,7 +242,7 @@ def test_the_command_prints_the_sizes(
     assert found["seconds"] > 0
     assert {**found, "seconds": 0, "dataset": ""} == {**tiny.json(), "seconds": 0, "dataset": ""}
     assert hashes(out) == hashes(tiny.out)
-    assert error("simulate", out, "--plan", "tiny").startswith(f"{out}: must be a new or empty folder")
+    assert error("simulate", out, "--plan", "tiny").startswith(f"{out}: exists already: give another name")
 
     def simulated(*_: object, **__: object) -> SimulatedDataset:
         return replace(tiny, out=out)
