@@ -1,4 +1,4 @@
-"""Packages and recipes of UR's Real-Time Data Exchange (RTDE), version 2, as bytes. No I/O.
+"""Client of UR's Real-Time Data Exchange (RTDE), version 2, which timestamps each package on arrival.
 
 A connection carries packages: uint16 size (including these three bytes), uint8 kind, payload; all numbers are
 big-endian. A client requests a *recipe* of outputs by name, receives their types, and then their values at
@@ -7,20 +7,42 @@ the requested rate.
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 """
 
-from collections.abc import Iterator, Sequence
+import asyncio
+import logging
+from collections.abc import Awaitable, Mapping
+from contextlib import suppress
 from enum import IntEnum
 from struct import Struct
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self, TypeAlias, TypeVar
 
-from operators.errors import SlipflowError
+import numpy as np
+
+from operators.batch import Times, s
+from operators.errors import EndpointError, SlipflowError, os_error_reason
+from operators.ports import Clock
+
+T = TypeVar("T")
+Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.void]]"  # fields are outputs
 
 PORT: Final = 30004
 PROTOCOL: Final = 2  # version
 LARGEST: Final = 8192  # bytes of a package, twice the size of all variables of a controller
+TEXTS: Final = 10  # messages that are logged per minute
+BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
+
+NO_ANSWER: Final = "does not answer within {} s: check its address and its power"
+_NO_DATA: Final = "sent nothing for {} s: check that it runs and is connected"
+_NUMPY: Final = {"DOUBLE": (">f8", ()), "VECTOR6D": (">f8", 6), "INT32": (">i4", ())}  # element, shape
+_REFUSED: Final = (
+    "refuses the connection: check its address, and that RTDE is enabled"
+    " (e-Series: Settings, Security, Services)"
+)
 _REFUSALS: Final = {"NOT_FOUND", "IN_USE"}  # instead of a type
 _HEADER: Final = Struct(">HB")
 _VERSION: Final = Struct(">4I")
 _RATE: Final = Struct(">d")
+
+log = logging.getLogger("slipflow")
 
 
 class RtdeError(SlipflowError):
@@ -38,13 +60,6 @@ class Kind(IntEnum):
     START = ord("S")  # -> bool
 
 
-class Package(NamedTuple):
-    """A package without its header."""
-
-    kind: int
-    payload: bytes
-
-
 def pack(kind: int, payload: bytes = b"") -> bytes:
     r"""Return a package as bytes.
 
@@ -52,32 +67,6 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
     '00 05 56 00 02'
     """
     return _HEADER.pack(_HEADER.size + len(payload), kind) + payload
-
-
-class Packages:
-    """Splitter of a byte stream, received in chunks of any size, into packages."""
-
-    def __init__(self) -> None:
-        self._rest = b""
-
-    def feed(self, data: bytes) -> Iterator[Package]:
-        """Yield the packages that `data` completes; the caller must exhaust the iterator.
-
-        Raises:
-            RtdeError: on an invalid size, after which no package boundary can be found.
-        """
-        data, begin = self._rest + data, 0
-        try:
-            while len(data) - begin >= _HEADER.size:
-                size, kind = _HEADER.unpack_from(data, begin)
-                if not _HEADER.size <= size <= LARGEST:
-                    raise RtdeError(f"a package of {size} bytes, must be {_HEADER.size} to {LARGEST}")
-                if len(data) - begin < size:
-                    break
-                begin += size
-                yield Package(kind, data[begin - size + _HEADER.size : begin])
-        finally:
-            self._rest = data[begin:]
 
 
 def names(payload: bytes) -> tuple[str, ...]:
@@ -89,14 +78,18 @@ def names(payload: bytes) -> tuple[str, ...]:
     return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
 
 
-def granted_types(asked: Sequence[str], payload: bytes) -> tuple[int, tuple[str, ...]]:
-    r"""Return the number of the recipe and the types that a controller's answer grants.
+def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
+    r"""Return the number of the recipe that a controller's answer grants.
+
+    Args:
+        asked: Types of the requested variables, by name.
+        payload: The answer.
 
     Raises:
-        RtdeError: if the controller refuses, naming the refused fields.
+        RtdeError: if the controller refuses, or sends other types, naming the fields.
 
-    >>> granted_types(["timestamp", "actual_q"], b"\1DOUBLE,VECTOR6D")
-    (1, ('DOUBLE', 'VECTOR6D'))
+    >>> granted_recipe({"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}, b"\1DOUBLE,VECTOR6D")
+    1
     """
     number, types = payload[:1], names(payload[1:])
     refusals = [f"{name} {kind}" for name, kind in zip(asked, types, strict=False) if kind in _REFUSALS]
@@ -106,7 +99,14 @@ def granted_types(asked: Sequence[str], payload: bytes) -> tuple[int, tuple[str,
         raise RtdeError(f"the controller refused {', '.join(asked)}: does another program use them?")
     if len(types) != len(asked):
         raise RtdeError(f"{len(asked)} fields cannot have the types {', '.join(types)}")
-    return number[0], types
+    wrong = ", ".join(
+        f"{name} as {found}, must be {expected}"
+        for (name, expected), found in zip(asked.items(), types, strict=True)
+        if found != expected
+    )
+    if wrong:
+        raise RtdeError(f"the controller sends {wrong}: slipflow does not support its software version")
+    return number[0]
 
 
 class Version(NamedTuple):
@@ -132,11 +132,6 @@ class Version(NamedTuple):
         return ".".join(map(str, self))
 
 
-def ask_outputs(rate: float, outputs: Sequence[str]) -> bytes:
-    """Return the payload of a request for outputs at a rate (Hz)."""
-    return _RATE.pack(rate) + ",".join(outputs).encode()
-
-
 def text(payload: bytes) -> str:
     r"""Return the message and the source of a text package.
 
@@ -147,3 +142,160 @@ def text(payload: bytes) -> str:
     source = payload[2 + len(message) : -1]
     read = f"{message.decode('utf-8', 'replace')} ({source.decode('utf-8', 'replace')})"
     return "".join(each if each.isprintable() else " " for each in read)
+
+
+class RtdeClient:
+    """One connection to a controller.
+
+    A package is timestamped when the event loop reads it, not when `receive` returns it.
+
+    Args:
+        clock: Clock of the arrival times.
+        host: Address of the controller.
+        port: RTDE port.
+        outputs: RTDE types of the requested variables, by name.
+        rate: Packages per second, Hz.
+        timeout: Longest wait for the connection and between packages, s.
+
+    Attributes:
+        endpoint: Address in error messages.
+        controller: Software version; None before the controller has sent it.
+        texts: Messages that the controller sent.
+    """
+
+    def __init__(
+        self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], *, rate: float, timeout: float
+    ) -> None:
+        self.endpoint = f"rtde://{host}:{port}"
+        self.controller: Version | None = None
+        self.texts = self._logged = 0  # `_logged` counts those since `_minute`, ns
+        self._minute = clock.now()
+        self._address, self._clock, self._timeout = (host, port), clock, timeout
+        self._outputs, self._rate = outputs, rate
+        fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
+        self._row = np.dtype([("recipe", "u1"), *fields])
+        self._stream: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
+        self._reading: asyncio.Task[None] | None = None
+        self._received = asyncio.Queue[tuple[int, bytes] | Exception](BACKLOG)  # arrival (ns), payload
+
+    async def connect(self) -> None:
+        """Connect and request the outputs.
+
+        Raises:
+            EndpointError: if the controller does not accept the connection in time.
+        """
+        recipe = await self._in_time(self._shake_hands(), NO_ANSWER)
+        self._reading = asyncio.create_task(self._read(recipe))
+
+    async def receive(self) -> tuple[Times, Rows]:
+        """Wait for data; return all unread packages: arrival times and rows with the outputs, (n,), n >= 1.
+
+        Raises:
+            EndpointError: if the connection fails, the controller violates the protocol, or no package
+                arrives in time.
+        """
+        arrivals, payloads = zip(*await self._in_time(self._unread(), _NO_DATA), strict=True)
+        return np.array(arrivals, np.int64), np.frombuffer(b"".join(payloads), self._row)
+
+    async def close(self) -> None:
+        """Close the connection."""
+        if self._reading:
+            self._reading.cancel()
+            await asyncio.wait([self._reading])
+        if self._stream:
+            _, writer = self._stream
+            writer.transport.abort()
+            with suppress(OSError):
+                await writer.wait_closed()
+
+    async def _shake_hands(self) -> int:
+        """Open the connection; return the number of the granted recipe."""
+        self._stream = await asyncio.open_connection(*self._address)
+        if await self._ask(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big")) != b"\1":
+            raise RtdeError(f"the controller does not support RTDE version {PROTOCOL}: update its software")
+        self.controller = Version.read(await self._ask(Kind.CONTROLLER))
+        wanted = _RATE.pack(self._rate) + ",".join(self._outputs).encode()
+        recipe = granted_recipe(self._outputs, await self._ask(Kind.OUTPUTS, wanted))
+        if await self._ask(Kind.START) != b"\1":
+            raise RtdeError("the controller refused to start sending")
+        return recipe
+
+    async def _ask(self, kind: Kind, payload: bytes = b"") -> bytes:
+        assert self._stream
+        self._stream[1].write(pack(kind, payload))
+        return await self._package(kind)
+
+    async def _package(self, expected: Kind) -> bytes:
+        """Return the payload of the next package that is no message."""
+        assert self._stream
+        reader, _ = self._stream
+        while True:
+            size, kind = _HEADER.unpack(await reader.readexactly(_HEADER.size))
+            if not _HEADER.size <= size <= LARGEST:
+                raise RtdeError(f"a package of {size} bytes, must be {_HEADER.size} to {LARGEST}")
+            payload = await reader.readexactly(size - _HEADER.size)
+            if kind == expected:
+                return payload
+            if kind != Kind.TEXT:
+                raise RtdeError(f"received package {chr(kind)!r}, expected {chr(expected)!r}")
+            self._count_text(payload)
+
+    async def _row_of(self, recipe: int) -> bytes:
+        """Return the next data package."""
+        payload = await self._package(Kind.DATA)
+        if payload[:1] != bytes([recipe]) or len(payload) != self._row.itemsize:
+            found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
+            raise RtdeError(f"data of {found}, not {self._row.itemsize} for {recipe:02x}")
+        return payload
+
+    async def _read(self, recipe: int) -> None:
+        """Timestamp and store all packages, and at last the error that ends them."""
+        try:
+            while payload := await self._row_of(recipe):
+                await self._received.put((self._clock.now(), payload))
+        except Exception as error:  # noqa: BLE001 - raised by `receive`
+            await self._received.put(error)
+
+    def _count_text(self, payload: bytes) -> None:
+        """Count a message, and log it unless `TEXTS` of this minute were logged."""
+        self.texts += 1
+        if (now := self._clock.now()) - self._minute > 60 * s:
+            self._minute, self._logged = now, 0
+        self._logged += 1
+        if self._logged <= TEXTS:
+            log.warning("controller: %s", text(payload))
+        elif self._logged == TEXTS + 1:
+            log.warning(
+                "%s sends many messages: they are counted, and %d a minute logged", self.endpoint, TEXTS
+            )
+
+    async def _unread(self) -> list[tuple[int, bytes]]:
+        """Wait for packages; raise the error that ends them after the last one."""
+        unread = list[tuple[int, bytes]]()
+        while not unread or not self._received.empty():
+            match await self._received.get():
+                case Exception() as error if unread:
+                    self._received.put_nowait(error)
+                    break
+                case Exception() as error:
+                    raise error
+                case package:
+                    unread.append(package)
+        return unread
+
+    async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
+        """Wait at most `timeout`; every failure becomes an EndpointError."""
+        try:
+            async with asyncio.timeout(self._timeout):
+                return await awaited
+        except TimeoutError as error:
+            raise EndpointError(self.endpoint, late.format(self._timeout)) from error
+        except ConnectionRefusedError as error:
+            raise EndpointError(self.endpoint, _REFUSED) from error
+        except EOFError as error:
+            raise EndpointError(self.endpoint, "the controller closed the connection") from error
+        except OSError as error:
+            raise EndpointError(self.endpoint, os_error_reason(error)) from error
+        except RtdeError as error:
+            unknown = "" if self.controller else "is not an RTDE server: "
+            raise EndpointError(self.endpoint, f"{unknown}{error}") from error

@@ -1,6 +1,5 @@
 """Source of the motion of a UR arm over RTDE."""
 
-import logging
 from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import dataclass, field
 from math import isclose
@@ -8,8 +7,7 @@ from typing import Final, cast
 
 import numpy as np
 
-from connectors.ur.rtde import PORT
-from connectors.ur.rtde_client import Rows, RtdeClient
+from connectors.ur.rtde import PORT, Rows, RtdeClient
 from connectors.ur.ur_state import OUTPUTS as STATE_OUTPUTS
 from connectors.ur.ur_state import receive_states
 from operators.batch import Flags, Motion, Times, s
@@ -26,15 +24,13 @@ RATE_LEAST: Final = 0.95  # smallest measured rate, of the nominal
 
 _MAX_UPTIME: Final = 4e9  # s, 128 years
 
-log = logging.getLogger("slipflow")
-
 
 @dataclass(eq=False)
 class UrMotion(Source[Motion]):
     """Pose and velocity of a UR arm's tool centre point (TCP) in the base frame.
 
     `time` is the arrival of a package, `device_time` the controller's timestamp (ns since its start); both
-    are unfiltered. Packages that arrive together, for example after a stall, share one arrival time.
+    are unfiltered. Packages that arrive together, for example after a stall, have nearly one arrival time.
     `DeviceClock` converts the controller's time into host time and removes the network jitter::
 
         motion = flow.source(UrMotion("10.0.0.2"))
@@ -68,8 +64,7 @@ class UrMotion(Source[Motion]):
         self._stamps = PackageStamps(self.rate)
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
-        self._about |= {"controller": None, "connections": 0, "messages": 0}
-        self._count(address)
+        self._about |= {"controller": None, "connections": 0, "messages": 0, "missed": 0, "repeated": 0}
 
     @property
     def kind(self) -> type[Motion]:
@@ -84,17 +79,14 @@ class UrMotion(Source[Motion]):
         """
         client = RtdeClient(clock, self.host, self.port, OUTPUTS, rate=self.rate, timeout=self.timeout)
         stamps = self._stamps
-        stamps.connect()
+        stamps.newest, stamps.back = None, False
         try:
             await client.connect()
+            self._check_controller(client)
             while True:
-                arrivals, rows = await client.receive()
-                if stamps.first:
-                    self._check_controller(client)
-                motion = _decode(client.endpoint, arrivals, rows)
-                self._about["messages"] = client.texts
+                motion = _decode(client.endpoint, *await client.receive())
                 new = stamps.new(motion.device_time)
-                self._count(client.endpoint)
+                self._about.update(messages=client.texts, missed=stamps.missed, repeated=stamps.repeated)
                 if new.all():
                     yield motion
                 elif new.any():
@@ -114,8 +106,8 @@ class UrMotion(Source[Motion]):
         client = RtdeClient(clock, self.host, self.port, outputs, rate=self.rate, timeout=self.timeout)
         try:
             await client.connect()
-            stopped = (await receive_states(client))[-1].stopped
             self._check_controller(client)
+            stopped = (await receive_states(client))[-1].stopped
             yield Finding(client.endpoint, f"controller of version {client.controller}")
             if stopped:
                 yield Finding(client.endpoint, f"{stopped}: see the teach pendant", "note")
@@ -148,14 +140,6 @@ class UrMotion(Source[Motion]):
         self._about["controller"] = str(client.controller)
         self._about["connections"] = cast("int", self._about["connections"]) + 1
 
-    def _count(self, endpoint: str) -> None:
-        """Copy the counts into the description; log the first missing packages of a connection."""
-        stamps = self._stamps
-        if stamps.missed != self._about.get("missed", 0) and not stamps.logged:
-            stamps.logged = True
-            log.warning("%s: packages are missing before %.3f s", endpoint, stamps.newest / s)
-        self._about.update(restarts=stamps.restarts, missed=stamps.missed, repeated=stamps.repeated)
-
 
 def _decode(endpoint: str, arrivals: Times, rows: Rows) -> Motion:
     stamps: list[float] = rows["timestamp"].tolist()  # s; for a few rows, Python is faster than numpy
@@ -176,32 +160,23 @@ class PackageStamps:
     """Detector of repeated and missing packages from the controller's timestamps."""
 
     rate: float  # Hz
-    newest: int = 0  # ns, newest timestamp
+    newest: int | None = None  # ns, newest timestamp of this connection
     missed: int = 0
     repeated: int = 0
-    restarts: int = 0
     back: bool = False  # the controller's clock went back during this connection
-    logged: bool = False  # missing packages of this connection were logged
-    first: bool = True  # no package of this connection was received yet
-
-    def connect(self) -> None:
-        """Start a new connection."""
-        self.first, self.back, self.logged = True, False, False
 
     def new(self, stamps: Times) -> Flags:
         """Mark the new packages, (n,), n >= 1; none from the point where the clock went back."""
         period = round(s / self.rate)
-        if self.first:
-            first = stamps.item(0)
-            self.restarts += first < self.newest
-            self.newest, self.first = first - period, False
-        new, self.back = list[bool](), False
+        newest = stamps.item(0) - period if self.newest is None else self.newest
+        new = list[bool]()
         for stamp in stamps.tolist():
-            step = stamp - self.newest
+            step = stamp - newest
             self.back = self.back or step < 0
             new.append(step > 0 and not self.back)
             if not self.back:
-                self.newest = stamp
+                newest = stamp
                 self.repeated += step == 0
                 self.missed += max(round(step / period) - 1, 0)
+        self.newest = newest
         return np.array(new)

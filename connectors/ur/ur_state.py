@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from math import dist, hypot, inf, nan
 from typing import Final, NamedTuple, TypeAlias
 
-from connectors.ur.rtde import PORT
-from connectors.ur.rtde_client import RtdeClient
+from connectors.ur.rtde import PORT, RtdeClient
 from operators.checks import check_above
 from operators.errors import ParameterError
 from operators.ports import Clock

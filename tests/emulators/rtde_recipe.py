@@ -1,13 +1,13 @@
 """Recipes of RTDE as a controller has them: requests of clients, and packed values."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from struct import Struct, error
 from types import MappingProxyType
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
-from connectors.ur.rtde import RtdeError, Version, names
+from connectors.ur.rtde import LARGEST, RtdeError, Version, names
 
 Value: TypeAlias = float | tuple[float, ...]  # includes integers and flags
 
@@ -25,7 +25,41 @@ FORMATS: Final[Mapping[str, str]] = MappingProxyType(
         "VECTOR6UINT32": "6I",
     }
 )
+HEADER: Final = Struct(">HB")
 _RATE: Final = Struct(">d")
+
+
+class Package(NamedTuple):
+    """A package without its header."""
+
+    kind: int
+    payload: bytes
+
+
+class Packages:
+    """Splitter of a byte stream, received in chunks of any size, into packages."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def feed(self, data: bytes) -> Iterator[Package]:
+        """Yield the packages that `data` completes; the caller must exhaust the iterator.
+
+        Raises:
+            RtdeError: on an invalid size, after which no package boundary can be found.
+        """
+        data, begin = self._rest + data, 0
+        try:
+            while len(data) - begin >= HEADER.size:
+                size, kind = HEADER.unpack_from(data, begin)
+                if not HEADER.size <= size <= LARGEST:
+                    raise RtdeError(f"a package of {size} bytes, must be {HEADER.size} to {LARGEST}")
+                if len(data) - begin < size:
+                    break
+                begin += size
+                yield Package(kind, data[begin - size + HEADER.size : begin])
+        finally:
+            self._rest = data[begin:]
 
 
 class Request(IntEnum):

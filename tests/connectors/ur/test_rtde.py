@@ -1,64 +1,69 @@
+"""Connections to test peers, which also violate the protocol."""
+
+import asyncio
+import logging
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from itertools import pairwise
+from unittest.mock import MagicMock, patch
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.ur.rtde import (
-    Kind,
-    Package,
-    Packages,
-    RtdeError,
-    Version,
-    ask_outputs,
-    granted_types,
-    pack,
-    text,
-)
+from connectors.ur import rtde
+from connectors.ur.rtde import Kind, RtdeClient, RtdeError, Version, granted_recipe, pack, text
+from connectors.ur.ur_motion import OUTPUTS
+from flows.graph.testing import run_virtually
+from flows.run.clocks import LoopClock
+from operators import EndpointError
+from tests.emulators.rtde_recipe import Recipe, Request, version_payload
+from tests.emulators.ur_controller import CB3
 
-NAMES = ("timestamp", "actual_TCP_pose", "actual_TCP_speed")
-
-packages = st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=300)), max_size=20)
-cuts = st.lists(st.integers(0, 5000), max_size=30)
-
-
-def split(data: bytes, cuts: list[int]) -> list[bytes]:
-    places = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    return [data[start:stop] for start, stop in pairwise(places)]
+RECIPE = Recipe(7, tuple(OUTPUTS), tuple(OUTPUTS.values()))
+ANSWERS = [
+    pack(Kind.PROTOCOL, b"\1"),
+    pack(Kind.CONTROLLER, version_payload(CB3)),
+    pack(Kind.OUTPUTS, RECIPE.answer),
+    pack(Kind.START, b"\1"),
+]
+DATA = [RECIPE.pack((k / 125, (k, 0, 0, 0, 0, 0), (0.0,) * 6)) for k in range(3)]
 
 
-def read(pieces: list[bytes]) -> tuple[list[Package], str]:
-    """Return the packages that come out, and why no more do."""
-    reader, found = Packages(), list[Package]()
-    try:
-        for piece in pieces:
-            for package in reader.feed(piece):
-                found.append(package)
-    except RtdeError as error:
-        return found, str(error)
-    return found, ""
+def fed(pieces: list[bytes]) -> tuple[bytes, str, RtdeClient]:
+    """Return the payloads that a client receives from pieces of a byte stream, and why it fails."""
 
+    async def main() -> tuple[bytes, str, RtdeClient]:
+        reader, received = asyncio.StreamReader(), b""
+        client = RtdeClient(LoopClock(), "127.0.0.1", 1, OUTPUTS, rate=125.0, timeout=1.0)
 
-@given(packages, cuts)
-def test_any_cut_of_the_bytes_gives_the_same_packages(sent: list[tuple[int, bytes]], cuts: list[int]) -> None:
-    data = b"".join(pack(kind, payload) for kind, payload in sent)
-    assert read(split(data, cuts)) == ([Package(*each) for each in sent], "")
+        async def feed() -> None:
+            for piece in pieces:
+                reader.feed_data(piece)
+                await asyncio.sleep(0)
+            reader.feed_eof()
 
+        async def connected(*_: object) -> tuple[asyncio.StreamReader, MagicMock]:
+            return reader, MagicMock()
 
-@given(st.binary(max_size=2000), cuts)
-def test_any_cut_of_rubbish_gives_the_same_packages_and_the_same_error(data: bytes, cuts: list[int]) -> None:
-    assert read(split(data, cuts)) == read([data])
+        feeding = asyncio.create_task(feed())
+        try:
+            with patch("asyncio.open_connection", connected):
+                await client.connect()
+            while True:
+                received += (await client.receive())[1].tobytes()
+        except EndpointError as error:
+            await feeding
+            return received, error.reason, client
+
+    return run_virtually(main())
 
 
 def test_requests_are_the_bytes_that_the_guide_has() -> None:
     assert pack(Kind.PROTOCOL, b"\0\2").hex() == "0005560002"
     assert pack(Kind.CONTROLLER).hex() == "000376"
     assert pack(Kind.START).hex() == "000353"
-    asked = pack(Kind.OUTPUTS, ask_outputs(125.0, ("timestamp", "actual_q")))
-    assert asked == b"\x00\x1dO\x40\x5f\x40\0\0\0\0\0timestamp,actual_q"
 
 
 def test_versions_travel_as_four_numbers() -> None:
@@ -68,10 +73,70 @@ def test_versions_travel_as_four_numbers() -> None:
         Version.read(bytes(12))
 
 
-@pytest.mark.parametrize("parse", [Version.read, partial(granted_types, NAMES), text])
+@pytest.mark.parametrize("parse", [Version.read, partial(granted_recipe, OUTPUTS), text])
 @given(payload=st.binary(max_size=600))
 def test_rubbish_in_a_payload_is_an_error_of_our_own_or_none(
     parse: Callable[[bytes], object], payload: bytes
 ) -> None:
     with suppress(RtdeError):
         parse(payload)
+
+
+@given(st.lists(st.integers(0, 700), max_size=20))
+def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
+    stream = b"".join([*ANSWERS, *(pack(Kind.DATA, payload) for payload in DATA)])
+    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    received, reason, _ = fed([stream[start:stop] for start, stop in pairwise(places)])
+    assert (received, reason) == (b"".join(DATA), "the controller closed the connection")
+
+
+@given(st.binary(max_size=2000))
+def test_rubbish_is_an_error(data: bytes) -> None:
+    received, reason, _ = fed([data])
+    assert (received, bool(reason)) == (b"", True)
+
+
+@pytest.mark.parametrize(
+    ("answers", "wrong", "reason"),
+    [
+        (0, pack(Kind.PROTOCOL, b"\0"), "does not support RTDE version 2"),
+        (0, pack(Kind.CONTROLLER, version_payload(CB3)), "'v', expected 'V'"),
+        (0, pack(Kind.DATA, DATA[0]), "'U', expected 'V'"),
+        (1, pack(Kind.CONTROLLER, b"\1"), "version has 1 bytes"),
+        (2, pack(Kind.OUTPUTS, b"\0DOUBLE,NOT_FOUND"), "actual_TCP_pose NOT_FOUND"),
+        (2, pack(Kind.OUTPUTS, b"\1DOUBLE,VECTOR6D,VECTOR3D"), "actual_TCP_speed as VECTOR3D"),
+        (3, pack(Kind.START, b"\0"), "refused to start"),
+        (3, pack(Kind.DATA, DATA[0]), "'U', expected 'S'"),
+        (4, pack(Kind.DATA, DATA[0][:-1]), "data of 104 bytes"),
+        (4, pack(Kind.DATA, b"\1" + DATA[0][1:]), "recipe 01, not 105 for 07"),
+        (4, pack(Request.PAUSE, b"\1"), "'P', expected 'U'"),
+        (4, b"HTTP/1.1 400 Bad Request", "package of 18516 bytes"),
+    ],
+)
+def test_an_unexpected_package_is_an_error_after_the_data_before_it(
+    answers: int, wrong: bytes, reason: str
+) -> None:
+    before = [*ANSWERS[:answers], *([pack(Kind.DATA, DATA[0])] if answers == 4 else [])]
+    received, error, _ = fed([b"".join([*before, wrong])])
+    assert reason in error
+    assert received == (DATA[0] if answers == 4 else b"")
+
+
+@given(st.lists(st.binary(max_size=60), min_size=1, max_size=9), st.integers(1, 300))
+def test_messages_of_the_controller_are_counted_and_a_few_are_logged(texts: list[bytes], often: int) -> None:
+    flood = b"".join(pack(Kind.TEXT, payload) for payload in texts) * often
+    logged = list[str]()
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            logged.append(record.getMessage())
+
+    collector = Collector()
+    logging.getLogger("slipflow").addHandler(collector)
+    try:
+        received, _, client = fed([*ANSWERS, flood, pack(Kind.DATA, DATA[0]), flood])
+    finally:
+        logging.getLogger("slipflow").removeHandler(collector)
+    assert (client.texts, received) == (2 * often * len(texts), DATA[0])
+    assert len(logged) == min(client.texts, rtde.TEXTS + 1)
+    assert all(line.isprintable() for line in logged)

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors import UrMotion
-from connectors.ur import rtde_client
+from connectors.ur import rtde
 from connectors.ur.rtde import Kind, Version, pack
 from connectors.ur.ur_motion import PackageStamps
 from flows.graph import Flow
@@ -107,11 +107,11 @@ def test_every_package_is_received_once_in_order(version: Version, rate: float) 
     np.testing.assert_allclose(motion.velocity, np.tile(FORWARD, (len(motion), 1)))
     about = source.describe()
     assert about["controller"] == str(version)
-    assert (about["missed"], about["repeated"], about["restarts"], about["connections"]) == (0, 0, 0, 1)
+    assert (about["missed"], about["repeated"], about["connections"]) == (0, 0, 1)
 
 
 def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rtde_client, "BACKLOG", 20)
+    monkeypatch.setattr(rtde, "BACKLOG", 20)
 
     async def main() -> list[Motion]:
         async with lab() as here:
@@ -127,7 +127,7 @@ def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     taken = run_virtually(main())
     motion = concat(Motion, taken)
     assert (np.diff(motion.device_time) == 8 * ms).all()
-    assert len(motion) > 4 * 250
+    assert len(motion) > 3 * 250
     assert [len(batch) for batch in taken].count(20) >= 5  # reading pauses after 20 unread packages
 
 
@@ -145,7 +145,6 @@ def test_a_clock_that_goes_back_ends_the_connection() -> None:
     assert len(before) in (124, 125)
     assert reason == "its clock went back: the controller restarted"
     assert after.device_time[0] < before.device_time[-1]
-    assert about["restarts"] == 1
     assert about["missed"] == 0
 
 
@@ -202,7 +201,7 @@ def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
         assert np.abs(shown).max() < 0.3 * ms  # until the drift is known, after 5 s
     assert clocks.drift[3] == pytest.approx(-50e-6, abs=1e-6)
     assert clocks.offset[-1] - clocks.offset[0] == pytest.approx(20 * s, abs=0.1 * s)
-    assert here.source.describe()["restarts"] == 1
+    assert here.source.describe()["connections"] == 2
 
 
 def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
@@ -238,7 +237,7 @@ def test_a_controller_that_floods_messages_neither_delays_the_run_nor_loses_pack
     assert len(motion) > 6.9 * 125
     assert motion.time[-1] - run.start < 7.1 * s
     assert cast("int", here.source.describe()["messages"]) > 300_000
-    assert len(caplog.records) == rtde_client.TEXTS + 1
+    assert len(caplog.records) == rtde.TEXTS + 1
 
 
 # --- parameters and stamps ---
