@@ -204,29 +204,19 @@ class ColumnMap:
 
     def toml(self) -> str:
         """Return the text of a TOML file with this map, which `load` reads."""
-        given = {**self.columns, **self._values()}.items()
-        lines = [f"{name} = {_toml(each)}" for name, each in given if each is not None]
-        for table, texts in (("units", self.units), ("labels", self.labels)):
-            lines += [f"{table}.{name} = {_toml(each)}" for name, each in texts.items()]
-        return "\n".join([*lines, ""])
+        values = {name: each[0] if len(each) == 1 else each for name, each in self.values().items()}
+        stated = {**self.columns, **values}.items()
+        # strings of JSON are strings of TOML
+        return "".join(f"{name} = {json.dumps(each, ensure_ascii=False)}\n" for name, each in stated)
 
-    def items(self) -> list[str]:
-        """Return what is stated beside columns, as items of a text that `parse` reads."""
-        usual = type(self)()._values()  # noqa: SLF001 - of its class
-        values = {name: each for name, each in self._values().items() if each != usual[name]}
-        values |= {f"units.{name}": unit for name, unit in self.units.items()}
-        values |= {f"labels.{name}": texts for name, texts in self.labels.items()}
-        texts = {
-            name: [*map(str, each)] if isinstance(each, tuple) else [_text(each)]
-            for name, each in values.items()
-        }
-        return [f"{name}={','.join(each)}" for name, each in texts.items()]
-
-    def _values(self) -> dict[str, Any]:
-        values = {name: getattr(self, name) for name in _PARSERS}
-        values["layout"] = layout_text(self.layout) if self.layout else None
-        values["range"] = self.range and "{:g}:{:g}".format(*self.range)
-        return values | {"finger": self.finger or None}
+    def values(self) -> dict[str, list[str]]:
+        """Return what is stated beside columns, as texts by the key."""
+        usual, found = type(self)(), dict[str, list[str]]()
+        for name in _PARSERS:
+            if (value := getattr(self, name)) != getattr(usual, name):
+                found[name] = _texts(name, value)
+        found |= {f"units.{name}": [unit] for name, unit in self.units.items()}
+        return found | {f"labels.{name}": [*texts] for name, texts in self.labels.items()}
 
     @property
     def cells(self) -> dict[int, tuple[str, ...]]:
@@ -331,9 +321,13 @@ def _text(value: object) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _toml(value: object) -> str:
-    """Return a value in TOML: strings of JSON are strings of TOML."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
+def _texts(name: str, value: Any) -> list[str]:
+    """Return the texts of a value, which its parser reads."""
+    if name == "layout":
+        return [layout_text(value)]
+    if name == "range":
+        return [":".join(map(str, value))]
+    return [*map(str, value)] if isinstance(value, tuple) else [_text(value)]
 
 
 def _layout(text: str) -> Layout:

@@ -1,33 +1,77 @@
 """Interpretation of a table: each stage adds its conclusions, and all problems become one error."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
+import polars as pl
 
-from connectors.files.column_map import COUNTS, DATE, LABEL, TIME, ColumnMap
-from connectors.files.decoding import Decoded, decode, readings_of
-from connectors.files.number_format import NumberFormat, number_format
-from connectors.files.plausibility import Plausible, plausible
+from connectors.files.column_map import DATE, LABEL, LABELS, MOTIONS, TIME, ColumnMap
+from connectors.files.number_format import MISSING, NumberFormat, number_format
 from connectors.files.raw_table import Problems, RawTable
-from connectors.files.resolution import is_multiple, offsets, resolution_of
-from connectors.files.roles import completed
-from connectors.files.time_axis import TimeAxis, time_axis
+from connectors.files.readings import described, readings_of, reals_of
+from connectors.files.roles import completed, label_value, label_values
+from connectors.files.time_axis import gap_doubts, time_axis
+from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch
+from operators.fingertip import Fingertip
+
+_MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
+_WORDS_SHOWN: Final = 5
 
 
 @dataclass(frozen=True)
-class Interpretation:
-    """Table whose columns and formats are known."""
+class Part:
+    """Rows of a recording with a clock that never goes back, and all that was concluded."""
 
-    table: RawTable
-    columns: ColumnMap  # complete
+    file: str  # name, also of a table in memory
+    sha256: str  # of the file, hex; empty for a table in memory
+    columns: ColumnMap  # complete, without absent quantities
     stated: frozenset[str]  # quantities that the user mapped; others were recognised by their names
-    axis: TimeAxis
-    decoded: tuple[Decoded, ...]  # rows of each part
-    notes: tuple[str, ...]  # conclusions of all stages
-    warnings: tuple[str, ...]  # doubts of all stages
+    rate: float | None  # rows per second; None: unknown
+    fingertip: Fingertip | None  # None: the rate is unknown
+    notes: tuple[str, ...]  # conclusions on how the data is read
+    warnings: tuple[str, ...]  # doubts about implausible values
+    fingertips: Mapping[int, Touch]  # rows by fingertip, Touch or Zeroed
+    motion: Motion  # of the arm; no rows if there is none
+    labels: Codes  # (n,) 1 slip, 0 static, -1 unknown
+
+    @property
+    def touch(self) -> Touch:
+        """Rows of the first fingertip."""
+        return next(iter(self.fingertips.values()))
+
+    @property
+    def offset(self) -> Reals:
+        """Counts to add to those of each cell (cells,); a reading is (count + offset) x resolution."""
+        return np.resize(self.columns.offset or (0,), self.touch.cells)
+
+    @property
+    def resolution(self) -> float:
+        """Units per count."""
+        return self.columns.resolution or 1.0
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Lowest and highest reading, in the unit of the counts."""
+        touch = self.fingertips.values()
+        counts, valid = (np.hstack([getattr(each, name) for each in touch]) for name in ("counts", "valid"))
+        readings = (counts + np.array(self.columns.offset or 0))[valid]
+        return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
+
+    @property
+    def missing(self) -> int:
+        """Number of missing readings."""
+        return sum(int(np.count_nonzero(~each.valid)) for each in self.fingertips.values())
+
+    @property
+    def speeds(self) -> Reals:
+        """Speed of the arm in each row of motion, (n,) m/s."""
+        speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
+        return speeds
 
 
-def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Interpretation:
+def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> list[Part]:
     """Interpret a table by what the user states; with `split`, a clock that starts again begins another part.
 
     Raises:
@@ -56,37 +100,70 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> Int
         rate=columns.rate or axis.rate,
         separator=table.separator,
     )
-    readings = readings_of(table, columns, numbers, problems)
-    names = columns.cell_names
-    for cell in np.flatnonzero(np.isnan(readings).all(axis=0)):
-        problems.add(f"column {names[cell]} has no readings")
-    if len({len(each) for each in columns.cells.values()}) > 1:
-        problems.add("its fingertips have different numbers of cells", about=COUNTS)
-    if not names or np.isnan(readings).all(axis=0).any():
-        problems.stop()
-    checked = plausible(readings, names, axis.time, table, columns)
-    columns, rounded = _resolved(columns, checked)
-    parts = tuple(
-        decode(table.rows(*part), columns, axis.time[slice(*part)], checked.readings[slice(*part)], problems)
-        for part in axis.parts
-    )
+    readings = readings_of(table, columns, numbers, axis.time, problems)
+    columns, velocity = readings.columns, _velocity(table, columns, numbers, problems)
+    labels = _labels(table, columns, problems)
     problems.stop()
-    doubts = [*axis.warnings, *checked.warnings]
-    if rounded:
-        doubts.append(f"the readings are rounded to steps of {columns.resolution:g} {columns.unit}")
-    stages = (*table.notes, *notes, *axis.notes, *checked.notes)
-    return Interpretation(table, columns, frozenset(stated.columns), axis, parts, stages, tuple(doubts))
+    fingertip = described(columns) if columns.rate else None
+    parts = list[Part]()
+    for part in (slice(*ends) for ends in axis.parts):
+        time, touch, first = axis.time[part], dict[int, Touch](), 0
+        for finger, names in columns.cells.items():
+            cells = slice(first, first := first + len(names))
+            counts, valid = readings.counts[part, cells], readings.valid[part, cells]
+            touch[finger] = columns.kind(time, counts, np.zeros_like(counts), valid, finger=finger)
+        moving: Flags = np.all(np.isfinite(velocity[part]), axis=1)
+        unknown = np.full((len(time), 6), np.nan)
+        motion = Motion(time, time, velocity[part], unknown, finger=EVERY)[moving]
+        doubts = [*axis.warnings, *readings.warnings]
+        found = Part(
+            table.file,
+            table.sha256,
+            columns,
+            frozenset(stated.columns),
+            axis.rate,
+            fingertip,
+            (*table.notes, *notes, *axis.notes, *readings.notes),
+            (),
+            touch,
+            motion,
+            labels[part],
+        )
+        if (fastest := float(found.speeds.max(initial=0.0))) > _MAX_SPEED:
+            doubts.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
+        if found.missing:
+            bad: Flags = np.any(~readings.valid[part], axis=1)
+            doubts.append(f"missing readings: {found.missing}, in {np.count_nonzero(bad)} of {len(bad)} rows")
+        parts.append(replace(found, warnings=(*doubts, *gap_doubts(time, axis.rate))))
+    return parts
 
 
-def _resolved(columns: ColumnMap, checked: Plausible) -> tuple[ColumnMap, bool]:
-    """Return the map with resolution and offsets, and True if a stated resolution rounds the readings."""
-    readings = checked.readings
-    resolution = columns.resolution or resolution_of(readings, offset=not checked.zeroed)
-    rounded = columns.resolution is not None and not is_multiple(readings, columns.resolution)
-    offset = columns.offset
-    if offset is None and not checked.zeroed and (found := offsets(readings, resolution)).any():
-        offset = tuple(int(each) for each in found)
-    known = replace(
-        columns, resolution=resolution, offset=offset, zeroed=checked.zeroed, missing=checked.missing
-    )
-    return known, rounded
+def _velocity(table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems) -> Reals:
+    """Return the velocity of the arm (n, 6), m/s and rad/s; NaN: unknown."""
+    for key in MOTIONS:
+        if names := columns.columns.get(key):
+            given = np.column_stack([reals_of(table, name, numbers, problems) for name in names])
+            given[:, :3] *= columns.scale(key)
+            return np.pad(given, ((0, 0), (0, 6 - len(names))))
+    return np.full((len(table), 6), np.nan)
+
+
+def _labels(table: RawTable, columns: ColumnMap, problems: Problems) -> Codes:
+    """Return the labels of the rows (n,); other values than the stated or usual ones are a problem."""
+    if LABEL not in columns.columns:
+        return np.full(len(table), LABELS[columns.labelled or "unknown"], np.int8)
+    [name] = columns.columns[LABEL]
+    texts = table.columns[name].cast(pl.String, strict=False).fill_null("")
+    known, codes = label_values(columns.labels), dict[str, int | None]()
+    for text in texts.unique(maintain_order=True):
+        value = label_value(text)
+        other = UNKNOWN if value in MISSING else STATIC if set(columns.labels) == {"slip"} else None
+        codes[text] = LABELS[known[value]] if value in known else other
+    found = texts.replace_strict(codes, return_dtype=pl.Int8)
+    if words := [text for text, code in codes.items() if code is None]:
+        listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
+        text = f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
+        place = f"{table.place_of(int(found.is_null().arg_true()[0]))}, column {name}"
+        problems.add(text, place, fix=None if columns.labels else f"labels.slip={words[0]}")
+    labels: Codes = found.fill_null(UNKNOWN).to_numpy()
+    return labels

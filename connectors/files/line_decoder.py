@@ -7,8 +7,8 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import DATE, SEPARATORS, TIME, ColumnMap
-from connectors.files.decoding import counts_of
 from connectors.files.number_format import NumberFormat
+from connectors.files.readings import counts_of
 from connectors.files.text_table import named, split_line
 from connectors.files.time_axis import of_numbers, of_texts
 from operators.batch import Flags, Motion, Reals, Times, Touch, s

@@ -75,7 +75,7 @@ class LineSource(Source[Touch]):
         baud: int = 115_200,
         names: Sequence[str] = (),
     ) -> None:
-        from connectors.files.decoding import described
+        from connectors.files.readings import described
 
         self.where, self._baud, self._names = str(where), baud, tuple(names)
         if not self.where:

@@ -93,7 +93,8 @@ def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[C
     layout = next((group for group in groups if group.rows and group.names in found.values()), None)
     columns = replace(stated, columns=found, units=units)
     problems.fixes += [""] if problems.found else []
-    problems.columns = [*_suggested(columns, groups, table), *stated.items()]
+    others = [f"{name}={','.join(texts)}" for name, texts in stated.values().items()]
+    problems.columns = _suggested(columns, groups, table) + others
     if layout is None or stated.layout is not None:
         return columns, []
     wide = len(layout.names) // layout.rows
@@ -129,10 +130,10 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """Return the label by value of a label column; without `labels`, of the usual words and numbers."""
-    return {_value(value): label for label, values in (labels or _WORDS).items() for value in values}
+    return {label_value(value): label for label, values in (labels or _WORDS).items() for value in values}
 
 
-def _value(text: str) -> str:
+def label_value(text: str) -> str:
     """Return a value of a label column as it is compared."""
     with suppress(ValueError):
         if (number := float(text)).is_integer():

@@ -22,6 +22,8 @@ EPISODE: Final = "episode_index"  # of LeRobot
 SLOWEST: Final = 5.0  # Hz; a rate outside these limits is implausible
 FASTEST: Final = 5000.0  # Hz
 
+_GAP: Final = 5.0  # mean intervals; a longer interval is a gap
+_RARE: Final = 0.02  # share of the intervals that may be gaps
 _ENOUGH: Final = 10  # rows from which on a rate is judged
 _COARSE: Final = 0.1  # largest share of the rows that one time may have
 _SHOWN: Final = 5  # parts in an error
@@ -203,6 +205,21 @@ def _rate(name: str, time: Times, parts: Parts, problems: Problems, warnings: li
         )
         warnings.append(f"column {name}: {text}; the rate is that of the rows over the time")
     return rows_per_second(part)
+
+
+def gap_doubts(time: Times, rate: float | None) -> list[str]:
+    """Return a doubt about pauses in times (n,) of rows with a rate."""
+    stamps = np.unique(time)  # rows may share times
+    steps = np.diff(stamps)
+    if not steps.size or rate is None:
+        return []
+    gaps = np.flatnonzero(steps > _GAP * max(s / rate, float(np.median(steps))))
+    if not 0 < gaps.size <= max(5, _RARE * steps.size):
+        return []
+    longest = int(gaps[np.argmax(steps[gaps])])
+    many = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"
+    after = (stamps[longest] - stamps[0]) / s
+    return [f"the time has {many} of {steps[longest] / s:.3g} s after {after:.4g} s"]
 
 
 def epoch_unit(values: pl.Series) -> str:

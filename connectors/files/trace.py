@@ -1,19 +1,20 @@
 """Recorded trace of fingertips, from a file or a DataFrame."""
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
 
 from connectors.files.column_map import LABEL, ColumnMap
-from operators.batch import EVERY, Batch, Motion, Reals, Touch, Zeroed
+from operators.batch import EVERY, Batch, Motion, Touch, Zeroed
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.ports import Description, Json
 
 if TYPE_CHECKING:
-    from connectors.files.interpretation import Interpretation
+    from connectors.files.interpretation import Part
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
@@ -30,25 +31,16 @@ class Trace:
     becomes a velocity along x of the base frame. A row without a velocity adds no row of motion.
 
     Args:
-        source: A CSV or Parquet file, a polars or pandas DataFrame, a dictionary of arrays, or an
-            interpretation of one.
+        source: A CSV or Parquet file, a polars or pandas DataFrame, a dictionary of arrays, or a part of an
+            interpretation.
         columns: Map of the columns; what it does not state is concluded from the data.
         name: Name of a DataFrame.
         group: Surface or object of the recording.
         about: Further entries of the description.
-        part: Number of the part, of a recording of several episodes.
 
     Attributes:
-        columns: The completed map: it states all, without absent quantities.
-        sha256: Checksum of the file, hex; empty for a DataFrame.
-        notes: Conclusions on how the data is read.
-        warnings: Doubts about implausible values, such as a wrong unit, one line each.
-        offset: (cells,) counts of the first fingertip; a reading is (count + offset) x resolution.
-        missing: Number of missing readings.
-        touch: Rows of the first fingertip, Touch or Zeroed.
-        motion: Motion of the arm; no rows if there is none.
-        labels: (n,) 1 slip, 0 static, -1 unknown.
-        rate: Rows per second; None: unknown.
+        part: All that was read and concluded; its attributes, such as `touch`, `motion`, `labels`, `columns`
+            and `warnings`, are also those of the trace.
 
     Raises:
         InputError: if the file cannot be read, or has invalid values or several parts; it lists all problems.
@@ -57,89 +49,47 @@ class Trace:
 
     def __init__(
         self,
-        source: "Any | Interpretation",
+        source: "Any | Part",
         columns: ColumnMap = _DEFAULT,
         *,
         name: str = "table",
         group: str | None = None,
         about: Description | None = None,
-        part: int | None = None,
     ) -> None:
-        self.group, self._about, self._unread = group, about or {}, (source, columns, name, part)
-        if isinstance(source, str | Path):
-            self.name = str(source)
+        self._source, self._columns = source, columns
+        self.name = str(source) if isinstance(source, str | Path) else name
+        self.group, self._about = group, about or {}
+
+    @cached_property
+    def part(self) -> "Part":
+        """All that was read and concluded."""
+        parts = interpreted(self._source, self._columns, name=self.name)
+        if len(parts) > 1:
+            reason = f"has {len(parts)} episodes: slipflow import makes a session of each"
+            raise InputError(self.name, reason)
+        return parts[0]
 
     def __getattr__(self, name: str) -> Any:
-        """Read the recording, at the first access of one of its attributes."""
-        if name.startswith("__") or (unread := vars(self).pop("_unread", None)) is None:
+        """Return an attribute of the part, which is read at the first access."""
+        if name.startswith("_"):
             raise AttributeError(name)
-        try:
-            self._read(*unread)
-        except BaseException:
-            self._unread = unread
-            raise
-        return getattr(self, name)
-
-    def _read(self, source: object, columns: ColumnMap, name: str, part: int | None) -> None:
-        from connectors.files.decoding import described
-        from connectors.files.plausibility import gap_doubts, motion_doubts
-
-        found = interpreted(source, columns, name=name)
-        if part is None and len(found.decoded) > 1:
-            reason = f"has {len(found.decoded)} episodes: slipflow import makes a session of each"
-            raise InputError(found.table.file, reason)
-        rows = found.decoded[part or 0]
-        self.name, self.sha256 = found.table.file, found.table.sha256
-        self.columns, self.notes, self.stated = found.columns, found.notes, found.stated
-        self.rate = found.axis.rate
-        self._touch, self.motion, self.labels = rows.touch, rows.motion, rows.labels
-        self.touch = next(iter(rows.touch.values()))
-        self.offset = np.resize(self.columns.offset or (0,), self.touch.cells)
-        self._fingertip = described(self.columns) if self.columns.rate else None
-        self.missing = sum(int(np.count_nonzero(~each.valid)) for each in rows.touch.values())
-        doubts = [*motion_doubts(self.speeds), *found.warnings]
-        if self.missing:
-            bad = np.any([~each.valid.all(axis=1) for each in rows.touch.values()], axis=0)
-            doubts.append(f"missing readings: {self.missing}, in {np.count_nonzero(bad)} of {len(bad)} rows")
-        self.warnings = (*doubts, *gap_doubts(rows.time, self.rate))
-
-    @property
-    def extent(self) -> tuple[float, float]:
-        """Lowest and highest reading, in the unit of the counts."""
-        counts, valid = (
-            np.concatenate([getattr(each, name) for each in self._touch.values()], axis=1)
-            for name in ("counts", "valid")
-        )
-        readings = (counts + np.array(self.columns.offset or 0))[valid]
-        return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
+        return getattr(self.part, name)
 
     @property
     def kind(self) -> type[Touch]:
         """Type of the touch stream: Touch or Zeroed."""
-        return type(self.touch)
-
-    @property
-    def resolution(self) -> float:
-        """Units per count."""
-        return self.columns.resolution or 1.0
-
-    @property
-    def speeds(self) -> Reals:
-        """Speed of the arm in each row of motion, (n,) m/s."""
-        speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
-        return speeds
+        return type(self.part.touch)
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
-        return self._fingertip if issubclass(kind, Touch) else None
+        return self.part.fingertip if issubclass(kind, Touch) else None
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingers with a stream of a type; EVERY for the arm's motion."""
         if issubclass(kind, Touch):
-            return tuple(
-                finger for finger, rows in self._touch.items() if len(rows) and isinstance(rows, kind)
-            )
-        return (EVERY,) if kind is Motion and len(self.motion) else ()
+            found = self.part.fingertips.items()
+            return tuple(finger for finger, rows in found if len(rows) and isinstance(rows, kind))
+        return (EVERY,) if kind is Motion and len(self.part.motion) else ()
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
         """Yield a stream in batches of at most `rows`.
@@ -149,38 +99,36 @@ class Trace:
         """
         if finger not in self.fingers(kind):
             raise InputError(self.name, f"has no {kind.__name__} stream of finger {finger}")
-        stream = cast("SomeBatch", self._touch[finger] if issubclass(kind, Touch) else self.motion)
+        stream = cast(
+            "SomeBatch", self.part.fingertips[finger] if issubclass(kind, Touch) else self.part.motion
+        )
         return (stream[start : start + rows] for start in range(0, len(stream), rows))
 
     def describe(self) -> Description:
         """Return the name, sha256 and number of rows of the file, and the map of its columns."""
-        columns: dict[str, Json] = {name: list(names) for name, names in self.columns.columns.items()}
+        part, found = self.part, self.part.columns
         about: dict[str, Json] = {
             "trace": Path(self.name).name,
-            "sha256": self.sha256,
-            "rows": len(self.touch),
+            "sha256": part.sha256,
+            "rows": len(part.touch),
             "zeroed": self.kind is Zeroed,
-            "columns": columns,
-            "units": dict(self.columns.units),
+            "columns": {name: list(names) for name, names in found.columns.items()},
+            "units": dict(found.units),
+            **self._about,
         }
-        about |= self._about
         if self.group is not None:
             about["group"] = self.group
-        if LABEL in columns and self.columns.labels:
-            about["labels"] = {name: list(values) for name, values in self.columns.labels.items()}
-        if self.offset.any():
-            about["offset"] = [int(each) for each in self.offset]
+        if LABEL in found.columns and found.labels:
+            about["labels"] = {name: list(values) for name, values in found.labels.items()}
+        if part.offset.any():
+            about["offset"] = [int(each) for each in part.offset]
         return about
 
 
 def interpreted(
-    source: "Any | Interpretation",
-    columns: ColumnMap = _DEFAULT,
-    *,
-    name: str = "table",
-    split: bool = False,
-) -> "Interpretation":
-    """Return the interpretation of a file or of a DataFrame.
+    source: "Any | Part", columns: ColumnMap = _DEFAULT, *, name: str = "table", split: bool = False
+) -> "list[Part]":
+    """Return the parts of a file or of a DataFrame.
 
     Args:
         source: As of a `Trace`.
@@ -194,11 +142,11 @@ def interpreted(
     import polars as pl
 
     from connectors.files.container import read_table
-    from connectors.files.interpretation import Interpretation, interpret
+    from connectors.files.interpretation import Part, interpret
     from connectors.files.raw_table import RawTable
 
-    if isinstance(source, Interpretation):
-        return source
+    if isinstance(source, Part):
+        return [source]
     if isinstance(source, str | Path):
         return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:

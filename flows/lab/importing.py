@@ -14,6 +14,7 @@ import numpy as np
 
 from connectors import Replay, Trace
 from connectors.files.column_map import COUNTS, LABEL, LABELS, ColumnMap, layout_text
+from connectors.files.interpretation import Part
 from connectors.files.trace import interpreted
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
@@ -275,15 +276,16 @@ def import_files(
     steps, before = _resolutions(out), list[str]()
     for path, name, surface in zip(paths, names, groups, strict=True):
         try:
-            traces = _traces(path, columns, surface, steps, split=split)
-            for number, trace in enumerate(traces, 1):
-                found = TraceImport(trace, out, f"{name}-{number}" if len(traces) > 1 else name)
-                present = _is_present(out, found.session, trace.sha256)
+            parts = _parts(path, columns, steps, split=split)
+            for number, part in enumerate(parts, 1):
+                trace = Trace(part, name=str(path), group=surface)
+                found = TraceImport(trace, out, f"{name}-{number}" if len(parts) > 1 else name)
+                present = _is_present(out, found.session, part.sha256)
                 if not (present or dry_run):
                     found.write()
                 state = "present" if present else "checked" if dry_run else "written"
                 report = found.report(short=found.interpretation() == before)
-                yield ImportedFile(path, state, "", found.summary(), report, trace.columns)
+                yield ImportedFile(path, state, "", found.summary(), report, part.columns)
                 before = found.interpretation()
         except InputError as error:
             if len(paths) == 1:
@@ -291,15 +293,13 @@ def import_files(
             yield ImportedFile(path, "failed", str(error))
 
 
-def _traces(
-    path: Path, columns: ColumnMap, group: str | None, steps: dict[str, float], *, split: bool
-) -> list[Trace]:
+def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bool) -> list[Part]:
     """Return the parts of a file; a unit other than counts gets the resolution in `steps`, if it is there."""
     found = interpreted(path, columns, split=split)
-    unit, resolution = found.columns.unit, found.columns.resolution or 1.0
+    unit, resolution = found[0].columns.unit, found[0].resolution
     if columns.resolution is None and unit != "count" and steps.setdefault(unit, resolution) != resolution:
         found = interpreted(path, replace(columns, resolution=steps[unit]), split=split)
-    return [Trace(found, group=group, part=part) for part in range(len(found.decoded))]
+    return found
 
 
 def _resolutions(out: Path) -> dict[str, float]:

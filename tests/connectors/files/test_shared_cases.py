@@ -100,8 +100,8 @@ def test_a_label_of_all_rows_a_restarted_logger_and_two_fingertips() -> None:
     for label, code in (("slip", 1), ("static", 0)):
         trace = Trace(case(f"label_per_file/{label}.csv"), ColumnMap(labelled=label))
         assert trace.labels.tolist() == [code] * 240
-    parts = interpreted(case("logger_restarted/restarted.csv"), split=True).decoded
-    assert [len(part.time) for part in parts] == [100, 80, 60]
+    parts = interpreted(case("logger_restarted/restarted.csv"), split=True)
+    assert [len(part.touch) for part in parts] == [100, 80, 60]
     trace = Trace(case("two_fingertips/two.csv"), ColumnMap.parse("counts.0=L1..L3,counts.1=R1..R3"))
     assert trace.fingers(Touch) == (0, 1)
     second = concat(Touch, list(trace.read(Touch, 1)))

@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as st_numpy
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from connectors.files.resolution import COUNT_LIMIT, at_least, offsets, resolution_of
+from connectors.files.readings import COUNT_LIMIT, offsets, resolution_of
 from operators import FingertipError, Pool
 from operators.batch import Reals, Touch, Zeroed
 from operators.errors import InputError, ParameterError
@@ -48,11 +48,6 @@ def test_readings_come_back_within_half_a_step_that_is_as_fine_as_16_bits_allow(
             lossless
             or resolution <= 2.5 * max(span / (COUNT_LIMIT - 1), 1e-10 * np.abs(values).max(), 1e-12) * 2.01
         )
-
-
-@given(st.floats(1e-11, 1e12))
-def test_a_usual_step_is_at_most_two_and_a_half_times_as_large(step: float) -> None:
-    assert step * (1 - 1e-8) <= at_least(step) <= 2.51 * step
 
 
 @pytest.mark.parametrize(

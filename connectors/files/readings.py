@@ -1,0 +1,248 @@
+"""Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from connectors.files.column_map import COUNTS, PRESSURES, ColumnMap, is_air, layout_text
+from connectors.files.number_format import NumberFormat
+from connectors.files.raw_table import Problems, RawTable
+from operators.batch import Counts, Flags, Reals, Times, s
+from operators.errors import ParameterError
+from operators.fingertip import TAKKTILE, Fingertip, grid
+
+COUNT_LIMIT: Final = 32767  # largest absolute count
+EXPORTED: Final = "observation.state"  # zeroed counts in the LeRobot export of slipflow
+
+_STEPS: Final = [float(f"{each}e{power}") for power in range(-12, 306) for each in ("1", "2", "2.5", "5")]
+_TOLERANCE: Final = 0.01  # of a step: float32 has 24 bits
+_PRECISION: Final = 1e-10  # of the largest reading: float64 has 53 bits
+_SENTINELS: Final = (  # usual values for no reading
+    *(-99.0, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, -1.0),
+    *(32767.0, -32768.0, 65535.0, 4294967295.0, 1e10),
+)
+_FAR: Final = 20.0  # spans of the other readings; a reading farther away is an outlier
+_OUTLIERS: Final = 0.001  # largest share of a cell's readings
+_ENOUGH: Final = 20  # rows
+_MOVES: Final = 0.25  # of the range of a cell, in the first second
+_SAMPLE: Final = 10_000  # rows for quantiles
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings as counts, and what was concluded from them."""
+
+    counts: Counts  # (n, cells of all fingertips)
+    valid: Flags  # (n, cells of all fingertips)
+    columns: ColumnMap  # with resolution, offset, missing and zeroed
+    notes: list[str]  # conclusions
+    warnings: list[str]  # doubts
+
+
+def readings_of(
+    table: RawTable, columns: ColumnMap, numbers: NumberFormat, time: Times, problems: Problems
+) -> Readings:
+    """Return the readings of a table with times (n,); readings that mean none become missing."""
+    names, readings, notes = columns.cell_names, _read(table, columns, numbers, problems), list[str]()
+    missing, warnings = columns.missing, list[str]()
+    if missing is None:
+        missing = _sentinels(readings)
+        for value in missing:
+            place, many = _place(readings == value, names, table), int((readings == value).sum())
+            text = f"{place} is {value:g}, far from all others: taken as missing ({many} in all"
+            warnings.append(f"{text}; missing= keeps it)")
+    readings[np.isin(readings, missing)] = np.nan
+    warnings += _outliers(readings, names, table)
+    zeroed = columns.zeroed
+    if zeroed is None:
+        zeroed = names[0].startswith(EXPORTED) or _is_zeroed(readings)
+        notes += ["readings relative to the unloaded fingertip"] if zeroed else []
+    warnings += _doubts_at_rest(readings[time <= time[0] + s], readings, columns.unit, zeroed=zeroed)
+    resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
+    if columns.resolution is not None and not _is_multiple(readings, resolution):
+        warnings.append(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
+    offset = columns.offset
+    if offset is None and not zeroed and (found := offsets(readings, resolution)).any():
+        offset = tuple(map(int, found))
+    columns = replace(columns, resolution=resolution, offset=offset, zeroed=zeroed, missing=missing)
+    counts, good = counts_of(readings, columns)
+    for cell, (name, middle) in enumerate(zip(names, np.resize(offset or 0, len(names)), strict=True)):
+        ends = f"from {(middle - COUNT_LIMIT) * resolution:g} to {(middle + COUNT_LIMIT) * resolution:g}"
+        problems.check(table, name, good[:, cell], f"{ends} at a resolution of {resolution:g}")
+    return Readings(counts, ~np.isnan(readings), columns, notes, warnings)
+
+
+def _read(table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems) -> Reals:
+    """Return the readings (n, cells); NaN: missing."""
+    names = columns.cell_names
+    readings = np.full((len(table), len(names)), np.nan)
+    for cell, name in enumerate(names):
+        readings[:, cell] = reals_of(table, name, numbers, problems)
+        if columns.has_counts:
+            fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
+            problems.check(table, name, ~_is_fraction(readings[:, cell]), fix)
+    empty = np.isnan(readings).all(axis=0)
+    for cell in np.flatnonzero(empty).tolist():
+        problems.add(f"column {names[cell]} has no readings")
+    if len({len(each) for each in columns.cells.values()}) > 1:
+        problems.add("its fingertips have different numbers of cells", about=COUNTS)
+    if not names or empty.any():
+        problems.stop()
+    return readings
+
+
+def reals_of(table: RawTable, name: str, numbers: NumberFormat, problems: Problems) -> Reals:
+    """Return the numbers of a column (n,); NaN for missing ones."""
+    values = numbers.reals(table.columns[name])
+    signs = " with a decimal comma" if numbers.decimal == "," else ""
+    problems.check(table, name, values.is_not_null().to_numpy(), f"a number{signs} or empty")
+    found: Reals = values.fill_null(np.nan).to_numpy()
+    return found
+
+
+def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
+    """Return the counts (n, cells) of readings, 0 for missing ones, and which readings a count can store."""
+    counts = np.rint(readings / (columns.resolution or 1.0) - np.array(columns.offset or (0,)))
+    good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
+    if columns.has_counts:
+        good &= ~_is_fraction(readings)
+    stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
+    return stored, good
+
+
+def described(columns: ColumnMap) -> Fingertip:
+    """Return the fingertip of the counts that a complete map gives; a range becomes counts.
+
+    Raises:
+        ParameterError: if the layout does not fit the cells, or the map has no rate.
+    """
+    cells = len(next(iter(columns.cells.values())))
+    layout = columns.layout or (TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells))
+    if columns.layout is not None and Fingertip(layout, 1.0).cells != cells:
+        must_be = f"of {cells} cells, as many as the counts have"
+        raise ParameterError("Trace", "layout", layout_text(layout), must_be)
+    if columns.rate is None:
+        raise ParameterError("column map", "rate", None, "stated: rows per second")
+    resolution, limits = columns.resolution or 1.0, None
+    if columns.range is not None:
+        middle = np.mean(columns.offset or (0,))
+        ends = np.clip(np.rint(np.array(columns.range) / resolution - middle), -COUNT_LIMIT, COUNT_LIMIT)
+        limits = int(ends[0]), int(ends[1])
+    return Fingertip(layout, columns.rate, columns.unit, resolution, limits)
+
+
+def resolution_of(values: Reals, *, offset: bool) -> float:
+    """Return the step of readings, 1, 2, 2.5 or 5 times a power of ten.
+
+    It is the largest of which all readings are multiples or, if 16 bits do not suffice for it, the smallest
+    with which they fit.
+
+    Args:
+        values: (n, cells) readings; NaN is missing.
+        offset: Each cell may have an offset; False for readings relative to the unloaded fingertip.
+
+    >>> resolution_of(np.array([[101.32], [99.5]]), offset=True)
+    0.02
+    """
+    lowest, highest = np.nanmin(values, axis=0), np.nanmax(values, axis=0)  # (cells,)
+    largest, span = float(np.nanmax(np.abs(values))), float(np.max(highest / 2 - lowest / 2))
+    plain = _at_least(largest / COUNT_LIMIT)
+    centred = _at_least(max(span / (COUNT_LIMIT - 1), largest * _PRECISION))
+    fits = min(plain, centred) if offset else plain
+    coarse = (step for step in reversed(_STEPS) if step <= max(1.0, plain))
+    found = next((step for step in coarse if step < fits or _is_multiple(values, step)), 0.0)
+    if found >= fits:
+        return found
+    return centred if offset and centred < plain / 2 else plain
+
+
+def offsets(values: Reals, resolution: float) -> Reals:
+    """Return the offset of each cell (cells,) in counts: 0, if the readings (n, cells) fit without."""
+    lowest, highest = np.nanmin(values, axis=0), np.nanmax(values, axis=0)
+    middle: Reals = np.rint((highest / 2 + lowest / 2) / resolution)
+    fits = max(np.max(highest), -np.min(lowest)) / resolution <= COUNT_LIMIT + 0.5
+    return np.zeros_like(middle) if fits else middle
+
+
+def _at_least(step: float) -> float:
+    return next(each for each in _STEPS if each >= step * (1 - 1e-9))
+
+
+def _is_multiple(values: Reals, step: float) -> bool:
+    """Return True if all readings are multiples of a step; NaN is missing."""
+    parts = (values[:1000] / step, values / step)  # most other steps fail early
+    return not any(np.any(np.abs(part - np.rint(part)) > _TOLERANCE) for part in parts)
+
+
+def _is_fraction(readings: Reals) -> Flags:
+    found: Flags = np.abs(readings - np.rint(readings)) > 0
+    return found
+
+
+def _is_zeroed(readings: Reals) -> bool:
+    """Return True if readings (n, cells) are relative to the unloaded fingertip.
+
+    Some are negative, and most cells come near 0; one reading decides nothing.
+    """
+    low, high = _quantiles(readings, 0.01), _quantiles(readings, 0.99)  # (cells,)
+    near = 0.05 * (high - low)
+    return bool(np.any(low < 0) and np.mean((low - near <= 0) & (high + near >= 0)) > 0.5)
+
+
+def _place(found: Flags, names: Sequence[str], table: RawTable) -> str:
+    """Return the place of the first of some readings (n, cells)."""
+    row, cell = np.argwhere(found)[0]
+    return f"{table.place_of(int(row))}, column {names[cell]}"
+
+
+def _quantiles(readings: Reals, share: float) -> Reals:
+    """Return a quantile of each cell (cells,); it is a reading, so few readings have none in between."""
+    some = readings[:: len(readings) // _SAMPLE + 1]
+    found: Reals = np.nanquantile(some, share, axis=0, method="nearest")
+    return found
+
+
+def _sentinels(readings: Reals) -> tuple[float, ...]:
+    """Return the usual values for no reading that lie far from the other readings of their cell."""
+    found = set[float]()
+    for cell in readings.T:
+        present = [value for value in _SENTINELS if np.any(cell == value)]
+        for value in present:
+            others = cell[~np.isin(cell, present) & ~np.isnan(cell)]
+            if others.size > np.count_nonzero(cell == value):
+                low, high = others.min(), others.max()
+                if not low - 2 * (high - low) - 10 <= value <= high + 2 * (high - low) + 10:
+                    found.add(value)
+    return tuple(sorted(found))
+
+
+def _outliers(readings: Reals, names: Sequence[str], table: RawTable) -> list[str]:
+    """Return a doubt about single readings far from all others of their cell."""
+    share = max(_OUTLIERS, 1.5 / len(readings))  # without the lowest and the highest
+    if len(readings) < _ENOUGH:
+        return []
+    low, high = _quantiles(readings, share), _quantiles(readings, 1 - share)
+    span = _FAR * np.maximum(high - low, 1e-9 * np.maximum(np.abs(high), np.abs(low)))
+    if not (far := (readings < low - span) | (readings > high + span)).any():
+        return []
+    text = f"{_place(far, names, table)} is {readings[far][0]:g}, far from the others ({int(far.sum())} such)"
+    return [f"{text}: is it a fault? missing=VALUE leaves it out"]
+
+
+def _doubts_at_rest(start: Reals, readings: Reals, unit: str, *, zeroed: bool) -> list[str]:
+    """Return doubts about the readings of the first second."""
+    found = list[str]()
+    level = np.nanmedian(start) if np.isfinite(start).any() else np.nan
+    likely = [each for each in PRESSURES if is_air(float(level), each)]
+    if unit in PRESSURES and not zeroed and likely and unit not in likely:
+        air = " or ".join(likely)
+        found.append(f"{level:g} {unit} at the start would be air pressure in {air}: is the unit right?")
+    span = _quantiles(readings, 0.99) - _quantiles(readings, 0.01)
+    halves = start[: len(start) // 2 + 1], start[len(start) // 2 :]
+    if len(readings) > len(start) and not any(np.isnan(half).all(axis=0).any() for half in halves):
+        first, second = (_quantiles(half, 0.5) for half in halves)
+        if np.any(np.abs(second - first) > _MOVES * span):
+            found.append("the readings change in the first second: the baseline needs an unloaded start")
+    return found
