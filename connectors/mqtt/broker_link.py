@@ -124,11 +124,6 @@ class Link:
         """False after the connection was lost."""
         return not self._lost.done()
 
-    @property
-    def waiting(self) -> int:
-        """Number of received messages that were not read yet."""
-        return len(self._received)
-
     async def connect(self) -> None:
         """Connect.
 

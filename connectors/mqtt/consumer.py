@@ -29,7 +29,6 @@ CHECK_EVERY = 3.0  # s, between checks of all rigs for missed events
 LARGE = 65_536  # bytes of a position, of about 600 epochs, which is not saved with each event
 SAVE_EVERY = 0.2  # s, between saves of a large position
 REQUESTS_MAX = 100  # requests per check
-BEHIND = 200  # messages that wait; then the consumer is behind
 MALFORMED_MAX = 20  # malformed messages that are reported per connection
 
 
@@ -79,7 +78,6 @@ class Consumer(AsyncIterator[Event]):
         self._link: Link | None = None
         self._pauses = Pauses()
         self._dropped = self._malformed = 0  # messages of this connection
-        self._behind = False
         self._check_due = 0.0  # loop time (s) of the next check of all rigs for gaps
         self._event: Event | None = None  # the event in progress, which the position does not have yet
         self._saving: BackgroundTask | None = None
@@ -142,7 +140,9 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
                 continue
-            self._report_delay(link)
+            if link.dropped > self._dropped:
+                dropped, self._dropped = link.dropped - self._dropped, link.dropped
+                self._report(f"{self._broker}: the consumer is behind: {dropped} messages dropped")
             try:
                 rig, self._event = self._process(topic, payload)
             except InputError as error:
@@ -162,15 +162,6 @@ class Consumer(AsyncIterator[Event]):
             requests += self._request_missed(link, rig)
             if requests == REQUESTS_MAX:
                 break
-
-    def _report_delay(self, link: "Link") -> None:
-        """Report messages that were dropped, and the first of many that wait."""
-        if link.dropped > self._dropped:
-            dropped, self._dropped = link.dropped - self._dropped, link.dropped
-            self._report(f"{self._broker}: {dropped} messages dropped: the consumer is too slow")
-        if link.waiting > BEHIND and not self._behind:
-            self._report(f"{self._broker}: {link.waiting} messages wait: the consumer is behind")
-        self._behind = link.waiting > (0 if self._behind else BEHIND)
 
     def _process(self, topic: str, payload: bytes) -> tuple[RigId, Event | None]:
         """Process a message; return its rig, and its event if the event is new."""

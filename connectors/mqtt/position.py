@@ -13,6 +13,7 @@ from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
 from operators.errors import EndpointError, InputError, os_error_reason
+from operators.ports import Json
 from storage.files import lock_file, read
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
@@ -78,7 +79,6 @@ class _Rig:
     request: tuple[str, int, int] = ("", 0, 0)  # epoch, first and last number
     asked: float = -inf  # time of the request
     wait: float = 0.0  # s after it until the next one
-    encoded: bytes = b""  # the epochs as JSON; empty: they have changed
 
     @property
     def delivered(self) -> bool:
@@ -112,7 +112,6 @@ class Position:
         """Start empty; with `everything`, events before the first contact with a rig count as missed."""
         self._everything = everything
         self._rigs: dict[RigId, _Rig] = {}  # the one silent for longest first
-        self._size = 0
 
     @property
     def rigs(self) -> list[RigId]:
@@ -129,19 +128,18 @@ class Position:
         name = event.site, event.rig
         known = self._rigs.pop(name, None)
         rig = self._rigs[name] = known or _Rig()
-        before = rig.size
         epoch = rig.epochs.setdefault(event.epoch, _Epoch(0 if known or self._everything else event.seq - 1))
         epoch.add(event.seq)
         epoch.delivered, epoch.denied = True, inf
         rig.wait = min(rig.wait, REQUEST_EVERY)
         lost = epoch.give_up(min(epoch.ahead) - 1) if len(epoch.ahead) > AHEAD_MAX else []
         why = "given up after too many gaps without an answer"
-        return [*_lost(name, event.epoch, lost, why), *self._changed(rig, before)]
+        return [*_lost(name, event.epoch, lost, why), *self._forget(rig)]
 
     def announce(self, name: RigId, heads: dict[str, int]) -> list[str]:
         """Raise the newest number of each epoch that a rig keeps."""
         rig = self._rigs.setdefault(name, _Rig())
-        before, first = rig.size, all(each.head < 0 for each in rig.epochs.values())
+        first = all(each.head < 0 for each in rig.epochs.values())
         rig.announced = frozenset(heads)
         for each, head in heads.items():
             if each not in rig.epochs:
@@ -150,7 +148,7 @@ class Position:
             epoch.head, epoch.denied = max(epoch.head, head), inf
         if rig.delivered:
             rig.wait = min(rig.wait, REQUEST_EVERY)
-        return self._changed(rig, before)
+        return self._forget(rig)
 
     def request(self, name: RigId, now: float) -> tuple[str, int, int] | None:
         """Return the events to request from a rig now: epoch, first and last number; None if there are none.
@@ -182,7 +180,7 @@ class Position:
         rig = self._rigs.get(name)
         if rig is None or rig.request[:2] != (answer.epoch, answer.first) or answer.epoch not in rig.epochs:
             return []
-        before, epoch = rig.size, rig.epochs[answer.epoch]
+        epoch = rig.epochs[answer.epoch]
         requested, rig.request = rig.request[1:], ("", 0, 0)
         if answer.missing and answer.epoch not in rig.announced:
             epoch.denied = min(epoch.denied, now)
@@ -194,14 +192,24 @@ class Position:
                 lost += epoch.give_up(last)
         if epoch.gap != requested:  # else the answer was of no use
             rig.wait = 0.0
-        return [*_lost(name, answer.epoch, lost, "no longer kept"), *self._changed(rig, before)]
+        return [*_lost(name, answer.epoch, lost, "no longer kept")]
 
     def encode(self) -> bytes:
         """Return the position as JSON."""
-        for name, rig in self._rigs.items():
-            rig.encoded = rig.encoded or b",".join(_encode(name, *each) for each in rig.epochs.items())
-        parts = b",".join(rig.encoded for rig in self._rigs.values() if rig.encoded)
-        return b'{"format":%d,"rigs":[%s]}' % (FORMAT, parts)
+        rigs: list[Json] = [
+            {
+                "site": site,
+                "rig": name,
+                "epoch": epoch,
+                "done": each.done,
+                "head": each.head,
+                "ahead": sorted(each.ahead),
+                "delivered": each.delivered,
+            }
+            for (site, name), rig in self._rigs.items()
+            for epoch, each in rig.epochs.items()
+        ]
+        return encode({"format": FORMAT, "rigs": rigs})
 
     @classmethod
     def decode(cls, payload: bytes, where: str, *, everything: bool = False) -> "Position":
@@ -221,39 +229,23 @@ class Position:
             rig.epochs[each.text("epoch")] = epoch
         for rig in list(position._rigs.values()):
             rig.announced = frozenset(name for name, epoch in rig.epochs.items() if epoch.head >= 0)
-            position._changed(rig, 0)
+            position._forget(rig)
         return position
 
-    def _changed(self, rig: _Rig, before: int) -> list[str]:
-        """Forget epochs and rigs if there are too many numbers; report the rigs that have delivered."""
-        rig.encoded = b""
+    def _forget(self, rig: _Rig) -> list[str]:
+        """Forget epochs of a rig, and rigs, if there are too many; report the rigs that have delivered."""
         while len(rig.epochs) > EPOCHS_MAX:
             silent = (name for name, epoch in rig.epochs.items() if not epoch.delivered)
             del rig.epochs[next(silent, next(iter(rig.epochs)))]
-        self._size += rig.size - before
-        forgotten = list[str]()
-        while self._size > SIZE_MAX:
+        size, forgotten = sum(each.size for each in self._rigs.values()), list[str]()
+        while size > SIZE_MAX:
             unheard = (each for each, known in self._rigs.items() if not known.delivered)
             name = next(unheard, next(iter(self._rigs)))
             gone = self._rigs.pop(name)
-            self._size -= gone.size
+            size -= gone.size
             if gone.delivered:
                 forgotten.append(f"{'/'.join(name)}: position forgotten: too many rigs and epochs")
         return forgotten
-
-
-def _encode(rig: RigId, epoch: str, each: _Epoch) -> bytes:
-    return encode(
-        {
-            "site": rig[0],
-            "rig": rig[1],
-            "epoch": epoch,
-            "done": each.done,
-            "head": each.head,
-            "ahead": sorted(each.ahead),
-            "delivered": each.delivered,
-        }
-    )
 
 
 def read_heads(fields: Fields) -> dict[str, int]:

@@ -152,11 +152,6 @@ class SimulatedLink:
         """False after the connection was lost."""
         return not self._lost
 
-    @property
-    def waiting(self) -> int:
-        """Number of received messages that were not read yet."""
-        return len(self._inbox)
-
     def post(self, message: Message) -> None:
         """Publish a message without waiting for its acknowledgement."""
         current()
