@@ -3,6 +3,7 @@
 import asyncio
 import logging
 from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
@@ -23,10 +24,9 @@ from connectors.gripper.robotiq import (
     register_force,
 )
 from operators.batch import Commands
-from operators.checks import check_above, check_between
 from operators.errors import EndpointError, FlowError, ParameterError
 from operators.extras import require_extra
-from operators.ports import BackOff, Clock, Description, Finding, Run, Sink
+from operators.ports import Clock, Description, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ logging.getLogger("pymodbus.logging").setLevel(logging.CRITICAL)  # it duplicate
 
 ACTIVATION: Final = 30.0  # s, longest time until the gripper is ready
 POLL: Final = 0.1  # s between two status requests
-RETRY: Final = 2.0  # s, longest time between attempts to reconnect
+RETRY: Final = 1.0  # s between attempts to reconnect
+TIMEOUT: Final = 1.0  # s for the connection, each answer, and the newest command at the end
 _DEVICE_FAILURE: Final = 0x04
 _REFUSALS: Final = {
     0x01: "unknown function",
@@ -55,26 +56,24 @@ class Gripper(Sink[Commands]):
     """Sink that sets the grip force of a Robotiq 3-finger gripper in its basic mode; the newest command wins.
 
     Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers close with
-    the first commanded force, or at once if `force` is given, and stop at an object. Closing the sink leaves
-    them as they are. The sink refuses to start in a replay, paced or not.
+    the first commanded force, and stop at an object. Closing the sink leaves them as they are. The sink
+    refuses to start in a replay, paced or not.
 
     A command is executed on arrival, whatever its timestamp. A force of NaN has no effect. A
     force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
     fingers move again only for a higher force or another position.
 
     The status is read every 0.1 s. A restarted gripper is activated and grips again. A gripper that
-    fails (silent, lost, or with a fault) is retried with back-off; meanwhile `write` raises, and the newest
-    command is sent afterwards. Faults that need a reset are left to the user during a run.
+    fails (silent, lost, or with a fault) is tried again every second; meanwhile `write` raises, and the
+    newest command is sent afterwards. Faults that need a reset are left to the user during a run.
 
     Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual".
 
     Args:
         limits: Minimum and maximum force, N.
-        force: Initial force, N; None: the first command sets the force.
-        timeout: Longest wait for the connection, for each answer, and for the echo of a request, s.
 
     Attributes:
-        status: Newest status after the newest request was echoed; None while the gripper cannot be reached.
+        status: Newest status; None while the gripper cannot be reached.
 
     Raises:
         ParameterError: on an invalid value.
@@ -87,8 +86,6 @@ class Gripper(Sink[Commands]):
     port: int = PORT
     unit: int = UNIT  # some grippers are set to 0 or 9
     limits: tuple[float, float] = (WEAKEST, STRONGEST)
-    force: float | None = None
-    timeout: float = 1.0
 
     extra = "gripper"
     lossless = False  # only the newest command matters
@@ -99,23 +96,18 @@ class Gripper(Sink[Commands]):
         for name, highest in (("port", 65535), ("unit", FULL)):
             if not (isinstance(value := getattr(self, name), int) and 0 <= value <= highest):
                 raise ParameterError("Gripper", name, value, f"a whole number from 0 to {highest}")
-        check_above("Gripper", "timeout", self.timeout, 0, "s")
         low, high = self.limits
         if not WEAKEST <= low <= high <= STRONGEST:
             must_be = f"two increasing forces from {WEAKEST} to {STRONGEST} N"
             raise ParameterError("Gripper", "limits", self.limits, must_be)
-        if self.force is not None:
-            check_between("Gripper", "force", self.force, low, high, unit="N")
         self._serving: BackgroundTask | None = None  # None: not open
         self._reset()
 
     def _reset(self) -> None:
         """Set the state before a run; times are those of the event loop, s."""
-        force = None if self.force is None else force_register(self.force)
-        self._target = Request(active=True, force=force)
+        self._target = Request(active=True)
         self._client: Any = None  # AsyncModbusTcpClient
         self._changed = asyncio.Event()  # set with a new target
-        self._was_ready = False  # the gripper was ready when it last answered
         self._failure = ""
         self._next = 0.0  # earliest next request
         self._settled = 0.0  # from then on the status shows the newest request
@@ -124,10 +116,8 @@ class Gripper(Sink[Commands]):
     def _lose(self, now: float) -> None:
         """Forget what is known of a gripper that failed, and begin to wait for its readiness."""
         self.status: Status | None = None
-        self._ready = False  # the gripper accepts requests
         self._sent: Request | None = None  # newest request
         self._due = 0.0  # next status request
-        self._requested = 0.0  # newest request whose echo is checked
         self._waiting = now
 
     @property
@@ -185,8 +175,8 @@ class Gripper(Sink[Commands]):
         try:
             self._create_client()
             if (await self._read_status()).needs_reset:
-                await self._write(Request())
-            while not self._ready or self._pending:
+                await self._send(Request())
+            while not self._ready:
                 await self._step()
         except BaseException:
             self._disconnect()
@@ -221,17 +211,19 @@ class Gripper(Sink[Commands]):
         serving, self._serving = self._serving, None
         await serving.end()
         try:
-            async with asyncio.timeout(self.timeout):
-                while self._pending and not self._failure:
+            async with asyncio.timeout(TIMEOUT):
+                while self._pending:
                     await self._step()
-            unsent = self._failure if self._pending else ""
         except TimeoutError:
-            unsent = "is not ready for the newest command"
+            raise EndpointError(self.destination, "is not ready for the newest command") from None
         finally:
             self._disconnect()
         serving.check()
-        if unsent:
-            raise EndpointError(self.destination, unsent)
+
+    @property
+    def _ready(self) -> bool:
+        """True if the gripper accepts requests."""
+        return self.status is not None and self.status.ready
 
     @property
     def _pending(self) -> bool:
@@ -240,7 +232,6 @@ class Gripper(Sink[Commands]):
 
     async def _serve(self) -> None:
         """Keep the gripper on target until cancelled."""
-        back_off = BackOff(last=RETRY)
         while True:
             try:
                 await self._step()
@@ -249,12 +240,11 @@ class Gripper(Sink[Commands]):
                 if not self._failure:
                     log.warning("%s, retrying", error)
                 self._failure = error.reason
-                await asyncio.sleep(back_off.delay())
+                await asyncio.sleep(RETRY)
             else:
                 if self._ready and self._failure:
                     log.warning("%s works again", self.destination)
                     self._failure = ""
-                    back_off.reset()
 
     async def _step(self) -> None:
         """Read the status or send the target if due, else wait until one of them is due.
@@ -265,40 +255,31 @@ class Gripper(Sink[Commands]):
         loop = asyncio.get_running_loop()
         now = loop.time()
         if now >= self._due:
-            wait = await self._check_status()
-            self._due = loop.time() + wait
+            await self._check_status()
+            self._due = loop.time() + POLL
         elif self._ready and self._pending:
             await asyncio.sleep(self._next - now)
             await self._send(self._target)  # read after the wait, so it is the newest
         else:
             self._changed.clear()
-            try:
+            with suppress(TimeoutError):
                 async with asyncio.timeout(self._due - now):
                     await self._changed.wait()
-            except TimeoutError:
-                pass
 
-    async def _check_status(self) -> float:
-        """Read the status, activate the gripper if needed, and return the time until the next check, s."""
+    async def _check_status(self) -> None:
+        """Read the status, and activate the gripper if needed."""
         status, now = await self._read_status(), asyncio.get_running_loop().time()
         if status.needs_reset:
             raise EndpointError(self.destination, status.reason)
-        if status.active and self._sent and status.echo != self._sent.position:
-            if now - self._requested > self.timeout:
-                reason = f"does not accept a request within {self.timeout} s"
-                raise EndpointError(self.destination, f"{reason}: does another program command it?")
-            return 0.0
-        if self._was_ready and not status.ready:
+        if self._ready and not status.ready:
             log.warning("%s has restarted: activating it again", self.destination)
             self._lose(now)
-        self.status, self._ready = status, status.ready
-        self._was_ready = status.ready
+        self.status = status
         if not status.ready and now - self._waiting > ACTIVATION:
             reason = f"is not ready within {ACTIVATION} s: does something obstruct its fingers?"
             raise EndpointError(self.destination, reason)
         if not status.active:
             await self._send(Request(active=True))
-        return POLL
 
     async def _read_status(self) -> Status:
         """Read the status.
@@ -317,16 +298,11 @@ class Gripper(Sink[Commands]):
             raise EndpointError(self.destination, f"sends {error}: is it a 3-finger gripper?") from None
 
     async def _send(self, request: Request) -> None:
-        await self._write(request)
-        if self._sent is None or self._sent.position != request.position:  # a force alone has no echo
-            self._requested = self._due = asyncio.get_running_loop().time()
-        self._sent = request
-
-    async def _write(self, request: Request) -> None:
-        """Write a request, and delay the next reading of the status until it shows the request."""
+        """Send a request, and delay the next reading of the status until it shows the request."""
         values = request.encode()
         await self._exchange(lambda: self._client.write_registers(0, values, device_id=self.unit))
         self._settled = asyncio.get_running_loop().time() + SETTLE
+        self._sent = request
 
     async def _exchange(self, request: "Callable[[], Awaitable[ModbusPDU]]") -> "ModbusPDU":
         """Wait for the turn, connect if needed, send a request and return the answer."""
@@ -342,7 +318,7 @@ class Gripper(Sink[Commands]):
             await asyncio.wait([answering])
             answer = answering.result()
         except ModbusException:
-            reason = f"does not answer within {self.timeout} s: is {self.unit} its unit?"
+            reason = f"does not answer within {TIMEOUT} s: is {self.unit} its unit?"
             raise EndpointError(self.destination, reason) from None
         finally:
             answering.cancel()
@@ -363,7 +339,7 @@ class Gripper(Sink[Commands]):
         from pymodbus.client import AsyncModbusTcpClient
 
         self._client = AsyncModbusTcpClient(
-            self.host, port=self.port, name="gripper", reconnect_delay=0, timeout=self.timeout, retries=0
+            self.host, port=self.port, name="gripper", reconnect_delay=0, timeout=TIMEOUT, retries=0
         )
 
     def _disconnect(self) -> None:

@@ -71,11 +71,6 @@ class Request(NamedTuple):
     active: bool = False
     force: int | None = None
 
-    @property
-    def position(self) -> int:
-        """Requested position, 0 open to 255 closed."""
-        return 0 if self.force is None else FULL
-
     def encode(self) -> list[int]:
         """Return its registers."""
         if self.force is None:
@@ -93,7 +88,6 @@ class Status:
         phase: State of activation and mode change [gIMC].
         fingers: Motion of the fingers; valid only if `go` [gSTA].
         fault: 0, or one of `FAULTS` [gFLT].
-        echo: Requested position, as received by the gripper [gPRA].
         positions: Positions of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
     """
 
@@ -102,7 +96,6 @@ class Status:
     phase: Phase = Phase.RESET
     fingers: Fingers = Fingers.MOVING
     fault: int = 0
-    echo: int = 0
     positions: tuple[int, int, int] = (0, 0, 0)
 
     @classmethod
@@ -122,7 +115,6 @@ class Status:
             phase=Phase(gripper >> 4 & 3),
             fingers=Fingers(gripper >> 6),
             fault=data[2] & 0xF,
-            echo=data[3],
             positions=(data[4], data[7], data[10]),
         )
 

@@ -33,10 +33,12 @@ class Lab:
         return Gripper(self.server.host, self.server.port, **parameters)
 
     @asynccontextmanager
-    async def gripping(self, **parameters: Any) -> AsyncGenerator[Gripper]:
-        """Open a sink for a block."""
+    async def gripping(self, force: float | None = None, **parameters: Any) -> AsyncGenerator[Gripper]:
+        """Open a sink for a block, and command a force (N) if one is given."""
         gripper = self.gripper(**parameters)
         await gripper.open(self.run)
+        if force is not None:
+            await gripper.write(commands(force))
         try:
             yield gripper
         finally:

@@ -17,7 +17,7 @@ from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
 from operators.ports import Run
 from tests.connectors.gripper.gripper_lab import commands, lab
-from tests.emulators.gripper import RELEASED, Asked, Mechanism
+from tests.emulators.gripper import RELEASED
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
@@ -59,10 +59,8 @@ async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() ->
 async def test_a_ready_gripper_keeps_its_object() -> None:
     async with lab() as at:
         for force in (20.0, None, 30.0):
-            gripper = at.gripper(force=force)
-            await gripper.open(at.run)
-            await asyncio.sleep(10)
-            await gripper.close()
+            async with at.gripping(force):
+                await asyncio.sleep(10)
         assert at.forces == [register_force(28), register_force(85)]
         assert len(at.writes) == 3
 
@@ -92,7 +90,7 @@ async def test_rows_without_a_force_have_no_effect() -> None:
         await gripper.write(commands(nan, nan))
         await gripper.write(commands())
         await asyncio.sleep(5)
-        assert [each.force for each in at.writes] == [None, 0, 85]
+        assert [each.force for each in at.writes] == [None, 85]
 
 
 async def test_forces_outside_the_limits_are_clipped() -> None:
@@ -139,8 +137,9 @@ async def test_a_refused_force_is_sent_once_the_gripper_accepts_it() -> None:
 
 async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
     async with lab() as at:
-        gripper = at.gripper(force=20.0)
+        gripper = at.gripper()
         await gripper.open(at.run)
+        await gripper.write(commands(20.0))
         await asyncio.sleep(5)
         at.server.mechanism.fail(RELEASED)
         await asyncio.sleep(1)
@@ -151,6 +150,7 @@ async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
         with pytest.raises(EndpointError, match="must be reset"):
             await gripper.close()
         await gripper.open(at.run)
+        await gripper.write(commands(20.0))
         await asyncio.sleep(5)
         assert at.writes[2:4] == [Request(), Request(active=True)]
         assert at.forces == [register_force(28), 0.0, register_force(28)]
@@ -159,7 +159,7 @@ async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
 
 async def test_closing_sends_the_newest_force_or_raises() -> None:
     async with lab() as at:
-        gripper = at.gripper(force=15.0)
+        gripper = at.gripper()
         await gripper.open(at.run)
         await gripper.write(commands(20.0))
         await gripper.close()
@@ -177,7 +177,7 @@ async def test_no_replay_moves_the_gripper() -> None:
     async with lab() as at:
         paced = replace(at.run, recording="grasp-1")
         for run in (paced, replace(paced, live=False), replace(at.run, live=False)):
-            gripper = at.gripper(force=15.0)
+            gripper = at.gripper()
             with pytest.raises(
                 FlowError, match=r"^flow 'live': modbus://.*: a replay must not move a gripper: remove"
             ):
@@ -224,9 +224,6 @@ def test_the_error_without_pymodbus_names_the_pip_command(
         ("limits", (15.0, 61.0)),
         ("limits", (40.0, 20.0)),
         ("limits", (nan, 20.0)),
-        ("force", 14.0),
-        ("force", nan),
-        ("timeout", 0.0),
     ],
 )
 def test_invalid_values_are_refused(name: str, value: object) -> None:
@@ -274,10 +271,6 @@ async def test_a_failure_of_the_control_is_logged_at_once_and_raised_by_write_an
 # --- restarts and missing answers ---
 
 
-def ignored(mechanism: Mechanism, request: Asked, now: int) -> None:
-    del mechanism, request, now
-
-
 @pytest.mark.parametrize("drop", [False, True])
 async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
     *, drop: bool, caplog: pytest.LogCaptureFixture
@@ -304,23 +297,6 @@ async def test_a_command_to_a_restarted_gripper_is_sent_once_it_is_ready() -> No
         await asyncio.sleep(10)
         assert at.forces == [15.0, 0.0, register_force(85)]
         assert [each.force for each in at.writes[2:]] == [85, 85]
-
-
-async def test_the_status_is_updated_once_the_request_is_echoed(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with lab() as at, at.gripping(timeout=0.5) as gripper:
-        await asyncio.sleep(1)
-        with monkeypatch.context() as patch:
-            patch.setattr(Mechanism, "request", ignored)
-            await gripper.write(commands(30.0))
-            before = gripper.status
-            await asyncio.sleep(0.4)
-            assert gripper.status is before
-            await asyncio.sleep(0.2)
-            with pytest.raises(EndpointError, match=r"does not accept a request within 0.5 s"):
-                await gripper.write(commands(nan))
-        await asyncio.sleep(5)
-        assert gripper.status
-        assert (gripper.status.echo, gripper.status.object_detected) == (255, True)
 
 
 async def test_an_activation_that_takes_too_long_fails() -> None:
