@@ -76,13 +76,12 @@ models:  ## train the models in storage/trained and those that its pages compare
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
 	{ echo "train $(DATA) --seed 1 -o models/tcn.safetensors"; \
-	  echo "train $(DATA) --target sliding -o models/tcn_sliding.safetensors"; \
 	  for filters in 24 8 4; do \
 	    echo "train $(DATA) --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
 	  for network in paper_tcn frequency_cnn_interleaved; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
 	} | xargs -P 2 -L 1 slipflow
-	for name in tcn tcn_sliding paper_tcn frequency_cnn_interleaved; do \
+	for name in tcn paper_tcn frequency_cnn_interleaved; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 

@@ -35,13 +35,6 @@ def train(
         str,
         typer.Option(help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn_interleaved."),
     ] = "tcn",
-    target: Annotated[
-        str,
-        typer.Option(
-            help="Learn arm-speed, the paper's label, or sliding, the true sliding of the contact, which only"
-            " simulated datasets contain."
-        ),
-    ] = "arm-speed",
     parent: Annotated[
         str | None,
         typer.Option(
@@ -71,7 +64,7 @@ def train(
       slipflow train recordings -o mine.safetensors
       slipflow train --from tcn_wide two-minutes -o mine.safetensors
     """
-    from flows.learn.training.recipe import PAPER_NETWORKS, Recipe, paper_recipe
+    from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
 
@@ -79,8 +72,12 @@ def train(
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")
-    usual = Recipe().steps if parent is None else FURTHER_STEPS
-    recipe = Recipe(filters=filters, steps=steps or usual, seed=seed)
+    recipe: Recipe | PaperRecipe
+    if method == "tcn":
+        usual = Recipe().steps if parent is None else FURTHER_STEPS
+        recipe = Recipe(filters=filters, steps=steps or usual, seed=seed)
+    else:
+        recipe = PaperRecipe(method, PAPER_NETWORKS.get(method, 1), seed=seed)
     with progress_bar(f"training {parent or method}") as update:
 
         def progress(done: int, total: int, check: "Check | None") -> None:
@@ -90,16 +87,7 @@ def train(
                 note(f"{text}, {check.seconds:.0f} s")
 
         try:
-            model = run_training(
-                datasets,
-                out,
-                method=method,
-                recipe=paper_recipe(method, seed) if method in PAPER_NETWORKS else recipe,
-                start=parent,
-                target=target,
-                progress=progress,
-                log=note,
-            )
+            model = run_training(datasets, out, recipe, start=parent, progress=progress, log=note)
         except KeyboardInterrupt:
             note(f"stopped: no model was written to {out}")
             raise

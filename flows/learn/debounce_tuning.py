@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import product
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -27,6 +27,11 @@ def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector, budget
     """Tune the debounce of a detector on recordings; see `tuned`."""
     scores = [probabilities(detector, recording) for recording in recordings]
     return tuned(scores, [Slips.labelled(recording) for recording in recordings], budget)
+
+
+def debounce_settings(rule: Debounce) -> dict[str, Any]:
+    """Return the settings of a debounce as a model's card states them."""
+    return {name: getattr(rule, name) for name in ("threshold", "consecutive", "release")}
 
 
 def tuned(

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
-from typing import Final, Literal, Self, TypeAlias, cast
+from typing import Final, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,6 @@ from operators.score import forward_fill
 from storage import HandLabels, Session
 from storage.layout import session_folders
 
-Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
-TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
@@ -186,30 +184,6 @@ def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[Labelled
     """Group recordings by split, in the order of `SPLITS`; omit recordings without a split."""
     recordings = list(recordings)
     return {split: [each for each in recordings if each.split == split] for split in SPLITS}
-
-
-def labelled_by(
-    target: Target, recordings: Iterable[LabelledRecording], source: str = "recording"
-) -> list[LabelledRecording]:
-    """Return the recordings with the label of a target.
-
-    Args:
-        target: What the label says.
-        recordings: Recordings, with the label by arm speed.
-        source: Dataset of the recordings, for the error.
-
-    Raises:
-        InputError: if the target is true sliding and a recording has no truth.
-    """
-    recordings = list(recordings)
-    if target == "arm-speed":
-        return recordings
-    found = [replace(each, label=each.sliding, by_hand=0) for each in recordings if each.sliding is not None]
-    if len(found) < len(recordings):
-        name = next(each.name for each in recordings if each.sliding is None)
-        reason = "has no truth table to learn sliding from; `slipflow simulate` makes datasets that have one"
-        raise InputError(f"{source} {name}".rstrip(), reason)
-    return found
 
 
 def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:

@@ -10,7 +10,6 @@ from flows.learn.evaluation.detector_speed import SPEED, SPEED_DECIMALS
 from flows.learn.evaluation.evaluation_study import Evaluation
 from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.stress_study import FIELDS, NOMINAL, condition_name, every_condition
-from flows.learn.labelled_recordings import TARGETS
 from flows.learn.measures import (
     AGAINST_SLIDING,
     BALANCED,
@@ -170,17 +169,14 @@ def _speed(of: Evaluation) -> Section:
 
 def _sliding(of: Evaluation) -> Section:
     found = estimates(pl.concat([of.label, of.results]), AGAINST_SLIDING, draws=0)
-    baseline = {"target": TARGETS[0]}  # a baseline has no card
-    targets = {name: (method.card or baseline).get("target") for name, method in of.methods.items()}
     table = estimate_table(found, DECIMALS)
-    rows = [[row[0], targets.get(str(row[0])), *row[1:]] for row in table.rows]
     head = [name.removeprefix(SLIDING) for name in table.head]
     decimals = {name.removeprefix(SLIDING): digits for name, digits in table.decimals.items()}
     return Section(
         "sliding",
         "True sliding",
         SLIDING_TEXT,
-        [Table([head[0], "trained on", *head[1:]], rows, decimals=decimals)],
+        [Table(head, table.rows, decimals=decimals)],
         folded=True,
     )
 

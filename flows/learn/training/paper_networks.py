@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe
+from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Network, set_seed
 from operators.batch import BAROMETERS, Reals
-from operators.checks import check_choice
 from operators.detectors.frequency_cnn import BINS, PARTS, PIXELS
 
 _TAPS: Final = 8
@@ -26,22 +25,17 @@ _MOMENTUM: Final = 0.01  # weight of a batch in the running mean and variance
 _TRUNCATED: Final = 0.87962566103423978  # standard deviation of a unit normal that is cut off at 2
 
 
-def paper_network(name: str, mean: Reals, std: Reals, recipe: PaperRecipe) -> "PaperNetwork":
-    """Return one of `PAPER_NETWORKS` with initial weights; this seeds torch's random numbers.
+def paper_network(mean: Reals, std: Reals, recipe: PaperRecipe) -> "PaperNetwork":
+    """Return the network of a recipe with initial weights; this seeds torch's random numbers.
 
     Kernels are He normal as Keras draws them (cut off at two standard deviations), biases are zero.
 
     Args:
-        name: Name of the network.
         mean: (6,) mean of the training counts.
         std: (6,) standard deviation of the training counts.
-        recipe: Dropout and seed.
-
-    Raises:
-        ParameterError: if there is no such network.
+        recipe: Name of the network, dropout and seed.
     """
-    check_choice("paper_network", "name", name, PAPER_NETWORKS)
-    kind = PaperTcnNetwork if name == "paper_tcn" else FrequencyCnnNetwork
+    kind = PaperTcnNetwork if recipe.network == "paper_tcn" else FrequencyCnnNetwork
     network = kind(mean, std, recipe.dropout)
     set_seed(recipe.seed)
     for each, values in network.named_parameters():

@@ -23,7 +23,6 @@ _ADAM_EPSILON: Final = 1e-7  # Keras's
 
 
 def train_windowed(
-    name: str,
     train: Sequence[LabelledRecording],
     validation: Sequence[LabelledRecording],
     recipe: PaperRecipe,
@@ -32,17 +31,15 @@ def train_windowed(
     """Train one of the paper's networks by the paper's recipe, with a check after each epoch.
 
     Args:
-        name: One of `PAPER_NETWORKS`.
         train: Recordings of the train split; their counts also determine the standardisation.
         validation: Recordings that choose the epoch.
-        recipe: Settings of the training.
+        recipe: Network, and settings of its training.
         progress: Called after each step.
 
     Raises:
-        ParameterError: if there is no such network.
         InputError: if the recordings of a split have no slip or no static samples.
     """
-    return fit(_WindowedTask(name, train, validation, recipe), progress)
+    return fit(_WindowedTask(train, validation, recipe), progress)
 
 
 class Windows:
@@ -86,7 +83,6 @@ class _WindowedTask(TrainingTask):
 
     def __init__(
         self,
-        name: str,
         train: Sequence[LabelledRecording],
         validation: Sequence[LabelledRecording],
         recipe: PaperRecipe,
@@ -100,7 +96,7 @@ class _WindowedTask(TrainingTask):
         balanced = 2 * min(slip, len(self._windows) - slip)
         self.check_every = max(balanced // recipe.batch, 1)  # an incomplete batch is left out
         self.steps = recipe.epochs * self.check_every
-        self.network = paper_network(name, *self._windows.spread(), recipe).to(self._device)
+        self.network = paper_network(*self._windows.spread(), recipe).to(self._device)
         self.optimiser = torch.optim.Adam(
             self.network.parameters(), recipe.rate, eps=_ADAM_EPSILON, foreach=True
         )

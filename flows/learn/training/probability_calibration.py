@@ -38,7 +38,8 @@ class Calibration:
 
         if not slip.any() or slip.all():
             return cls(1.0, 0.0)
-        logits, slips = _logits(probability), int(slip.sum())
+        logits: Reals = logit(np.clip(probability, _CERTAIN, 1 - _CERTAIN))
+        slips = int(slip.sum())
         target = np.where(slip, (slips + 1) / (slips + 2), 1 / (slip.size - slips + 2))
 
         def loss(change: Reals) -> tuple[float, Reals]:
@@ -70,8 +71,3 @@ def calibration_of(detector: Detector, validation: Sequence[LabelledRecording]) 
     label = np.concatenate([each.label for each in validation])
     known = (label != UNKNOWN) & ~np.isnan(probability)
     return Calibration.fitted(probability[known], label[known] == SLIP)
-
-
-def _logits(probability: Reals) -> Reals:
-    values: Reals = logit(np.clip(probability, _CERTAIN, 1 - _CERTAIN))
-    return values

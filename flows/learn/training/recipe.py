@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Self
 
-from operators.checks import check_above, check_at_least
+from operators.checks import check_above, check_at_least, check_choice
 from operators.detectors import Tcn
 from operators.errors import ParameterError
 
-EPOCHS: Final = {"frequency_cnn_interleaved": 6, "paper_tcn": 25}
-PAPER_NETWORKS: Final = tuple(EPOCHS)
+PAPER_NETWORKS: Final = {"frequency_cnn_interleaved": 6, "paper_tcn": 25}  # epochs in which each improves
 LONGEST: Final = 400  # samples, maximum receptive field
 
 
@@ -102,20 +101,17 @@ class PaperRecipe:
     Each epoch uses all windows of the smaller class and as many random windows of the other.
 
     Raises:
-        ParameterError: if `epochs` is below 1.
+        ParameterError: if there is no such network, or `epochs` is below 1.
     """
 
+    network: str  # one of `PAPER_NETWORKS`
+    epochs: int
     rate: float = 0.002  # learning rate
     clip: float = 1.0  # maximum norm of the gradient of one array
     batch: int = 256  # windows
     dropout: float = 0.2  # probability
-    epochs: int = 20
     seed: int = 0
 
     def __post_init__(self) -> None:
+        check_choice("PaperRecipe", "network", self.network, PAPER_NETWORKS)
         check_at_least("PaperRecipe", "epochs", self.epochs, 1)
-
-
-def paper_recipe(network: str, seed: int = 0) -> PaperRecipe:
-    """Return the recipe of one of the paper's networks, with as many epochs as its validation improves."""
-    return PaperRecipe(epochs=EPOCHS[network], seed=seed)

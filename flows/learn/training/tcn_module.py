@@ -56,21 +56,12 @@ class DenseTcn(Network):
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return the logit of slip (b, n) of counts (b, cells, n); the first ones depend on the padding."""
-        return self._classified(self._hidden(counts))
-
-    def _hidden(self, counts: Tensor) -> Tensor:
-        """Return the output of the convolutions (b, filters, n) for counts (b, cells, n)."""
         steps = torch.diff(counts, dim=2, prepend=counts[..., :1])
         scale = self.recipe
         x = torch.cat([torch.asinh(counts / scale.position_scale), torch.asinh(steps / scale.step_scale)], 1)
         for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
             y = functional.dropout1d(second(first(x)), self.recipe.dropout, self.training)
             x = y + x if first.conv.in_channels == second.conv.out_channels else y  # (b, filters, n)
-        return x
-
-    def _classified(self, hidden: Tensor) -> Tensor:
-        """Return the logits (b, n) of outputs of the convolutions (b, filters, n)."""
-        x = hidden
         for layer in self._dense:
             x = layer(x)
         logit: Tensor = self.out(x)[:, 0]

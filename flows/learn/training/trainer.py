@@ -4,21 +4,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
+from typing import Any, Final, TypeAlias
 
 from flows.learn.datasets import SPLITS
-from flows.learn.debounce_tuning import tuned_on
+from flows.learn.debounce_tuning import debounce_settings, tuned_on
 from flows.learn.labelled_recordings import (
-    TARGETS,
     LabelledRecording,
-    Target,
     by_split,
     common_fingertip,
     hand_label_summary,
-    labelled_by,
     load,
 )
-from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe, paper_recipe
+from flows.learn.training.recipe import PaperRecipe, Recipe
 from flows.learn.training.trained_model import (
     Arrays,
     Model,
@@ -27,9 +24,7 @@ from flows.learn.training.trained_model import (
     provenance,
     write_model,
 )
-from operators import Debounce
 from operators.batch import s
-from operators.checks import check_choice
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
@@ -38,15 +33,9 @@ from operators.fingertip import TAKKTILE, Fingertip
 from storage import load_detector
 from storage.models import identify_detector
 
-if TYPE_CHECKING:
-    from flows.learn.training.training_loop import Trained
-
 Parts: TypeAlias = Mapping[str, Sequence[LabelledRecording]]  # by split
 
-OURS: Final = "tcn"
-METHODS: Final = (OURS, *PAPER_NETWORKS)
 FURTHER_STEPS: Final = 300  # of further training
-
 _FEW: Final = 5  # recordings, from which on whole ones are held out
 _ENDS: Final = (0.0, 0.6, 0.8, 1.0)  # of train, validation and test in one recording
 
@@ -54,11 +43,9 @@ _ENDS: Final = (0.0, 0.6, 0.8, 1.0)  # of train, validation and test in one reco
 def train(
     datasets: Sequence[Path],
     out: Path,
+    recipe: Recipe | PaperRecipe,
     *,
-    method: str = OURS,
-    recipe: Recipe | PaperRecipe | None = None,
     start: str | None = None,
-    target: str = TARGETS[0],
     progress: Progress = lambda _done, _all, _check: None,
     log: Callable[[str], object] = lambda _: None,
 ) -> Model:
@@ -71,49 +58,48 @@ def train(
     Args:
         datasets: Folders; each fingertip of each session is a recording.
         out: Model file, .safetensors; its card has the same name with .json.
-        method: One of `METHODS`: ``tcn`` or one of the paper's networks.
-        recipe: Settings of the training; None: those of the method.
-        start: Name of a shipped tcn, or its file, to train further; None: random weights.
-        target: What the network learns, one of `TARGETS`; its card and the checks refer to it.
+        recipe: Settings of the training, of a tcn or of one of the paper's networks.
+        start: Name of a shipped tcn, or its file, to train further by a `Recipe`; None: random weights.
         progress: Called after each step; the check is None at most of them.
         log: Receives the number of labels by hand, before the training.
 
     Raises:
-        InputError: if the train extra is missing, a dataset cannot be read, or it lacks the target; with
-            `start` if that is no tcn, or the recordings are too short or lack slip or static.
+        InputError: if the train extra is missing or a dataset cannot be read; with `start` if that is no tcn,
+            or the recordings are too short or lack slip or static.
         ParameterError: if a parameter is out of range, or the datasets lack a split or labels to judge by.
-        FingertipError: if the recordings have different fingertips, or `method` or `start` is for another
-            one.
+        FingertipError: if the recordings have different fingertips, or the network is for another one.
         OSError: if the model cannot be written.
     """
-    _check(out, method, target)
+    require_extra("train", "train")
+    if out.suffix != ".safetensors":
+        raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
+    if not out.parent.is_dir():
+        raise InputError(str(out.parent), "is not a folder: create it, or write the model elsewhere")
     parent = None if start is None else _tcn(start)
-    chosen = cast("Target", target)
-    by_dataset = {path: labelled_by(chosen, load(path), str(path)) for path in datasets}
+    by_dataset = {path: load(path) for path in datasets}
     recordings = list(chain.from_iterable(by_dataset.values()))
     if by_hand := hand_label_summary(recordings):
         log(by_hand)
     fingertip = common_fingertip(recordings)
     about: dict[str, Any] = {
-        "detector": method,
+        "detector": recipe.network if isinstance(recipe, PaperRecipe) else Tcn.name,
         "fingertip": fingertip.describe(),
-        "target": target,
         "software": f"slipflow {software_version()}",
         "data": [provenance(path, each) for path, each in by_dataset.items()],
+        "seed": recipe.seed,
+        "recipe": asdict(recipe),
     }
     if parent is None:
-        recipe = recipe or (Recipe() if method == OURS else paper_recipe(method))
         parts = by_split(recordings)
         if len(recordings) < _FEW and not parts["validation"]:
             parts = _in_time(recordings)
             log("few recordings: each is divided in time, which flatters the model; record five or more")
-        arrays, results = _from_random(datasets, method, parts, recipe, progress)
+        arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
         parent.check_fingertip(fingertip)
-        recipe = recipe if isinstance(recipe, Recipe) else Recipe(steps=FURTHER_STEPS)
         arrays, results = _from_model(parent, recordings, recipe, progress)
         about |= {"detector": parent.name, "parent": identify_detector(str(start))}
-    return write_model(out, arrays, {**about, "seed": recipe.seed, **results})
+    return write_model(out, arrays, {**about, **results})
 
 
 def _in_time(recordings: Sequence[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
@@ -127,9 +113,11 @@ def _in_time(recordings: Sequence[LabelledRecording]) -> dict[str, list[Labelled
 
 
 def _from_random(
-    datasets: Sequence[Path], method: str, parts: Parts, recipe: Recipe | PaperRecipe, progress: Progress
+    datasets: Sequence[Path], name: str, parts: Parts, recipe: Recipe | PaperRecipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the weights of a network that was trained from random ones, and the entries for its card."""
+    from flows.learn.training.dense_training import train_dense
+    from flows.learn.training.paper_training import train_windowed
     from flows.learn.training.probability_calibration import calibration_of
 
     for split in ("train", "validation"):
@@ -138,27 +126,29 @@ def _from_random(
     judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
     _check_judged(datasets, judged)
     fingertip = parts["train"][0].fingertip
-    if method != OURS:
-        TAKKTILE.check_fits(method, fingertip)
-    trained = _trained(method, parts["train"], judged["validation"], recipe, progress)
-    calibration = calibration_of(_detector(method, trained.arrays, fingertip), judged["validation"])
+    if isinstance(recipe, Recipe):
+        trained = train_dense(parts["train"], judged["validation"], recipe, progress)
+    else:
+        TAKKTILE.check_fits(name, fingertip)
+        trained = train_windowed(parts["train"], judged["validation"], recipe, progress)
+    calibration = calibration_of(_detector(name, trained.arrays, fingertip), judged["validation"])
     arrays = calibration.fold(trained.arrays)
-    detector = _detector(method, arrays, fingertip)
+    detector = _detector(name, arrays, fingertip)
     return arrays, {
-        "recipe": asdict(recipe),
         "scores": {split: label_scores(detector, each) for split, each in judged.items()},
-        "debounce": _settings(tuned_on(judged["validation"], detector)),
+        "debounce": debounce_settings(tuned_on(judged["validation"], detector)),
         "calibration": asdict(calibration),
         "curve": [asdict(check) for check in trained.curve],
     }
 
 
 def _from_model(
-    parent: Tcn, recordings: Sequence[LabelledRecording], recipe: Recipe, progress: Progress
+    parent: Tcn, recordings: Sequence[LabelledRecording], recipe: Recipe | PaperRecipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the weights of a network that was trained further, and the entries for its card."""
     from flows.learn.training.fine_tuning import fine_tune
 
+    assert isinstance(recipe, Recipe), "only a tcn is trained further"
     learned = [each for each in recordings if each.split != "test"]
     held_out = [each for each in recordings if each.split == "test"]
     if not learned:
@@ -166,37 +156,11 @@ def _from_model(
     found = fine_tune(parent, learned, held_out, recipe, progress)
     compared = {"before": parent, "after": found.tcn}
     return found.tcn.weights, {
-        "recipe": asdict(recipe),
         "alignment": asdict(found.alignment),
         "scores": {name: label_scores(each, found.held_out) for name, each in compared.items()},
-        "debounce": _settings(tuned_on(learned, found.tcn)),
+        "debounce": debounce_settings(tuned_on(learned, found.tcn)),
         "curve": [asdict(check) for check in found.curve],
     }
-
-
-def _trained(
-    method: str,
-    train_on: Sequence[LabelledRecording],
-    validation: Sequence[LabelledRecording],
-    recipe: Recipe | PaperRecipe,
-    progress: Progress,
-) -> "Trained":
-    from flows.learn.training.dense_training import train_dense
-    from flows.learn.training.paper_training import train_windowed
-
-    if isinstance(recipe, Recipe):
-        return train_dense(train_on, validation, recipe, progress)
-    return train_windowed(method, train_on, validation, recipe, progress)
-
-
-def _check(out: Path, method: str, target: str) -> None:
-    require_extra("train", "train")
-    check_choice("train", "method", method, METHODS)
-    check_choice("train", "target", target, TARGETS)
-    if out.suffix != ".safetensors":
-        raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
-    if not out.parent.is_dir():
-        raise InputError(str(out.parent), "is not a folder: create it, or write the model elsewhere")
 
 
 def _check_judged(datasets: Sequence[Path], parts: Parts) -> None:
@@ -219,13 +183,9 @@ def _tcn(model: str) -> Tcn:
     return detector
 
 
-def _detector(method: str, arrays: Arrays, fingertip: Fingertip) -> Detector:
+def _detector(name: str, arrays: Arrays, fingertip: Fingertip) -> Detector:
     """Return a trained detector, for the fingertip of its data."""
-    detector = TRAINED[method](arrays)
+    detector = TRAINED[name](arrays)
     assert isinstance(detector, ForOneFingertip), "all trained detectors are"
     detector.fingertip = fingertip
     return detector
-
-
-def _settings(rule: Debounce) -> dict[str, Any]:
-    return {name: getattr(rule, name) for name in ("threshold", "consecutive", "release")}

@@ -58,5 +58,5 @@ def small(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> Trained:
     progress = list[tuple[int, int, Check | None]]()
     recipe = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
     out = tmp_path_factory.mktemp("small") / "small.safetensors"
-    model = train([tiny], out, recipe=recipe, progress=lambda *each: progress.append(each))
+    model = train([tiny], out, recipe, progress=lambda *each: progress.append(each))
     return Trained(model, progress)

@@ -20,7 +20,6 @@ from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
     hand_label_summary,
-    labelled_by,
     load,
     simulated_recording,
 )
@@ -55,10 +54,10 @@ def there(part: Part | None) -> Part:
 
 def slides(recording: LabelledRecording) -> NDArray[np.intp]:
     """Return the samples at which the contact truly slides."""
-    [by_sliding] = labelled_by("sliding", [recording])
-    assert len(by_sliding) == len(recording)
-    assert set(by_sliding.label.tolist()) == {0, 1}
-    return np.flatnonzero(by_sliding.slip)
+    sliding = there(recording.sliding)
+    assert len(sliding) == len(recording)
+    assert set(sliding.tolist()) == {0, 1}
+    return np.flatnonzero(sliding)
 
 
 def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were_lost() -> None:
@@ -108,14 +107,6 @@ def test_a_dataset_has_the_sliding_labels_that_a_live_flow_gives(tmp_path: Path)
     assert slides(recorded).tolist() == slides(simulated_recording(SCENE, 3)).tolist()
 
 
-def test_recordings_without_truth_have_one_target(tiny: Path) -> None:
-    known = load(tiny)
-    unknown = [replace(known[0], sliding=None), *known[1:]]
-    assert labelled_by("arm-speed", unknown) == unknown
-    with pytest.raises(InputError, match=f"tiny {known[0].name}: has no truth table"):
-        labelled_by("sliding", unknown, "tiny")
-
-
 def test_recordings_without_splits_take_turns_by_session(tiny: Path, tmp_path: Path) -> None:
     copy = copytree(tiny, tmp_path / "tiny")
     for path in copy.glob("sessions/*/session.json"):
@@ -143,8 +134,6 @@ def test_labels_by_hand_replace_those_by_arm_speed_and_not_the_truth(tiny: Path,
     assert not any(each.by_hand for each in others)
     line = hand_label_summary([first, *others])
     assert line == f"labels by hand: 110 of {len(first):,} samples of 1 recording"
-    [by_sliding] = labelled_by("sliding", [first])
-    assert not by_sliding.by_hand
 
 
 def test_labels_by_hand_change_the_provenance_but_not_the_digest(tiny: Path, tmp_path: Path) -> None:

@@ -73,9 +73,7 @@ def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the
 ) -> None:
     _loading(monkeypatch, [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)])
     out, done = tmp_path / "tuned.safetensors", list[int]()
-    model = train(
-        [tmp_path], out, start=str(parent), recipe=Recipe(steps=30), progress=lambda n, *_: done.append(n)
-    )
+    model = train([tmp_path], out, Recipe(steps=30), start=str(parent), progress=lambda n, *_: done.append(n))
     scores = model.card["scores"]
     assert scores["after"]["balanced"] > scores["before"]["balanced"]
     assert "NOT better" not in model.report()
@@ -92,7 +90,7 @@ def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(
     _loading(monkeypatch, [replace(wrong, label=1 - wrong.label), replace(truth, split="test")])
 
     def tuned(start: Path) -> Model:
-        return train([tmp_path], tmp_path / "m.safetensors", start=str(start), recipe=Recipe(steps=60))
+        return train([tmp_path], tmp_path / "m.safetensors", Recipe(steps=60), start=str(start))
 
     assert "NOT better than the model that it was trained from" in tuned(parent).report()
 
@@ -113,7 +111,7 @@ def test_recordings_that_cannot_be_learned_from_are_refused(
 
 def test_only_a_tcn_is_trained_further(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="psd: is not a tcn: only a tcn can be trained further"):
-        train([tmp_path], tmp_path / "m.safetensors", start="psd")
+        train([tmp_path], tmp_path / "m.safetensors", Recipe(), start="psd")
 
 
 def _read(name: str) -> LabelledRecording:

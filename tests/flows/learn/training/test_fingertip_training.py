@@ -8,7 +8,7 @@ import pytest
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.learn.training import trainer
-from flows.learn.training.recipe import Recipe
+from flows.learn.training.recipe import PaperRecipe, Recipe
 from operators import Score, Zeroed, ms
 from operators.detectors import Tcn
 from operators.errors import FingertipError
@@ -44,7 +44,7 @@ def loading(fingertip: Fingertip) -> Callable[..., list[LabelledRecording]]:
 def trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(trainer, "load", loading(PAD))
     out = tmp_path / "pad.safetensors"
-    trainer.train([tmp_path], out, recipe=SMALL)
+    trainer.train([tmp_path], out, SMALL)
     return out
 
 
@@ -72,10 +72,10 @@ def test_recordings_of_different_rates_are_not_trained_on_together(
 
     monkeypatch.setattr(trainer, "load", load)
     with pytest.raises(FingertipError, match=r"data set with train needs 100 Hz; the data has 200 Hz: Res"):
-        trainer.train([tmp_path], tmp_path / "model.safetensors", recipe=SMALL)
+        trainer.train([tmp_path], tmp_path / "model.safetensors", SMALL)
 
 
 def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trainer, "load", loading(PAD))
     with pytest.raises(FingertipError, match=r"paper_tcn needs 6 cells"):
-        trainer.train([tmp_path], tmp_path / "model.safetensors", method="paper_tcn")
+        trainer.train([tmp_path], tmp_path / "model.safetensors", PaperRecipe("paper_tcn", 1))

@@ -26,7 +26,7 @@ DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
     "paper_tcn": PaperTcn,
 }
 CPU = torch.device("cpu")
-TWICE = PaperRecipe(batch=64, epochs=2)
+TWICE = PaperRecipe("paper_tcn", batch=64, epochs=2)
 
 both = pytest.mark.parametrize("name", ["frequency_cnn_interleaved", "paper_tcn"])
 
@@ -59,7 +59,7 @@ def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> fl
 @both
 def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) -> None:
     train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(2), (5,), (7,)))
-    trained = train_windowed(name, train, validation, replace(TWICE, epochs=4))
+    trained = train_windowed(train, validation, replace(TWICE, network=name, epochs=4))
     assert len(trained.curve) == 4
     assert trained.curve[-1].loss < 0.8 * trained.curve[0].loss
     detector = DETECTORS[name](trained.arrays)
@@ -72,7 +72,7 @@ def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) 
 def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_others(name: str) -> None:
     def weights(seed: int) -> Arrays:
         torch.rand(seed + 3)
-        return train_windowed(name, SHORT, SHORT, replace(TWICE, seed=seed)).arrays
+        return train_windowed(SHORT, SHORT, replace(TWICE, network=name, seed=seed)).arrays
 
     first, again, other = weights(0), weights(0), weights(1)
     for array, value in first.items():
@@ -85,7 +85,7 @@ def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: p
     def trained(epochs: int) -> Trained:
         scores = [(50.0, 60.0), (70.0, 80.0), (90.0, 80.0), (60.0, 70.0)][:epochs]
         monkeypatch.setattr(training_loop, "_evaluate", Mock(side_effect=scores))
-        result = train_windowed("frequency_cnn_interleaved", SHORT, SHORT, PaperRecipe(epochs=epochs))
+        result = train_windowed(SHORT, SHORT, PaperRecipe("frequency_cnn_interleaved", epochs))
         assert [(epoch.accuracy, epoch.balanced) for epoch in result.curve] == scores
         return result
 
@@ -97,18 +97,18 @@ def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: p
 def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
     def kernel(clip: float) -> NDArray[np.float32]:
         recipe = replace(TWICE, epochs=1, clip=clip)
-        return train_windowed("paper_tcn", SHORT, SHORT, recipe).arrays["out/kernel"]
+        return train_windowed(SHORT, SHORT, recipe).arrays["out/kernel"]
 
-    at_rest = paper_network("paper_tcn", np.zeros(6), np.ones(6), TWICE).arrays()["out/kernel"]
+    at_rest = paper_network(np.zeros(6), np.ones(6), TWICE).arrays()["out/kernel"]
     free, bound = kernel(1.0), kernel(1e-12)  # so short that Adam's epsilon outweighs it
     assert np.abs(bound - at_rest).max() < 1e-6 < np.abs(free - at_rest).max()
 
 
 def test_an_unknown_network_and_zero_epochs_are_refused() -> None:
-    with pytest.raises(ParameterError, match=r"name is 'lstm', must be one of frequency_cnn_"):
-        train_windowed("lstm", SHORT, SHORT, TWICE)
+    with pytest.raises(ParameterError, match=r"network is 'lstm', must be one of frequency_cnn_"):
+        PaperRecipe("lstm", 1)
     with pytest.raises(ParameterError, match="epochs is 0, must be at least 1"):
-        PaperRecipe(epochs=0)
+        PaperRecipe("paper_tcn", epochs=0)
 
 
 def test_a_window_ends_at_its_label_and_stays_within_its_noise() -> None:
@@ -145,7 +145,7 @@ def test_recordings_of_one_class_are_refused(slip: bool) -> None:
 
 def _network(name: str, generator: torch.Generator) -> PaperNetwork:
     """Return a network with weights and running statistics that are nowhere 0 or 1."""
-    network = paper_network(name, np.linspace(-200, 0, 6), np.linspace(180, 60, 6), PaperRecipe())
+    network = paper_network(np.linspace(-200, 0, 6), np.linspace(180, 60, 6), PaperRecipe(name, 1))
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(torch.randn(parameter.shape, generator=generator), alpha=0.1)
