@@ -127,7 +127,7 @@ def hide_packages(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def hide(*packages: str) -> None:
         hidden = {modules.get(package, package) for package in packages}
-        for where in ("operators.extras.find_spec", "flows.run.diagnosis.find_spec"):
-            monkeypatch.setattr(where, lambda name: None if name in hidden else find_spec(name))
+        where = "operators.extras.find_spec"
+        monkeypatch.setattr(where, lambda name: None if name in hidden else find_spec(name))
 
     return hide

@@ -4,10 +4,9 @@ import hmac
 import os
 import re
 from contextlib import suppress
-from dataclasses import dataclass
 from ipaddress import ip_address
 from socket import gethostname
-from typing import Final, Self
+from typing import Final
 from urllib.parse import urlsplit
 
 from operators.errors import ParameterError
@@ -39,59 +38,37 @@ def is_loopback(host: str) -> bool:
     return host == "localhost"
 
 
-@dataclass(frozen=True)
-class Access:
-    """Access rules for requests.
+def required_token(what: str, host: str) -> str | None:
+    """Return the token in SLIPFLOW_PAGE_TOKEN that a server on `host` requires; None: it requires none.
 
-    Without a token the Host header must be an IP address, localhost or the name of this machine. This
-    prevents DNS rebinding: otherwise a foreign page whose host name resolves to this machine could read the
-    page. With a token, a request needs the header ``Authorization: Bearer TOKEN``, or the cookie with the
-    token, which is set when the token is sent once, as ``/?token=...``.
+    Raises:
+        ParameterError: if the token is malformed, or missing although other machines can reach `host`; it
+            names the sink `what`.
     """
+    token = os.environ.get(TOKEN) or None
+    if token is None and not is_loopback(host):
+        raise ParameterError(what, "token", None, f"set in {TOKEN} if other machines can connect")
+    if token is not None and not _TOKEN.fullmatch(token):
+        must_be = "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
+        raise ParameterError(what, "token", "...", must_be)
+    return token
 
-    token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: no token needed
 
-    @classmethod
-    def of(cls, what: str, host: str) -> Self:
-        """Return the access rules of a server on `host`, with the token in SLIPFLOW_PAGE_TOKEN.
+def is_own_host(host: str) -> bool:
+    """Return True if a Host header names this machine, by its address or name.
 
-        Raises:
-            ParameterError: if the token is malformed, or missing although other machines can reach `host`; it
-                names the sink `what`.
-        """
-        token = os.environ.get(TOKEN) or None
-        if token is None and not is_loopback(host):
-            raise ParameterError(what, "token", None, f"set in {TOKEN} if other machines can connect")
-        if token is not None and not _TOKEN.fullmatch(token):
-            must_be = (
-                "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
-            )
-            raise ParameterError(what, "token", "...", must_be)
-        return cls(token)
+    >>> [is_own_host(host) for host in ("127.0.0.1:8765", "[::1]", "localhost:80", "evil.example")]
+    [True, True, True, False]
+    """
+    own = gethostname().lower()
+    short = own.partition(".")[0]
+    with suppress(ValueError):  # neither a name nor an address
+        name = (urlsplit(f"//{host}").hostname or "").removesuffix(".")
+        return name in {"localhost", own, short, f"{short}.local"} or bool(ip_address(name))
+    return False
 
-    def is_own_host(self, host: str) -> bool:
-        """Return True if a Host header names this machine.
 
-        >>> hosts = "127.0.0.1:8765", "[::1]", "localhost:80", "evil.example"
-        >>> [Access().is_own_host(host) for host in hosts]
-        [True, True, True, False]
-        """
-        if self.token is not None:
-            return True  # a foreign page has neither token nor cookie
-        own = gethostname().lower()
-        short = own.partition(".")[0]
-        with suppress(ValueError):  # neither a name nor an address
-            name = (urlsplit(f"//{host}").hostname or "").removesuffix(".")
-            return name in {"localhost", own, short, f"{short}.local"} or bool(ip_address(name))
-        return False
-
-    def admits(self, cookie: str | None, authorization: str | None = None) -> bool:
-        """Return True if a request with this cookie and this Authorization header has access."""
-        if self.token is None:
-            return True
-        pairs = (cookie, self.token), (authorization, f"Bearer {self.token}")
-        # in constant time; a header that is not UTF-8 contains surrogates
-        return any(
-            sent is not None and hmac.compare_digest(sent.encode(errors="surrogateescape"), right.encode())
-            for sent, right in pairs
-        )
+def is_secret(sent: str | None, secret: str) -> bool:
+    """Return True if the part of a request that was sent, if any, is a secret; takes constant time."""
+    # a header that is not UTF-8 contains surrogates
+    return sent is not None and hmac.compare_digest(sent.encode(errors="surrogateescape"), secret.encode())

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from connectors.events import Fault, faults, finger_name, quality, slips
-from connectors.web.access import METRICS_PORT, Access, http_url, is_loopback
+from connectors.web.access import METRICS_PORT, http_url, is_loopback, required_token
 from operators.batch import Faults, Scores, Slips, s
 from operators.checks import check_between
 from operators.ports import Run, Sink, SinkStatus, SourceStatus
@@ -118,8 +118,8 @@ class Metrics(Sink[Scores | Slips | Faults]):
             failing = unready(run)
             return web.Response(status=503, text=f"{failing}\n") if failing else await healthy(request)
 
-        access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
-        self._server = WebServer("metrics", self._host, self._port, access)
+        token = None if is_loopback(self._host) else required_token("Metrics", self._host)
+        self._server = WebServer("metrics", self._host, self._port, token)
         await self._server.open(web.get(PATH, metrics), web.get(HEALTH, healthy), web.get(READY, ready))
         if self._opened:
             self._opened(self.url)

@@ -12,7 +12,7 @@ from aiohttp import web
 
 from connectors.events import finger_name
 from connectors.web.session_curves import SessionCurves
-from connectors.web.web_server import PAGE_FILES, json_response
+from connectors.web.web_server import PAGE_FILES, Handler, json_response
 from operators.batch import EVERY, ms
 from operators.errors import InputError, ParameterError
 from operators.ports import Json
@@ -30,8 +30,6 @@ _LABELS_USAGE: Final = (
 class SessionPage:
     """Answers to the requests of the page of a recorded session.
 
-    Documents are built in a thread, as that takes some ms.
-
     Args:
         curves: Curves and events.
         session: Session whose labels by hand the page shows and writes.
@@ -45,43 +43,29 @@ class SessionPage:
         """Requests of the page; a POST request stores the next version of the labels by hand."""
         return (
             *PAGE_FILES,
-            web.get("/about.json", self._about),
-            web.get("/window", self._window),
-            web.get("/events", self._events),
-            web.post("/labels", self._write_labels),
+            web.get("/about.json", _handler(self._about)),
+            web.get("/window", _handler(self._window)),
+            web.get("/events", _handler(self._events)),
+            web.post("/labels", _handler(self._write_labels)),
         )
 
-    async def _about(self, request: web.Request) -> web.Response:
-        def document() -> dict[str, Json]:
-            labels = self._labels_json(self.session.hand_labels())
-            return {"mode": "recorded", "labels": labels, **self.curves.contents()}
+    def _about(self, _: web.Request, __: bytes) -> Json:
+        labels = self._labels_json(self.session.hand_labels())
+        return {"mode": "recorded", "labels": labels, **self.curves.contents()}
 
-        return await _in_thread(document)
-
-    async def _window(self, request: web.Request) -> web.Response:
+    def _window(self, request: web.Request, _: bytes) -> Json:
         begin, end, at, columns = (_number(request, name) for name in ("begin", "end", "at", "columns"))
         if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
             raise InputError(request.path, f"must have begin <= end, and 1 to {_COLUMNS_MAX} columns")
-        window = self.curves.window
-        return await _in_thread(
-            lambda: {
-                "rows": window(begin, end, int(columns))["rows"],
-                "at": window(at - _VALID_FOR, at, None),
-            }
-        )
+        shown = self.curves.window(begin, end, int(columns))
+        return {"rows": shown["rows"], "at": self.curves.window(at - _VALID_FOR, at, None)}
 
-    async def _events(self, request: web.Request) -> web.Response:
-        threshold = _number(request, "threshold")
-        return await _in_thread(lambda: self.curves.detected(threshold))
+    def _events(self, request: web.Request, _: bytes) -> Json:
+        return self.curves.detected(_number(request, "threshold"))
 
-    async def _write_labels(self, request: web.Request) -> web.Response:
-        body = await request.read()
-
-        def write() -> dict[str, Json]:
-            based_on, spans = self._spans(body)
-            return self._labels_json(self.session.write_hand_labels(spans, based_on=based_on))
-
-        return await _in_thread(write)
+    def _write_labels(self, _: web.Request, body: bytes) -> Json:
+        based_on, spans = self._spans(body)
+        return self._labels_json(self.session.write_hand_labels(spans, based_on=based_on))
 
     def _spans(self, body: bytes) -> tuple[int, list[LabelSpan]]:
         """Return the contents of a request to write labels by hand.
@@ -127,8 +111,14 @@ class SessionPage:
         return {"version": labels.version, "spans": spans}
 
 
-async def _in_thread(document: Callable[[], Json]) -> web.Response:
-    return await asyncio.to_thread(lambda: json_response(document()))
+def _handler(document: Callable[[web.Request, bytes], Json]) -> Handler:
+    """Return the handler that answers a request and its body with a document, built in a thread."""
+
+    async def handle(request: web.Request) -> web.Response:
+        body = await request.read()
+        return await asyncio.to_thread(lambda: json_response(document(request, body)))
+
+    return handle
 
 
 def _number(request: web.Request, name: str) -> float:

@@ -10,7 +10,7 @@ from typing import Final, TypeAlias
 from aiohttp import web
 
 from connectors.events import encode
-from connectors.web.access import COOKIE, PAGE_PORT, Access, http_url
+from connectors.web.access import COOKIE, PAGE_PORT, http_url, is_own_host, is_secret, required_token
 from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Json
 
@@ -41,7 +41,12 @@ def json_response(document: Json) -> web.Response:
 
 
 class WebServer:
-    """HTTP server for requests that `Access` admits: GET, and from its own pages POST and WebSockets.
+    """HTTP server for requests with access: GET, and from its own pages POST and WebSockets.
+
+    Without a token the Host header must be an IP address, localhost or the name of this machine. This
+    prevents DNS rebinding: otherwise a foreign page whose host name resolves to this machine could read the
+    page. With a token, a request needs the header ``Authorization: Bearer TOKEN``, or the cookie with the
+    token, which is set when the token is sent once, as ``/?token=...``.
 
     A POST request and a WebSocket must have an Origin header that names the same host and port as their Host
     header. Browsers send the origin of the page, so that no other site can write or listen. Errors of
@@ -49,18 +54,16 @@ class WebServer:
 
     Connections without access are limited to 32, so that a recording can always open its files. A further one
     replaces the oldest of them.
+
+    Args:
+        name: Name of the service in messages.
+        host: Address to listen on.
+        port: Port to listen on; 0 for any free port; None for 8765, or any free port if that is in use.
+        token: Token that requests need; None: none.
     """
 
-    def __init__(self, name: str, host: str, port: int | None, access: Access) -> None:
-        """Prepare to serve.
-
-        Args:
-            name: Name of the service in messages.
-            host: Address to listen on.
-            port: Port to listen on; 0 for any free port; None for 8765, or any free port if that is in use.
-            access: Access rules.
-        """
-        self._name, self._host, self._access = name, host, access
+    def __init__(self, name: str, host: str, port: int | None, token: str | None) -> None:
+        self._name, self._host, self._token = name, host, token
         self._any_port, self._port = port is None, PAGE_PORT if port is None else port
         self._strangers = dict[web.RequestHandler, None]()  # connections without access, the oldest first
 
@@ -73,7 +76,7 @@ class WebServer:
     @property
     def login_url(self) -> str:
         """URL with the token, if there is one: keep it secret."""
-        return f"{self.url}/?token={self._access.token}" if self._access.token else self.url
+        return f"{self.url}/?token={self._token}" if self._token else self.url
 
     async def open(self, *routes: web.AbstractRouteDef) -> None:
         """Listen, and serve the routes.
@@ -133,15 +136,16 @@ class WebServer:
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        if not self._access.is_own_host(request.host):
+        token, cookie = self._token, request.cookies.get(COOKIE)
+        if token is None and not is_own_host(request.host):
             text = "Use the IP address, localhost or the host name of this machine.\n"
             return web.Response(status=421, text=text)
-        token = request.query.get("token")
-        if token and self._access.token and self._access.admits(token):
+        if token is not None and is_secret(request.query.get("token"), token):
             redirect = web.Response(status=303, headers={"Location": "/"})  # without the token
             redirect.set_cookie(COOKIE, token, httponly=True, samesite="Lax", path="/")
             return redirect
-        if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
+        bearer = request.headers.get("Authorization")
+        if token is None or is_secret(cookie, token) or is_secret(bearer, f"Bearer {token}"):
             self._strangers.pop(request.protocol, None)
         elif request.path not in {HEALTH, READY}:
             text = (
@@ -165,7 +169,7 @@ def page_server(host: str, port: int | None) -> WebServer:
     Raises:
         ParameterError: if the token is malformed, or missing although other machines can reach `host`.
     """
-    return WebServer("the page", host, port, Access.of("Page", host))
+    return WebServer("the page", host, port, required_token("Page", host))
 
 
 @web.middleware

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import aclosing
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from struct import unpack_from
 from typing import Final, TypeAlias
@@ -18,7 +17,6 @@ from operators.extras import EXTRAS, install_command, missing_packages, require_
 from operators.ports import Clock, Endpoint, Finding
 
 LIMIT: Final = 20.0  # s, for a source or sink
-OMITTED: Final = ("numba", "polars", "scipy")  # a small installation may lack them, see deploy/edge.txt
 _TIMEX: Final = "@Illl"  # start of struct timex: modes, offset, frequency, largest error (us)
 _TIMEX_BYTES: Final = 512  # at least
 _TIME_ERROR: Final = 5  # result of adjtimex: not synchronised
@@ -80,12 +78,8 @@ def host_findings() -> Iterator[Finding]:
 
 
 def package_findings() -> Iterator[Finding]:
-    """Yield findings about the packages that a small installation may lack, and about each extra."""
+    """Yield findings about slipflow, and about the packages of each extra."""
     yield Finding("slipflow", software_version())
-    for package in OMITTED:
-        if find_spec(package) is None:
-            text = f"not installed; simulation, imports and analyses need it: pip install {package}"
-            yield Finding(package, text, "note")
     for extra, about in EXTRAS.items():
         if missing_packages(extra):
             text = f"not installed; for {about.use}: {install_command(extra)}"
