@@ -50,9 +50,6 @@ NoBrowser = Annotated[
 Log = Annotated[
     Format, typer.Option("--log", help="Log as text, or as json: slips and failures, one object per line.")
 ]
-Delay = Annotated[
-    str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
-]
 Recordings = Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")]
 ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]
 Rows = Annotated[str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1.")]

@@ -25,20 +25,19 @@ from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestSource
-from flows.learn.datasets import SPLITS, TURNS
+from flows.learn.datasets import TURNS
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, SlidingMotion, Zero, ms
-from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, Touch, Truth, concat, s
+from operators.batch import Batch, Episodes, Touch, Truth, concat, s
 from operators.checks import check_at_least, check_choice
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Description, SomeBatch
-from storage import Dataset, Session
+from storage import Dataset
 from storage.description import describe_dataset
 from storage.files import partial_folder
-from storage.layout import session_folder
 
 PLANS: Final[Mapping[str, PaperPlan]] = {
     "paper": PaperPlan(),
@@ -70,27 +69,23 @@ class PlannedRecording:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedDataset:
-    """A simulated dataset and the size of its splits."""
+    """A simulated dataset."""
 
     out: Path
     plan: str
     seed: int
-    splits: Mapping[str, Counter[str]]  # sessions, samples, and those that are static and slip
+    sessions: Mapping[str, int]  # by split
     seconds: float  # to simulate it
 
     def json(self) -> dict[str, Any]:
-        """Return plan, seed and sizes as JSON data."""
+        """Return plan, seed and number of sessions as JSON data."""
         about = {"dataset": str(self.out), "plan": self.plan, "seed": self.seed, "seconds": self.seconds}
-        return {**about, "splits": {split: dict(counts) for split, counts in self.splits.items()}}
+        return {**about, "sessions": dict(self.sessions)}
 
     def text(self) -> str:
-        """Return the sizes as text."""
-        rows = [
-            f"{split:10} {size['sessions']:4} sessions {size['samples']:8,} samples "
-            f" {size['static'] / max(size['static'] + size['slip'], 1):.0%} static"
-            for split, size in {**self.splits, "all": sum(self.splits.values(), Counter())}.items()
-        ]
-        return "\n".join([*rows, f"simulated in {self.seconds:.1f} s; dataset in {self.out}"])
+        """Return the number of sessions as text."""
+        splits = ", ".join(f"{count} for {split}" for split, count in self.sessions.items())
+        return f"{self.out}: {sum(self.sessions.values())} sessions ({splits}) in {self.seconds:.1f} s"
 
 
 def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
@@ -168,24 +163,19 @@ def simulate(
     """
     began = perf_counter()
     planned = planned_recordings(plan, seed)
-    splits: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
     with partial_folder(out.resolve()) as root:
         describe_dataset(root)
         work = partial(_record, root)
-        for split, counts in map_tasks(work, planned, executor, progress=progress):
-            splits[split].update(counts)
+        for _ in map_tasks(work, planned, executor, progress=progress):
+            pass
         remove_partial(root, (each.session for each in planned))
-    return SimulatedDataset(out, plan, seed, splits, perf_counter() - began)
+    return SimulatedDataset(out, plan, seed, Counter(each.split for each in planned), perf_counter() - began)
 
 
-def _record(root: Path, planned: PlannedRecording) -> tuple[str, dict[str, int]]:
+def _record(root: Path, planned: PlannedRecording) -> None:
     """Record one session of a dataset."""
     with new_session(root, planned.session) as scratch:
         asyncio.run(_run(scratch, planned))
-    session = Session.open(session_folder(root, planned.session))
-    label = np.concatenate([batch.label for batch in session.read(Labelled, 0)])  # (n,)
-    static, slip = int((label == STATIC).sum()), int((label == SLIP).sum())
-    return planned.split, {"sessions": 1, "samples": len(label), "static": static, "slip": slip}
 
 
 async def _run(root: Path, planned: PlannedRecording) -> None:

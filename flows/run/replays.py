@@ -39,9 +39,7 @@ from storage.description import describe_dataset
 from storage.files import make_folder
 from storage.layout import SESSION, SESSIONS, session_folder, session_folders
 
-_UNPACKED: Final = list[
-    TemporaryDirectory[str]
-]()  # the folder of the flow files that this process has received
+_UNPACKED: Final = list[TemporaryDirectory[str]]()  # the folder of the flow files that this process received
 _LOCK: Final = Lock()  # tasks share standard output and the working folder of their process
 
 log = logging.getLogger("slipflow")
@@ -244,7 +242,7 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
     """
     found = list[Path]()
     for path in paths:
-        if path.suffix == ".csv" or (path / SESSION).exists() or not (path / SESSIONS).is_dir():
+        if (path / SESSION).exists() or not (path / SESSIONS).is_dir():
             found.append(path)  # opening reports the error if it is not a recording
         elif folders := session_folders(path):
             found += folders

@@ -16,12 +16,6 @@ OURS, STEPS, NONE = "ours", "steps", "none"  # rules
 RULES: Final = (OURS, STEPS, NONE)
 DEFAULT: Final = "tcn_grasp"  # detector
 RIVALS: Final = ("threshold", "psd", "paper")
-CARDS: Final = {  # file of each method whose threshold was tuned on validation grasps
-    DEFAULT: DEFAULT,
-    "threshold": "threshold_grasp",
-    "psd": "psd_grasp",
-    "paper": "paper_grasp",
-}
 
 
 @dataclass(frozen=True)
@@ -57,14 +51,23 @@ class Method:
         return f"{self.detector}, {self.rule}"
 
     def load(self) -> tuple[Detector, GripController]:
-        """Return the detector and the controller.
+        """Return the detector and the controller, which has the threshold of the detector's card.
+
+        The threshold of a rival was tuned on validation grasps.
 
         Raises:
             InputError: if there is no such detector.
         """
-        card = CARDS.get(self.detector)
-        found = load_debounce(self.detector if card is None else shipped_path(card)) or Debounce()
-        return _load_rival(self.detector), _controller(self.rule, found.threshold)
+        name = self.detector
+        card = shipped_path(f"{name}_grasp") if name in RIVALS else name
+        threshold = (load_debounce(card) or Debounce()).threshold
+        detector = (
+            StepThreshold() if name == "threshold" else load_detector(card if name == "paper" else name)
+        )
+        if self.rule == STEPS:
+            return detector, StepGrip(threshold=threshold)
+        ours = Grip(threshold=threshold)
+        return detector, replace(ours, gain=0.0, margin=0.0) if self.rule == NONE else ours
 
 
 METHODS: Final = (Method(DEFAULT), *(Method(name, STEPS) for name in RIVALS))  # rivals: the paper's rule
@@ -83,16 +86,3 @@ def parse_method(text: str) -> Method:
     if name:
         return Method(name, rule)
     return Method(text, STEPS if text in RIVALS else OURS)
-
-
-def _load_rival(name: str) -> Detector:
-    if name == "threshold":
-        return StepThreshold()
-    return load_detector(shipped_path(CARDS[name]) if name == "paper" else name)
-
-
-def _controller(rule: str, threshold: float) -> GripController:
-    if rule == STEPS:
-        return StepGrip(threshold=threshold)
-    ours = Grip(threshold=threshold)
-    return replace(ours, gain=0.0, margin=0.0) if rule == NONE else ours

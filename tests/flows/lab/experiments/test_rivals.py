@@ -1,6 +1,6 @@
 import numpy as np
 
-from flows.lab.experiments.rivals import CARDS, DEFAULT, METHODS, RIVALS, RULES, Method, StepThreshold
+from flows.lab.experiments.rivals import DEFAULT, METHODS, RIVALS, RULES, Method, StepThreshold
 from operators import Grip, StepGrip
 from storage import load_debounce
 from storage.models import load_card, shipped_path
@@ -15,7 +15,7 @@ def test_a_step_above_the_threshold_within_30_ms_is_slip() -> None:
 def test_each_usual_method_has_a_threshold_tuned_on_validation_trials() -> None:
     assert [method.detector for method in METHODS] == [DEFAULT, *RIVALS]
     for method in METHODS:
-        card = load_card(shipped_path(CARDS[method.detector]))
+        card = load_card(shipped_path(f"{method.detector.removesuffix('_grasp')}_grasp"))
         _, controller = method.load()
         assert controller.threshold == card["debounce"]["threshold"]
         assert controller.threshold == card["tuning"]["threshold"]
