@@ -2,18 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from flows.cli.event_log import Format, begin_log
-from flows.cli.execution import execute
+from flows.cli.execution import execute, report_run
 from flows.cli.live_view import add_page
 from flows.cli.options import NoBrowser, Recordings
-from flows.cli.terminal import note
-
-if TYPE_CHECKING:
-    from operators import Run
 
 
 def demo(
@@ -40,7 +36,6 @@ def demo(
     from connectors.punctual_loop import run_punctually
     from flows import demo as declared
     from flows.graph.quantity import parse_time
-    from flows.run.run_summary import Summary
 
     begin_log(Format.TEXT)
     limit = parse_time("demo", "--for", duration)  # ns
@@ -48,42 +43,37 @@ def demo(
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
     done = run_punctually(execute(flow, limit=limit))
-    typer.echo("\n".join(report(done, out)))
+    typer.echo("\n".join(report(out / "sessions" / done.session)))
     if mqtt:
         typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
-    if error := Summary.of(done).error:
-        note(f"error: {error}")
-        raise typer.Exit(1)
+    report_run(done, log=Format.TEXT, as_json=False)
 
 
-def report(run: "Run", out: Path) -> list[str]:
-    """Compare the slips that a demo run recorded in the dataset `out` with the simulated truth, as lines."""
+def report(folder: Path) -> list[str]:
+    """Compare the slips of the session in a folder with the simulated truth, as lines."""
     import numpy as np
 
     from connectors.sim.simulated_rig import true_slips
     from flows.learn.event_metrics import match_onsets
-    from operators import SLIP, Slips, Truth, concat, ms, s
+    from operators import SLIP, Slips, Truth, concat, ms
     from storage import Session
 
-    session = Session.open(out / "sessions" / run.session)
+    session = Session.open(folder)
     slips = concat(Slips, list(session.read(Slips, 0)))
     onsets = slips.time[slips.state == SLIP]
     found = match_onsets(onsets, true_slips(concat(Truth, list(session.read(Truth, 0)))))
-    caught, delays = len(found.delays), found.delays / ms  # (caught,) ms
-    rows = ", ".join(f"{run.sources[name].rows} {name}" for name in ("touch", "motion"))
-    seconds, recorded = (run.clock.now() - run.start) / s, run.sinks["dataset"].rows
+    caught = len(found.delays)
     lines = [
-        f"{seconds:.1f} s: {rows} samples in, {recorded} rows recorded",
         f"{caught + found.missed} true slips: {caught} detected, {found.missed} missed",
         f"{len(onsets)} onsets reported, {found.false} of them false",
     ]
     if caught:
-        median, p90 = np.quantile(delays, (0.5, 0.9)).tolist()
+        median, p90 = (np.quantile(found.delays, (0.5, 0.9)) / ms).tolist()
         lines.append(f"onset delay: median {median:.0f} ms, p90 {p90:.0f} ms")
     python = Path(sys.executable)
     return [
         *lines,
-        f"dataset: {out}; to view it, or to open it in Python:",
-        f"  {python.parent}/slipflow show {session.folder}",
-        f"  {python} -c \"import polars; print(polars.read_parquet('{session.folder}/samples/*.parquet'))\"",
+        "to view the recording, or to open it in Python:",
+        f"  {python.parent}/slipflow show {folder}",
+        f"  {python} -c \"import polars; print(polars.read_parquet('{folder}/samples/*.parquet'))\"",
     ]

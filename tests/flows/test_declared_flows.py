@@ -74,7 +74,7 @@ def test_the_report_of_the_demo_compares_onsets_with_the_truth(
 ) -> None:
     run = run_for(demo(str(tmp_path)), 20)
     onsets = capsys.readouterr().out.count("slip onset")
-    text = "\n".join(report(run, tmp_path))
+    text = "\n".join(report(tmp_path / "sessions" / run.session))
     slips, caught, missed = map(int, re.findall(r"(\d+) true slips: (\d+) detected, (\d+) missed", text)[0])
     assert slips == caught + missed > 3
     assert caught > 0
