@@ -62,7 +62,11 @@ class Trace:
 
     @cached_property
     def part(self) -> "Part":
-        """All that was read and concluded."""
+        """All that was read and concluded.
+
+        Raises:
+            InputError: as for the class.
+        """
         parts = interpreted(self._source, self._columns, name=self.name)
         if len(parts) > 1:
             reason = f"has {len(parts)} episodes: slipflow import makes a session of each"

@@ -4,7 +4,7 @@ import json
 import shlex
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -109,47 +109,42 @@ def import_(
     from connectors.files.column_map import ColumnMap
     from flows.lab.importing import import_files
     from flows.report.table import counted
+    from operators.errors import InputError
 
     stated = ColumnMap.load(columns)
     stated = replace(stated, labelled=labelled) if labelled else stated
-    done = []
+    listed, before, found_map = list[dict[str, Any]](), list[str](), stated
     with progress_bar("importing") as update:
         update(0, len(files), files[0].name)
-        for found in import_files(
-            files,
-            out,
-            stated,
-            group=group,
-            session=session,
-            split=split,
-            dry_run=dry_run,
-        ):
-            done.append(found)
-            update(len(done), len(files))
+        done = import_files(files, out, stated, group=group, session=session, split=split, dry_run=dry_run)
+        for path, found in done:
+            if isinstance(found, InputError):
+                listed.append({"file": str(path), "state": "failed", "error": str(found)})
+                text = f"error: {found}"
+            else:
+                listed.append({"file": str(path), "state": found.state, "error": "", **found.summary()})
+                text = found.report(short=found.interpretation() == before)
+                before, found_map = found.interpretation(), found.trace.part.columns
+            update(len(listed), len(files))
             if not as_json:
-                typer.echo(found.report or f"error: {found.error}")
-    failed = sum(each.state == "failed" for each in done)
+                typer.echo(text)
     if as_json:
-        listed = [
-            {"file": str(each.path), "state": each.state, "error": each.error, **each.summary}
-            for each in done
-        ]
         typer.echo(json.dumps({"dataset": str(out), "files": listed}))
-    if present := sum(each.state == "present" for each in done):
+    states = [each["state"] for each in listed]
+    if present := states.count("present"):
         note(f"{counted(present, 'session')} left out: the dataset has them already")
-    if failed:
+    if failed := states.count("failed"):
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)
-    first = done[0]
     if dry_run:
         mapped = ["--map", columns] if columns else []
         again = ["slipflow", "import", *map(str, files), str(out), *mapped, "--flow", f"{out.name}.py"]
         note(f"dry run: nothing written; next: {shlex.join(again)}")
         return
-    if flow and first.columns and not flow.exists():
-        note(f"{flow} follows such a file live, by the map {write_flow(flow, files[0], first.columns)}")
-    if first.state == "written":
-        note(f"next: slipflow show {shlex.quote(str(out / 'sessions' / first.summary['session']))}")
+    if flow and not flow.exists():
+        note(f"{flow} follows such a file live, by the map {write_flow(flow, files[0], found_map)}")
+    if states[0] == "written":
+        note(f"next: slipflow show {shlex.quote(str(out / 'sessions' / listed[0]['session']))}")
 
 
 def write_flow(path: Path, source: Path, columns: "ColumnMap") -> Path:

@@ -54,7 +54,7 @@ class AttachLabels(Operator[Zeroed, Labelled]):
 
 @dataclass
 class TraceImport:
-    """Trace that was read but not written yet; `summary` and `report` show its interpretation.
+    """Trace as a session of a dataset; `summary` and `report` show its interpretation.
 
     Samples have the labels of the trace or, if it has none, labels by the arm's speed.
 
@@ -62,40 +62,42 @@ class TraceImport:
         trace: The trace.
         out: Folder of the dataset; created if absent.
         session: Name of the session.
+        state: ``written``, ``present`` if the dataset had it, or ``checked``: read but not written.
     """
 
     trace: Trace
     out: Path
     session: str
+    state: str = "checked"
 
     @property
     def label(self) -> Label:
         """Labels by the arm's speed."""
-        return Label(speed=self.trace.columns.slip_speed, delay=round(self.trace.columns.delay * s))
+        columns = self.trace.part.columns
+        return Label(speed=columns.slip_speed, delay=round(columns.delay * s))
 
     @property
     def label_source(self) -> str:
         """Origin of the labels; empty if there are neither labels nor motion."""
-        if LABEL in self.trace.columns.columns:
-            return "the file"
-        if self.trace.columns.labelled:
-            return "the map"
-        if not len(self.trace.motion):
+        columns = self.trace.part.columns
+        if LABEL in columns.columns or columns.labelled:
+            return "the file" if LABEL in columns.columns else "the map"
+        if not len(self.trace.part.motion):
             return ""
         delay = f", {self.label.delay / ms:g} ms after the sample" if self.label.delay else ""
         return f"arm speed, slip above {1000 * self.label.speed:g} mm/s{delay}"
 
     def flow(self) -> Flow:
         """Return the flow that writes the dataset."""
-        flow, dataset = Flow("import"), Dataset(self.out)
+        flow, dataset, part = Flow("import"), Dataset(self.out), self.trace.part
         touch = flow.source(Replay(self.trace, Touch), "touch")
         touch.to(dataset)
-        attach = AttachLabels(tuple(self.trace.labels.tolist()))
-        if len(self.trace.motion):
+        attach = AttachLabels(tuple(part.labels.tolist()))
+        if len(part.motion):
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
             samples = (touch | Zero()) & motion | Align(within=20 * ms) | self.label
-            (samples if "arm" in self.label_source else samples | attach).to(dataset)
+            (samples if self.label_source.startswith("arm") else samples | attach).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
         return flow
@@ -109,48 +111,43 @@ class TraceImport:
             InputError: if the folder has files but is not a valid dataset.
         """
         runner = ReplayRunner(self.flow(), self.trace, self.session)
-        try:
-            asyncio.get_running_loop()
-        except RuntimeError:
-            asyncio.run(runner.execute())
-        else:  # in a notebook
-            with ThreadPoolExecutor(1) as thread:
-                thread.submit(lambda: asyncio.run(runner.execute())).result()
+        with ThreadPoolExecutor(1) as thread:  # a notebook has an event loop in this one
+            thread.submit(lambda: asyncio.run(runner.execute())).result()
+        self.state = "written"
 
     def summary(self) -> dict[str, Any]:
         """Return the interpretation as JSON data."""
-        trace = self.trace
-        lowest, highest = trace.extent
+        part, trace = self.trace.part, self.trace
+        lowest, highest = part.extent
         return {
             **trace.describe(),
-            "recognised": [name for name in trace.columns.columns if name not in trace.stated],
-            "concluded": list(trace.notes),
+            "recognised": [name for name in part.columns.columns if name not in part.stated],
+            "concluded": list(part.notes),
             "fingers": list(trace.fingers(Touch)),
-            "seconds": int(trace.touch.time[-1] - trace.touch.time[0]) / s,
-            "rate": trace.rate,
-            "unit": trace.columns.unit,
-            "resolution": trace.resolution,
+            "seconds": int(part.touch.time[-1] - part.touch.time[0]) / s,
+            "rate": part.rate,
+            "unit": part.columns.unit,
+            "resolution": part.resolution,
             "lowest": lowest,
             "highest": highest,
-            "missing": trace.missing,
-            "motion": len(trace.motion),
-            "warnings": list(trace.warnings),
+            "missing": part.missing,
+            "motion": len(part.motion),
+            "warnings": list(part.warnings),
             "labelled": self.label_source or None,
-            "labels": {name: int((trace.labels == code).sum()) for name, code in LABELS.items()},
+            "labels": {name: int((part.labels == code).sum()) for name, code in LABELS.items()},
             "dataset": str(self.out),
             "session": self.session,
         }
 
     def interpretation(self) -> list[str]:
         """Return a line for each quantity, with its columns and their unit."""
-        found, lines = self.trace.columns, list[str]()
+        part, found, lines = self.trace.part, self.trace.part.columns, list[str]()
         way = "zeroed" if self.trace.kind is Zeroed else "raw"
         units = {**found.units, COUNTS: way if found.unit == "count" else f"{way}, {found.unit}"}
         for name, columns in found.columns.items():
             notes = [units[each] for each in [name.partition(".")[0]] if each in units]
-            notes += ["recognised by name"] if name not in self.trace.stated else []
-            text = f"  {name:9}{' '.join(columns)}"
-            lines.append(f"{text}  ({', '.join(notes)})" if notes else text)
+            notes += ["recognised by name"] if name not in part.stated else []
+            lines.append(f"  {name:9}{' '.join(columns)}" + (f"  ({', '.join(notes)})" if notes else ""))
         if found.layout is not None:
             lines.append(f"  layout   {layout_text(found.layout)}  (cells of each row, from the top)")
         if found.range is not None:
@@ -159,52 +156,31 @@ class TraceImport:
             lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
         if not self.label_source:
             lines.append("  no labels and no motion: no samples")
-        elif "arm" in self.label_source:
+        elif self.label_source.startswith("arm"):
             lines.append(f"  labels by {self.label_source}")
         return lines
 
     def report(self, *, short: bool = False) -> str:
         """Return the interpretation as text; `short`: without the columns."""
-        found, trace = self.summary(), self.trace
-        rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {trace.rate or 0.0:.1f} Hz"
-        notes = f" ({', '.join(trace.notes)})" if trace.notes else ""
+        found, part = self.summary(), self.trace.part
+        rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {part.rate or 0.0:.1f} Hz"
+        notes = f" ({', '.join(part.notes)})" if part.notes else ""
         unit = "counts" if found["unit"] == "count" else found["unit"]
-        lines = [f"{trace.name}: {rows}{notes}", *(() if short else self.interpretation())]
+        lines = [f"{self.trace.name}: {rows}{notes}", *(() if short else self.interpretation())]
         lines.append(f"  readings from {found['lowest']:g} to {found['highest']:g} {unit}")
-        if (trace.resolution, unit) != (1, "counts"):
-            lines.append(f"  stored in steps of {trace.resolution:g} {found['unit']}")
-        if len(speeds := trace.speeds):  # (n,) m/s
+        if (part.resolution, unit) != (1, "counts"):
+            lines.append(f"  stored in steps of {part.resolution:g} {found['unit']}")
+        if len(speeds := part.speeds):  # (n,) m/s
             moving = f"{np.sum(speeds > self.label.speed)} of {len(speeds)} rows"
             moving += f", above {self.label.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")
-        if self.label_source and "arm" not in self.label_source:
+        if self.label_source and not self.label_source.startswith("arm"):
             labels = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
             lines.append(f"  labels of {self.label_source}: {labels}")
-        lines += [f"  warning: {each}" for each in trace.warnings]
-        group = "" if trace.group is None else f", group {trace.group}"
+        lines += [f"  warning: {each}" for each in part.warnings]
+        group = "" if self.trace.group is None else f", group {self.trace.group}"
         fingers = " and ".join(map(str, found["fingers"]))
         return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{group}"])
-
-
-@dataclass(frozen=True, slots=True)
-class ImportedFile:
-    """Result of one session of a file.
-
-    Args:
-        path: The file.
-        state: ``written``, ``checked`` in a dry run, ``present`` if the dataset had it, or ``failed``.
-        error: Reason of a failure.
-        summary: Interpretation as JSON data; empty after a failure.
-        report: Interpretation as text, without the columns if they are those of the file before.
-        columns: Completed map; None after a failure.
-    """
-
-    path: Path
-    state: str
-    error: str = ""
-    summary: dict[str, Any] = field(default_factory=dict[str, Any])
-    report: str = ""
-    columns: ColumnMap | None = None
 
 
 def import_frame(
@@ -246,11 +222,12 @@ def import_files(
     session: str | None = None,
     split: bool = False,
     dry_run: bool = False,
-) -> Iterator[ImportedFile]:
+) -> Iterator[tuple[Path, TraceImport | InputError]]:
     """Import CSV and Parquet files one by one; sessions that the dataset has already are left out.
 
-    A file that cannot be imported does not stop the others. Files with a unit get the resolution of the
-    dataset or of the first of them, so that a detector can be trained on all. An episode is a session.
+    A file that cannot be imported yields its error and does not stop the others. Files with a unit get the
+    resolution of the dataset or of the first of them, so that a detector can be trained on all. An episode is
+    a session.
 
     Args:
         paths: The files.
@@ -273,24 +250,22 @@ def import_files(
         raise ParameterError("import", "--session", session, "left out if there are several files")
     names = [session] if session else sessions_of(paths)
     groups = [group_of(path, group) for path in paths]
-    steps, before = _resolutions(out), list[str]()
+    steps = _resolutions(out)
     for path, name, surface in zip(paths, names, groups, strict=True):
         try:
             parts = _parts(path, columns, steps, split=split)
             for number, part in enumerate(parts, 1):
                 trace = Trace(part, name=str(path), group=surface)
                 found = TraceImport(trace, out, f"{name}-{number}" if len(parts) > 1 else name)
-                present = _is_present(out, found.session, part.sha256)
-                if not (present or dry_run):
+                if _is_present(out, found.session, part.sha256):
+                    found.state = "present"
+                elif not dry_run:
                     found.write()
-                state = "present" if present else "checked" if dry_run else "written"
-                report = found.report(short=found.interpretation() == before)
-                yield ImportedFile(path, state, "", found.summary(), report, part.columns)
-                before = found.interpretation()
+                yield path, found
         except InputError as error:
             if len(paths) == 1:
                 raise
-            yield ImportedFile(path, "failed", str(error))
+            yield path, error
 
 
 def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bool) -> list[Part]:
@@ -321,11 +296,12 @@ def _is_present(out: Path, session: str, sha256: str) -> bool:
     if not may_exist(folder / SESSION):
         return False
     about = read_session(folder)
-    if f'"sha256": "{sha256}"' not in json.dumps(about.get("sources")):
-        raise InputError(str(out), f"already has a session {session!r} of another file: rename the file")
-    if not about.get("complete"):
-        reason = f"session {session!r} of the same file is incomplete: delete it and import it again"
-        raise InputError(str(out), reason)
+    same = f'"sha256": "{sha256}"' in json.dumps(about.get("sources"))
+    if not (same and about.get("complete")):
+        reason = (
+            "of the same file that is incomplete: delete it" if same else "of another file: rename the file"
+        )
+        raise InputError(str(out), f"already has a session {session!r} {reason}")
     return True
 
 
