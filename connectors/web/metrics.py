@@ -56,7 +56,6 @@ class Metrics(Sink[Scores | Slips | Faults]):
     Args:
         port: Port to listen on; 0 for any free port.
         host: Address of this machine to listen on, 0.0.0.0 for all.
-        opened: Called with the URL once the metrics are served.
 
     Raises:
         ParameterError: if `port` is out of range.
@@ -64,15 +63,9 @@ class Metrics(Sink[Scores | Slips | Faults]):
 
     lossless = False
 
-    def __init__(
-        self,
-        port: int = METRICS_PORT,
-        host: str = "127.0.0.1",
-        *,
-        opened: Callable[[str], None] | None = None,
-    ) -> None:
+    def __init__(self, port: int = METRICS_PORT, host: str = "127.0.0.1") -> None:
         check_between("Metrics", "port", port, 0, 65535)
-        self._host, self._port, self._opened = host, port, opened
+        self._host, self._port = host, port
 
     @property
     def destination(self) -> str:
@@ -121,8 +114,6 @@ class Metrics(Sink[Scores | Slips | Faults]):
         token = None if is_loopback(self._host) else required_token("Metrics", self._host)
         self._server = WebServer("metrics", self._host, self._port, token)
         await self._server.open(web.get(PATH, metrics), web.get(HEALTH, healthy), web.get(READY, ready))
-        if self._opened:
-            self._opened(self.url)
 
     def take(self, batch: Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the metrics."""

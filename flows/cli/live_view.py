@@ -77,7 +77,8 @@ def add_metrics(flow: "Flow", listen: str) -> None:
     from operators import Faults, Scores, Slips
 
     host, port = parse_address("--metrics", listen)
-    metrics = Metrics(port, host, opened=lambda url: note(f"metrics: {url}"))
+    metrics = Metrics(port, host)
+    note(f"metrics: {metrics.destination}/metrics")
     flow.add("metrics", metrics, *first_streams(flow, Slips, Faults, Scores))
 
 

@@ -105,8 +105,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         InputError: if the session has no touch, is damaged or too long, or the detector is unknown.
     """
     from connectors import Replay
-    from connectors.web.session_curves import SessionCurves
-    from connectors.web.session_page import SessionPage
+    from connectors.web.session_page import SessionCurves, SessionPage
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
     from operators import Debounce, Faults, Labelled, Motion, Score, Slips, Touch, Truth, Zero

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import ViewportSize, expect
 
-from connectors.web.session_curves import SessionCurves
-from connectors.web.session_page import SessionPage
+from connectors.web.session_page import SessionCurves, SessionPage
 from flows.cli.show import load
 from operators import Debounce
 from operators.batch import Labelled, Motion, Scores, Slips, Touch, Truth, Zeroed, concat, ms, s

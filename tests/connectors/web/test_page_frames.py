@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.events import encode
-from connectors.web.page_frames import EVENTS_KEPT, KEPT, STEP, Frames, rows_json
+from connectors.web.live_page import EVENTS_KEPT, KEPT, STEP, Frames, rows_json
 from operators.batch import EVERY, Faults, Scores, Touch, ms, s
 from operators.health import FaultKind
 from operators.ports import Run

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.web import session_curves as module
-from connectors.web.session_curves import SessionCurves
+from connectors.web import session_page as module
+from connectors.web.session_page import SessionCurves
 from operators import Debounce
 from operators.batch import Faults, Motion, Scores, Slips, Truth, Zeroed, ms, s
 from operators.errors import InputError
