@@ -21,35 +21,21 @@ References:
 from __future__ import annotations  # they name classes of pyarrow
 
 import json
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import (
-    EVERY,
-    UNKNOWN,
-    Flags,
-    Labelled,
-    Motion,
-    Times,
-    concat,
-    ms,
-    s,
-)
-from operators.checks import check_at_least
-from operators.errors import InputError, ParameterError
+from operators.batch import EVERY, UNKNOWN, Flags, Labelled, Motion, Times, concat, ms, s
+from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE
 from operators.ports import SomeBatch
 from operators.score import forward_fill
 from storage.arrow import pa, pq
 from storage.files import partial_folder, put_json
-from storage.schema import flat
 from storage.session import Session
 
 VERSION: Final = "v3.0"
@@ -109,18 +95,13 @@ def export(
         progress: Called with the number of finished sessions and the name of the next.
 
     Raises:
-        ParameterError: if the rate is below 1 Hz, or there is no session.
         InputError: if a session has no samples, is damaged, or has other fingertips; if the rate is above
             that of the samples; if a session has no frame.
         EndpointError: if the folder exists or cannot be written; then nothing is left of it.
     """
-    if rate is not None:
-        check_at_least("LeRobot export", "rate", rate, 1, "Hz")
-    contents = _common_contents(sessions)
-    rate = _frame_rate(sessions, rate)
-    declared = _features(contents)
-    splits, episodes = Counter[str](), list[dict[str, Any]]()
-    rows = repeated = 0
+    contents, rate = _common_contents(sessions), _frame_rate(sessions, rate)
+    declared, episodes = _features(contents), list[dict[str, Any]]()
+    splits, rows, repeated = list[str](), 0, 0
     with partial_folder(out) as folder:
         for number, (split, session) in enumerate(_ordered(sessions)):
             progress(number, session.name)
@@ -130,9 +111,9 @@ def export(
                 "index": np.arange(rows, rows + len(time)),
                 "task_index": np.zeros(len(time), np.int64),
             }
-            place = dict(zip(("chunk_index", "file_index"), divmod(number, CHUNK), strict=True))
+            place = {"chunk_index": number // CHUNK, "file_index": number % CHUNK}
             _write(folder / DATA.format(**place), _table(values, declared))
-            stats = {name: _statistics(values[name]) for name in declared}
+            stats = {f"stats/{name}": _statistics(values[name]) for name in declared}
             episodes.append(
                 {
                     "episode_index": number,
@@ -141,11 +122,7 @@ def export(
                     **{f"data/{name}": value for name, value in place.items()},
                     "dataset_from_index": rows,
                     "dataset_to_index": rows + len(time),
-                    **{
-                        f"stats/{name}/{key}": value
-                        for name, of in stats.items()
-                        for key, value in of.items()
-                    },
+                    **{f"{name}/{key}": value for name, of in stats.items() for key, value in of.items()},
                     "meta/episodes/chunk_index": 0,
                     "meta/episodes/file_index": 0,
                     "slipflow/session": session.name,
@@ -153,11 +130,12 @@ def export(
                 }
             )
             rows, repeated = rows + len(time), repeated + int((~whole).sum())
-            splits[split] += 1
+            splits.append(split)
         _write_task(folder)
         _write(folder / "meta/episodes/chunk-000/file-000.parquet", pa.Table.from_pylist(episodes))
         put_json(folder / "meta/stats.json", _all_statistics(folder, declared))
-        ranges = _ranges(splits)
+        begins = {split: splits.index(split) for split in splits}
+        ranges = {split: f"{begin}:{begin + splits.count(split)}" for split, begin in begins.items()}
         info = {
             "codebase_version": VERSION,
             "robot_type": None,
@@ -178,26 +156,26 @@ def export(
 
 
 def _common_contents(sessions: Sequence[Session]) -> _Contents:
-    if not sessions:
-        raise ParameterError("LeRobot export", "sessions", [], "at least one")
-    found = [_contents(session) for session in sessions]
-    for session, each in zip(sessions, found, strict=True):
-        if (each.fingers, each.cells) != (found[0].fingers, found[0].cells):
-            own, other = (f"fingertips {one.fingers} of {one.cells} cells" for one in (each, found[0]))
-            reason = f"has {own}, but {sessions[0].name} has {other}"
-            raise InputError(str(session.folder), f"{reason}: export them separately")
+    """Return what all sessions have.
+
+    Raises:
+        InputError: if one has no samples, or other fingertips than the first.
+    """
+    found = list[_Contents]()
+    for session in sessions:
+        fingers = session.fingers(Labelled)
+        if not fingers:
+            reason = "has no samples, which frames are made of: record with `slipflow run record`"
+            raise InputError(str(session.folder), reason)
+        samples, motion = _rows(session, Labelled, fingers[0]), _rows(session, Motion, EVERY)
+        known = [bool(_all_finite(each).any()) for each in (samples.velocity, motion.pose)]
+        found.append(_Contents(fingers, samples.cells, *known))
+        own, other = (f"fingertips {each.fingers} of {each.cells} cells" for each in (found[-1], found[0]))
+        if own != other:
+            reason = f"has {own}, but {sessions[0].name} has {other}: export them separately"
+            raise InputError(str(session.folder), reason)
     velocity, pose = all(each.velocity for each in found), all(each.pose for each in found)
     return replace(found[0], velocity=velocity, pose=pose)
-
-
-def _contents(session: Session) -> _Contents:
-    fingers = session.fingers(Labelled)
-    if not fingers:
-        reason = "has no samples, which frames are made of: record with `slipflow run record`"
-        raise InputError(str(session.folder), reason)
-    samples, motion = _rows(session, Labelled, fingers[0]), _rows(session, Motion, EVERY)
-    known = [bool(_all_finite(each).any()) for each in (samples.velocity, motion.pose)]
-    return _Contents(fingers, samples.cells, *known)
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
@@ -325,15 +303,12 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
     return found
 
 
-def _all_statistics(root: Path, declared: Mapping[str, Any]) -> dict[str, Any]:
+def _all_statistics(root: Path, declared: Iterable[str]) -> dict[str, Any]:
     """Return the statistics of each feature over all episodes; one feature at a time is in memory."""
-    paths, found = sorted(root.glob("data/*/*.parquet")), dict[str, Any]()
-    for name, feature in declared.items():
-        tables = [pq.ParquetFile(path).read([name], use_threads=False) for path in paths]
-        column: Any = pa.concat_tables(tables)[name]  # Arrow's threads wait for ever if memory is short
-        values = flat(column).to_numpy(zero_copy_only=False)
-        found[name] = _statistics(values.reshape(-1, *feature["shape"]))
-    return found
+    import polars as pl
+
+    data = root / "data/*/*.parquet"
+    return {name: _statistics(pl.read_parquet(data, columns=[name])[name].to_numpy()) for name in declared}
 
 
 def _table(values: Values, declared: Mapping[str, Any]) -> pa.Table:
@@ -347,16 +322,8 @@ def _table(values: Values, declared: Mapping[str, Any]) -> pa.Table:
 
 def _write_task(root: Path) -> None:
     """Write the task; the metadata makes its text the index in pandas, as LeRobot expects."""
-    columns = [("task_index", "int64", "int64"), ("task", "unicode", "object")]
-    pandas = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "columns": [
-            {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-            for name, kind, numpy in columns
-        ],
-        "pandas_version": "2.0.0",
-    }
+    task = {"name": "task", "field_name": "task", "pandas_type": "unicode", "numpy_type": "object"}
+    pandas = {"index_columns": ["task"], "columns": [{**task, "metadata": None}], "pandas_version": "2.0.0"}
     table = pa.table({"task_index": [0], "task": [_TASK]})
     _write(root / "meta/tasks.parquet", table.replace_schema_metadata({"pandas": json.dumps(pandas)}))
 
@@ -371,10 +338,3 @@ def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:
     named = [(str(each.about.get("split")), each) for each in sessions]
     known = [(split if split in SPLITS else SPLITS[0], each) for split, each in named]
     return sorted(known, key=lambda each: (SPLITS.index(each[0]), each[1].name))
-
-
-def _ranges(splits: Mapping[str, int]) -> dict[str, str]:
-    """Return the episode range of each split, such as ``{"train": "0:7", "test": "7:9"}``."""
-    counts = [splits.get(split, 0) for split in SPLITS]
-    ends = zip(SPLITS, counts, accumulate(counts), strict=True)
-    return {split: f"{end - count}:{end}" for split, count, end in ends if count}
