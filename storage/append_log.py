@@ -17,7 +17,6 @@ The caller decides when to `sync`, which may run in a different thread from `app
 import os
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from errno import EIO
 from pathlib import Path
@@ -172,13 +171,13 @@ class AppendLog:
         path: The file.
         end: Offset of the next frame, which is the size of the file.
         suspect: True if an fsync failed: the kernel may have dropped records that were not durable yet, and a
-            second fsync would prove nothing. Write those records to a new log.
-        broken: True if an append failed and could not be undone: all further ones are refused.
+            second fsync would prove nothing. Also if an append failed and could not be undone. Write the
+            records that are not durable to a new log.
     """
 
     def __init__(self, path: Path, end: int, crc: int, seed: int) -> None:
         self.path, self.end = path, end
-        self.suspect = self.broken = False
+        self.suspect = False
         self._crc, self._seed, self._synced = crc, seed, end
         self._closing = Lock()  # held during an fsync
         self._file = files.open_file(path, write=True)
@@ -201,18 +200,16 @@ class AppendLog:
         """Append records, all or none, and return their offsets.
 
         Raises:
-            OSError: nothing was appended; the log is `broken` if bytes of the failed append may be left.
+            OSError: nothing was appended; the log is `suspect` if bytes of the failed append may be left.
         """
-        if self.broken:
-            raise OSError(EIO, "an earlier append failed and could not be undone", str(self.path))
         data, offsets, crc = _frames(records, self.end, self._crc, self._seed)
         try:
             files.write_at(self._file, data, self.end)
         except BaseException as error:
-            self.broken = True
-            with suppress(OSError):
+            try:
                 os.ftruncate(self._file, self.end)
-                self.broken = False
+            except OSError:
+                self.suspect = True
             if isinstance(error, OSError):
                 error.filename = str(self.path)
             raise

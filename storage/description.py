@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from operators.batch import Batch, s
 from operators.errors import InputError
@@ -117,11 +117,12 @@ def describe_session(
             },
             "clock_steps": [asdict(step) for step in run.clock_steps],
         }
-    try:
-        files.put_checked(folder / SESSION, about, put)
-    except (TypeError, ValueError) as error:
-        culprits = ", ".join(repr(name) for name, each in run.describe.items() if not _is_json(each))
-        raise InputError(f"description of source {culprits}", f"is not JSON: {error}") from error
+    for name, each in run.describe.items():
+        try:
+            json.dumps(each, allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"description of source {name!r}", f"is not JSON: {error}") from error
+    files.put_checked(folder / SESSION, about, put)
 
 
 def describe_recovery(
@@ -160,7 +161,7 @@ def read_session(folder: Path) -> Description:
     if not isinstance(about.get("session"), str):
         raise InputError(str(path), 'has no "session", the name of the session: restore a copy')
     if not _can_be_recovered(about):
-        raise InputError(str(path), 'has an invalid entry "tables" or "recovered": restore a copy')
+        raise InputError(str(path), 'has an invalid entry "recovered": restore a copy')
     return about
 
 
@@ -188,28 +189,16 @@ def check_identity(path: Path, content: Mapping[str, Any], about: Description) -
 
 def _can_be_recovered(about: Description) -> bool:
     """Return true if the entries that a recovery uses have the right types."""
-    if not isinstance(about.get("recovered", {}), dict):
-        return False
-    recovered = cast("dict[str, Any]", about.get("recovered", {}))
-    lists = [about.get("tables", []), *(recovered.get(key, []) for key in ("adopted", "lost", "cut"))]
-    return isinstance(recovered.get("rows", {}), dict) and all(map(_is_texts, lists))
-
-
-def _is_texts(value: object) -> bool:
-    return isinstance(value, list) and all(isinstance(each, str) for each in cast("list[object]", value))
+    recovered = about.get("recovered", {})
+    return isinstance(recovered, dict) and all(
+        isinstance(recovered.get(key, kind()), kind)
+        for key, kind in (("rows", dict), ("lost", list), ("cut", list))
+    )
 
 
 def _named(key: str, descriptions: Iterable[Description]) -> str | None:
     """Return the split or group that a source names, None if none does."""
     return next((value for each in descriptions if isinstance(value := each.get(key), str)), None)
-
-
-def _is_json(description: Description) -> bool:
-    try:
-        json.dumps(description, allow_nan=False)
-    except (TypeError, ValueError):
-        return False
-    return True
 
 
 def _check_version(path: Path, about: Description) -> None:

@@ -14,7 +14,7 @@ All numbers are little-endian and, except for the finger, unsigned. See `storage
 import json
 import math
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cache
 from hashlib import sha256
 from itertools import pairwise
@@ -154,7 +154,6 @@ class Journal:
         self._restarting = False  # these are all segments, because some of them are suspect
         self._waiting = deque[NumberedRows]()
         self._added, self._appended = Counter[str](), Counter[str]()  # rows by table
-        self._failing = False
 
     @property
     def waiting(self) -> int:
@@ -169,7 +168,7 @@ class Journal:
     @property
     def suspect(self) -> bool:
         """True if appended rows may be lost, or no more can be appended: a commit replaces all segments."""
-        return any(log.suspect or log.broken for log in self._segments)
+        return any(log.suspect for log in self._segments)
 
     @property
     def unsynced(self) -> bool:
@@ -177,9 +176,9 @@ class Journal:
         return any(log.unsynced for log in self._segments)
 
     def add(self, rows: NumberedRows) -> bool:
-        """Queue rows; return false if too many wait or the disk fails, and they were not queued."""
+        """Queue rows; return false if too many wait, and they were not queued."""
         table, count = rows.table.name, len(rows.batch)
-        if self._failing or self._added[table] - self._appended[table] + count > MAX_WAITING:
+        if self._added[table] - self._appended[table] + count > MAX_WAITING:
             return False
         self._added[table] += count
         self._waiting.append(rows)
@@ -196,9 +195,7 @@ class Journal:
             self._segments[-1].append(encode([*waiting, *rows]))
         except BaseException:
             self._waiting.extendleft(reversed(waiting))
-            self._failing = True
             raise
-        self._failing = False
         for found in waiting:
             self._appended[found.table.name] += len(found.batch)
 
@@ -231,7 +228,7 @@ class Journal:
         self._next += 1
         if self._restarting:
             self._waiting.clear()
-            self._appended, self._failing = self._added.copy(), False
+            self._appended = self._added.copy()
         self._segments = [each for each in self._segments if each not in self._committing]
         while self._committing:
             self._committing[-1].close()
@@ -257,39 +254,6 @@ class Journal:
     def _create(self, number: int, rows: Iterable[NumberedRows] = ()) -> AppendLog:
         path = self._folder / file_name(SEGMENTS, number)
         return AppendLog.create(path, identity(self._session, number), encode(rows))
-
-
-class SegmentReader(LogReader):
-    """Reader of a segment, which has one record in memory at a time.
-
-    Args:
-        path: The file.
-        session: Session that it must belong to.
-        number: Number that it must have.
-
-    Raises:
-        InputError: if it has another version or session, or an invalid identity.
-        OSError: if it cannot be read.
-    """
-
-    def __init__(self, path: Path, session: str, number: int) -> None:
-        super().__init__(path)
-        try:
-            if not self.damage:
-                _check_identity(self.identity, str(path), session, number)
-        except BaseException:
-            self.close()
-            raise
-
-    def rows(self) -> Iterator[NumberedRows]:
-        """Yield the rows up to the end or the first damage.
-
-        Raises:
-            InputError: if a record is invalid.
-            OSError: if the file cannot be read.
-        """
-        for record in self.records():
-            yield _decode(record.data, str(self.path))
 
 
 def delete_journal(folder: Path) -> None:
@@ -323,7 +287,12 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
     return records
 
 
-def _decode(record: bytes, where: str) -> NumberedRows:
+def decode(record: bytes, where: str) -> NumberedRows:
+    """Return the rows of a record.
+
+    Raises:
+        InputError: if it is invalid.
+    """
     code, finger, cells, count, first = _HEAD.unpack(record[: _HEAD.size].ljust(_HEAD.size, b"\xff"))
     kind = _KINDS[code] if code < len(_KINDS) else None
     if kind is None or len(record) != _HEAD.size + count * row_size(kind, cells):
@@ -337,14 +306,17 @@ def _decode(record: bytes, where: str) -> NumberedRows:
     return NumberedRows(first, kind(*values, finger=finger))
 
 
-def _check_identity(content: bytes, where: str, session: str, number: int) -> None:
-    """Check that a segment is the one of this number, of this session, with the columns that are known.
+def check_segment(log: LogReader, session: str, number: int) -> None:
+    """Check that a log is the segment of this number, of this session, with the columns that are known.
 
     Raises:
-        InputError: if it is not.
+        InputError: if it is not; nothing is known of one whose header is damaged.
     """
+    if log.damage:
+        return
+    where = str(log.path)
     try:
-        about: dict[str, Any] = dict(json.loads(content))
+        about: dict[str, Any] = dict(json.loads(log.identity))
     except (TypeError, ValueError, RecursionError) as error:
         raise InputError(where, f"has an invalid description{_MOVE}: {error!r}") from error
     expected = json.loads(identity(session, number))

@@ -14,10 +14,10 @@ from operators.batch import Batch
 from operators.errors import EndpointError, os_error_reason
 from operators.ports import Description
 from storage import files
-from storage.append_log import Damage
+from storage.append_log import Damage, LogReader
 from storage.description import describe_recovery, read_session
 from storage.files import lock
-from storage.journal import Buffer, NumberedRows, SegmentReader, delete_journal
+from storage.journal import Buffer, NumberedRows, check_segment, decode, delete_journal
 from storage.layout import (
     DAMAGED,
     JOURNAL,
@@ -45,13 +45,7 @@ class Recovery:
     session: str
     rows: Mapping[str, int]  # recovered rows by table
     lost: tuple[str, ...]  # a line for each loss that was not known before
-    cut: tuple[str, ...]  # those of `lost` at the end, where the recorder was killed
     done: tuple[str, ...]  # a line for each other repair
-
-    @property
-    def complete(self) -> bool:
-        """True if nothing was lost."""
-        return not self.lost
 
     @property
     def changed(self) -> bool:
@@ -134,7 +128,8 @@ class Repair:
             self.done.append("its journal was deleted: all its rows are in parts")
         if "end_ns" not in about:
             self._note_missing_end()
-        self.lost = [each for each in self.lost if each not in self._before.get("lost", [])]
+        known = self._before.get("lost", [])
+        self.lost, self.cut = ([each for each in of if each not in known] for of in (self.lost, self.cut))
 
     def finish(self) -> Recovery:
         """Repair the session.
@@ -149,7 +144,7 @@ class Repair:
         self._commit_journal()
         after = {name: _count(parts) for name, parts in self._parts.items()}
         found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
-        result = Recovery(self._session, found, tuple(self.lost), tuple(self.cut), tuple(self.done))
+        result = Recovery(self._session, found, tuple(self.lost), tuple(self.done))
         self._describe(result)
         parts = self._all_parts()
         if set(parts) != set(self._listed.values()) or not may_exist(self._folder / MANIFEST):
@@ -207,8 +202,10 @@ class Repair:
         """Yield the rows of all segments, those of single-file tables last; each segment repeats these."""
         single = list[NumberedRows]()
         for number, path in self._logs.items():
-            with SegmentReader(path, self._session, number) as reader:
-                for rows in reader.rows():
+            with LogReader(path) as reader:
+                check_segment(reader, self._session, number)
+                for record in reader.records():
+                    rows = decode(record.data, str(path))
                     if rows.table.parted:
                         yield rows
                     else:
@@ -233,17 +230,13 @@ class Repair:
         """Record the recovery in session.json."""
         if not (result.rows or result.lost) and (self._before or "end_ns" in self._about):
             return
-        known = {key: list(self._before.get(key, [])) for key in ("lost", "cut")}
-        describe_recovery(
-            self._folder,
-            self._about,
-            {
-                "rows": dict(result.rows or self._before.get("rows", {})),
-                "lost": [*known["lost"], *result.lost],
-                "cut": [*known["cut"], *(each for each in result.cut if each not in known["cut"])],
-            },
-            newest=max((part.last for part in self._all_parts() if part.rows), default=None),
-        )
+        recovered = {
+            "rows": dict(result.rows or self._before.get("rows", {})),
+            "lost": [*self._before.get("lost", []), *self.lost],
+            "cut": [*self._before.get("cut", []), *self.cut],
+        }
+        newest = max((part.last for part in self._all_parts() if part.rows), default=None)
+        describe_recovery(self._folder, self._about, recovered, newest=newest)
 
     def _clean_up(self) -> list[str]:
         """Delete temporary files, strays and the journal, keep damaged files; return lines for `done`."""

@@ -189,18 +189,17 @@ class SessionWriter:
         """Select the buffered rows for the next commit; single-file tables only if it is `final`."""
         if self._committing is not None:
             return
-        found = {table.name: self._buffers.get(table.name) for table in TABLES if table.parted or final}
+        single = [each for each in self._buffers.values() if not TABLE_OF[each.kind].parted]
         self._committing = {
             name: buffer
-            for name, buffer in found.items()
-            if buffer is not None and (buffer.rows or (final and self._needs_empty_file(name)))
+            for name, buffer in self._buffers.items()
+            if (final if buffer in single else buffer.rows)
         }
-        for name, buffer in self._committing.items():
+        if final:  # each single file is written once, also without rows
+            self._buffers = {}
+        for name, buffer in self._committing.items() if not final else ():
             self._buffers[name] = Buffer(buffer.kind, buffer.end, buffer.cells)
         if self._journal:
-            single = (
-                [] if final else [each for each in self._buffers.values() if not TABLE_OF[each.kind].parted]
-            )
             self._single = [rows for buffer in single for rows in buffer.numbered()]
             self._journal.begin_commit()
 
@@ -273,10 +272,6 @@ class SessionWriter:
         if (found := self._buffers.get(table)) is None:
             found = self._buffers[table] = Buffer(type(batch), cells=batch.cells)
         return found
-
-    def _needs_empty_file(self, table: str) -> bool:
-        """Return true if a single-file table has no rows and its file is not written yet."""
-        return not TABLE_OF[self._buffers[table].kind].parted and not self._numbers[table]
 
     def _commit_selected(self, *, final: bool) -> None:
         """Commit in an order that keeps all rows in a listed part or in the journal at each step."""

@@ -111,7 +111,7 @@ class OutboxLog:
         Raises:
             OSError: if nothing was stored.
         """
-        if self._log is None or self._log.suspect or self._log.broken or not self._continues(entries):
+        if self._log is None or self._log.suspect or not self._continues(entries):
             self._start_segment(entries[0].seq if entries else self.span(self.epoch)[1] + 1)
         assert self._log
         records = [b"%s\n%s" % (entry.finger.encode(), entry.payload) for entry in entries]

@@ -14,8 +14,8 @@ from operators.batch import (
 )
 from operators.errors import InputError
 from storage import journal
-from storage.append_log import AppendLog
-from storage.journal import Journal, NumberedRows, SegmentReader
+from storage.append_log import AppendLog, LogReader
+from storage.journal import Journal, NumberedRows, check_segment, decode
 from storage.layout import SEGMENTS, numbered_files
 from tests.storage.made import new_batch
 
@@ -28,8 +28,9 @@ def written(tmp_path: Path) -> Iterator[Journal]:
 
 
 def rows(path: Path, number: int) -> list[NumberedRows]:
-    with SegmentReader(path, "one", number) as reader:
-        found = list(reader.rows())
+    with LogReader(path) as reader:
+        check_segment(reader, "one", number)
+        found = [decode(record.data, str(path)) for record in reader.records()]
         assert reader.damage is None
     return found
 
@@ -75,7 +76,7 @@ def test_segments_of_other_versions_are_refused(
     about: dict[str, Any] = json.loads(journal.identity("one", 3)) | changes
     AppendLog.create(tmp_path / "000003.wal", json.dumps(about).encode()).close()
     with pytest.raises(InputError, match=rf"000003\.wal: {complaint}"):
-        SegmentReader(tmp_path / "000003.wal", "one", 3)
+        rows(tmp_path / "000003.wal", 3)
 
 
 @given(records=st.lists(st.binary(max_size=80)), identity=st.none() | st.binary())
@@ -85,5 +86,5 @@ def test_any_content_of_a_log_is_rows_or_an_input_error(
     path = tmp_path_factory.getbasetemp() / "any.wal"
     own = journal.identity("one", 0) if identity is None else identity
     AppendLog.create(path, own, records).close()
-    with suppress(InputError), SegmentReader(path, "one", 0) as reader:
-        assert all(isinstance(each, NumberedRows) for each in reader.rows())
+    with suppress(InputError):
+        assert all(isinstance(each, NumberedRows) for each in rows(path, 0))
