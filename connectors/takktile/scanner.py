@@ -1,10 +1,15 @@
-"""Scanner of TakkTile fingertips on an I2C bus; transfers block, so run it in its own thread."""
+"""Scanner of TakkTile fingertips on an I2C bus, and the thread that runs it, because transfers block."""
 
+import asyncio
 import errno
 import fcntl
-from collections.abc import Callable, Sequence
+import logging
+import os
+from collections import deque
+from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from threading import Event, Thread
 from time import sleep
 from typing import Final, NamedTuple
 
@@ -23,9 +28,16 @@ from connectors.takktile.takktile_protocol import (
     cell_address,
 )
 from operators.batch import BAROMETERS, Counts, Flags, ms, s
+from operators.errors import EndpointError
+
+log = logging.getLogger("slipflow")
 
 CONVERSION: Final = 3 * ms  # ns, longest duration of a conversion; datasheet
-REREAD: Final = 1 * s  # ns, between attempts to read missing coefficients
+READINGS: Final = 4  # of coefficients, until two in a row are equal
+LOST_AFTER: Final = 250 * ms  # ns without a sample, at least three scans
+TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
+SHORTEST_WAIT: Final = ms // 5  # ns, between looks at a slow clock
+BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
 _NOT_ACKNOWLEDGED: Final = (errno.EREMOTEIO, errno.ENXIO)  # adapters differ
 _NO_ANSWER: Final = "no fingertip answers: check the power and the rows"
 _REASONS: Final = {
@@ -115,16 +127,14 @@ class Scanner:
     """
 
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        rows, self._coefficients = schedule.rows, schedule.coefficients
-        self._rows, self._now, self._reread = rows, now, 0
-        self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in rows]
+        self._rows, self._now = schedule.rows, now
+        self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in self._rows]
         self._bus = open_bus(schedule.path)
         try:
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect_all()
-            for fingertip in range(len(rows)):
-                for cell in range(BAROMETERS):
-                    self._read_coefficients(fingertip, cell)
+            for row, known in zip(self._rows, schedule.coefficients, strict=True):
+                known[:] = [self._read_coefficients(cell_address(row, cell)) for cell in range(BAROMETERS)]
         except BaseException:
             self._bus.close()
             raise
@@ -153,7 +163,6 @@ class Scanner:
                     scan.temperature[fingertip, cell] = reading.temperature
                     count = reading.pressure if reading.plausible else None
                     scan.valid[fingertip, cell] = overload.valid(count)
-            self._read_missing_coefficients(scan.valid)
         except OSError as error:
             with suppress(OSError):
                 self._disconnect_all()
@@ -172,23 +181,16 @@ class Scanner:
             sleep(wait / s)
         return (before + after) // 2
 
-    def _read_missing_coefficients(self, valid: Flags) -> None:
-        """Read the unknown coefficients of one cell that answers now, once per `REREAD` at most."""
-        if self._now() < self._reread:
-            return
-        for fingertip, cells in enumerate(self._coefficients):
-            for cell, known in enumerate(cells):
-                if known is None and valid[fingertip, cell]:
-                    self._read_coefficients(fingertip, cell)
-                    self._reread = self._now() + REREAD
-                    return
-
-    def _read_coefficients(self, fingertip: int, cell: int) -> None:
-        """Read the coefficients of a cell twice; readings that differ are wrong."""
-        address = cell_address(self._rows[fingertip], cell)
-        data = self._read(address, COEFFICIENTS, 8)
-        if data is not None and data == self._read(address, COEFFICIENTS, 8):
-            self._coefficients[fingertip][cell] = Coefficients.decode(data)
+    def _read_coefficients(self, address: int) -> Coefficients | None:
+        """Return what a cell gives twice in a row; None: nothing, or coefficients that no barometer has."""
+        data: bytes | None = None
+        for _ in range(READINGS):
+            before, data = data, self._read(address, COEFFICIENTS, 8)
+            if data is None:
+                return None
+            if data == before:
+                return Coefficients.decode(data)
+        return None
 
     def _read(self, address: int, register: int, length: int) -> bytes | None:
         """Read from one cell, while all others are disconnected; return None if it does not answer.
@@ -243,3 +245,114 @@ class Scanner:
     def _disconnect(self, address: int) -> None:
         """Disconnect the cells of an address."""
         self._bus.read_byte(address)
+
+
+class ScanThread:
+    """Thread that scans until the sensor is lost, for the running event loop.
+
+    Args:
+        schedule: Schedule of the scans.
+        now: Clock of the samples, ns.
+    """
+
+    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
+        self._schedule, self._now, self._path = schedule, now, schedule.path
+        self._loop = asyncio.get_running_loop()
+        self._results = deque[Scan | BaseException]()  # scans, and the error after them
+        self._changed, self._ending = asyncio.Event(), Event()
+
+    async def scans(self) -> AsyncGenerator[Scan]:
+        """Start the thread, yield its scans, and end it; abandon it if it is blocked.
+
+        Raises:
+            EndpointError: if the sensor is lost or the bus hangs.
+        """
+        thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
+        thread.start()
+        timeout = TIMEOUT + self._schedule.period / s
+        try:
+            while True:
+                while self._results:
+                    result = self._results.popleft()
+                    if isinstance(result, BaseException):
+                        raise result
+                    yield result
+                self._changed.clear()
+                try:
+                    async with asyncio.timeout(timeout):
+                        await self._changed.wait()
+                except TimeoutError:
+                    if not self._results:  # else the event loop was late, not the bus
+                        reason = f"is blocked for {timeout:.0f} s: reset its adapter, or restart the machine"
+                        raise EndpointError(self._path, reason) from None
+        finally:
+            self._ending.set()
+            await asyncio.to_thread(thread.join, TIMEOUT)
+            if thread.is_alive():
+                log.warning("%s: abandoned a blocked thread", self._path)
+
+    def _run(self) -> None:
+        scanner: Scanner | None = None
+        try:
+            scanner = Scanner(self._schedule, self._now)
+            self._scan(scanner)
+        except OSError as error:
+            self._pass_on(EndpointError(self._path, i2c_reason(error)))
+        except BaseException as error:  # noqa: BLE001 - no failure of the device: raised to the runner as it is
+            self._pass_on(error)
+        finally:
+            if scanner is not None:
+                scanner.close()
+
+    def _scan(self, scanner: Scanner) -> None:
+        """Scan on schedule.
+
+        Raises:
+            OSError: if the sensor is lost.
+        """
+        period, counted = self._schedule.period, self._schedule.counted
+        sampled, answered = self._now(), False
+        due = sampled
+        while self._wait_until(due):
+            if len(self._results) < BACKLOG:
+                counted["late"] += self._now() - due > period // 10
+                scan = scanner.scan()
+                counted["made"] += 1
+                if scan.valid.any():
+                    sampled, answered = self._now(), True
+                else:
+                    counted["silent"] += 1
+                    unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
+                    if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
+                        raise scan.error or OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
+                if answered:  # a sensor without any sample so far is still lost
+                    self._pass_on(scan)
+            else:
+                counted["missed"] += 1
+            due, missed = next_scan(due, self._now(), period)
+            counted["missed"] += missed
+
+    def _wait_until(self, due: int) -> bool:
+        """Wait until `due` (ns) on the clock, which may be slow; return False when the thread must end."""
+        while (wait := due - self._now()) > 0 and not self._ending.is_set():
+            self._ending.wait(max(wait, SHORTEST_WAIT) / s)
+        return not self._ending.is_set()
+
+    def _pass_on(self, result: Scan | BaseException) -> None:
+        self._results.append(result)
+        try:
+            self._loop.call_soon_threadsafe(self._changed.set)
+        except RuntimeError:  # the loop is closed, so nobody reads them
+            self._ending.set()
+
+
+def next_scan(due: int, now: int, period: int) -> tuple[int, int]:
+    """Return when the scan after `due` is due, and the number of missed scans between them.
+
+    A scan that can still begin within its own period is late, not missed.
+
+    >>> next_scan(100, 105, 10), next_scan(100, 119, 10), next_scan(100, 137, 10)
+    ((110, 0), (110, 0), (130, 2))
+    """
+    missed = max(0, now - due - period) // period
+    return due + (1 + missed) * period, missed

@@ -9,8 +9,7 @@ from typing import Final, cast
 
 import numpy as np
 
-from connectors.takktile.scan_thread import ScanThread
-from connectors.takktile.scanner import CONVERSION, Scan, Scanner, Schedule
+from connectors.takktile.scanner import CONVERSION, Scan, Scanner, ScanThread, Schedule
 from connectors.takktile.takktile_protocol import LEAST, MOST, ROWS, Coefficients
 from operators.batch import BAROMETERS, Touch, ms, s
 from operators.errors import EndpointError, ParameterError
@@ -95,21 +94,11 @@ class TakkTile(Source[Touch]):
         Raises:
             EndpointError: if the sensor is lost or missing.
         """
-        async with aclosing(self._scans(clock)) as scans:
+        async with aclosing(ScanThread(self._schedule, clock.now).scans()) as scans:
             async for scan in scans:
                 for row, finger in enumerate(self._fingers):
                     one, time = slice(row, row + 1), np.array([scan.time])
                     yield Touch(time, scan.counts[one], scan.temperature[one], scan.valid[one], finger=finger)
-
-    async def _scans(self, clock: Clock) -> AsyncGenerator[Scan]:
-        """Yield the scans until the sensor is lost."""
-        thread = ScanThread(self._schedule, clock.now)
-        try:
-            async with aclosing(thread.scans()) as scans:
-                async for scan in scans:
-                    yield scan
-        finally:
-            await thread.end()
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check the bus, the cells of each row, and the rate of the scans.
@@ -122,7 +111,7 @@ class TakkTile(Source[Touch]):
         scans, end = list[Scan](), clock.now() + DIAGNOSIS
         failure: EndpointError | None = None
         try:
-            async with aclosing(self._scans(clock)) as received:
+            async with aclosing(ScanThread(self._schedule, clock.now).scans()) as received:
                 async for scan in received:
                     scans.append(scan)
                     if scan.time > end:

@@ -20,6 +20,7 @@ import numpy as np
 from operators.batch import Times, s
 from operators.errors import EndpointError, SlipflowError, os_error_reason
 from operators.ports import Clock
+from storage.background_task import BackgroundTask
 
 T = TypeVar("T")
 Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.void]]"  # fields are outputs
@@ -175,7 +176,7 @@ class RtdeClient:
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
         self._row = np.dtype([("recipe", "u1"), *fields])
         self._stream: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
-        self._reading: asyncio.Task[None] | None = None
+        self._reading: BackgroundTask | None = None
         self._received = asyncio.Queue[tuple[int, bytes] | Exception](BACKLOG)  # arrival (ns), payload
 
     async def connect(self) -> None:
@@ -185,7 +186,8 @@ class RtdeClient:
             EndpointError: if the controller does not accept the connection in time.
         """
         recipe = await self._in_time(self._shake_hands(), NO_ANSWER)
-        self._reading = asyncio.create_task(self._read(recipe))
+        reading = BackgroundTask(self.endpoint, "the reading of packages", self._read(recipe), endless=False)
+        self._reading = reading
 
     async def receive(self) -> tuple[Times, Rows]:
         """Wait for data; return all unread packages: arrival times and rows with the outputs, (n,), n >= 1.
@@ -200,8 +202,7 @@ class RtdeClient:
     async def close(self) -> None:
         """Close the connection."""
         if self._reading:
-            self._reading.cancel()
-            await asyncio.wait([self._reading])
+            await self._reading.end()
         if self._stream:
             _, writer = self._stream
             writer.transport.abort()

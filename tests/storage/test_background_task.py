@@ -23,7 +23,7 @@ AWAITED = {
     "storage/dataset.py",  # the next write repeats a commit that failed
 }
 THREADS = {  # errors are raised; ignored; the thread ends the process
-    "connectors/takktile/scan_thread.py",
+    "connectors/takktile/scanner.py",
     "flows/cli/live_view.py",
     "flows/run/executor.py",
 }

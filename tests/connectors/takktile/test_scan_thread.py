@@ -1,14 +1,14 @@
 import asyncio
 import threading
-from collections.abc import Iterator
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import aclosing
 from time import time_ns
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.takktile.scan_thread import ScanThread, next_scan
-from connectors.takktile.scanner import Scan, Scanner, Schedule
+from connectors.takktile.scanner import Scan, Scanner, ScanThread, Schedule, next_scan
 from connectors.takktile.takktile_protocol import Coefficients
 from operators import ms, us
 from tests.emulators.i2c_bus import EmulatedI2cBus, Still, served
@@ -42,7 +42,7 @@ def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedI2cBus]:
 
 
 def begin(counted: Counted) -> ScanThread:
-    """Start a thread that scans 500 times per second."""
+    """Return a thread that scans 500 times per second."""
 
     cells: list[list[Coefficients | None]] = [[None] * 6]
     return ScanThread(Schedule(PATH, (0,), 2 * ms, counted, cells), time_ns)
@@ -58,14 +58,14 @@ def test_the_schedule_skips_and_never_drifts(due: int, took: int, period: int) -
 
 
 def test_scans_beyond_the_backlog_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("connectors.takktile.scan_thread.BACKLOG", 5)
+    monkeypatch.setattr("connectors.takktile.scanner.BACKLOG", 5)
 
     async def main() -> None:
         counted = Counted()
-        thread = begin(counted)
-        assert await asyncio.to_thread(counted.enough.wait, 30.0)
-        assert counted["made"] == 5
-        await thread.end()
+        async with aclosing(begin(counted).scans()) as scans:
+            await anext(scans)
+            assert await asyncio.to_thread(counted.enough.wait, 30.0)
+            assert counted["made"] == 6
 
     asyncio.run(main())
 
@@ -82,25 +82,28 @@ def test_the_error_of_a_thread_comes_after_its_scans(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Scanner, "scan", broken)
 
     async def main() -> None:
-        thread, taken = begin(Counted()), list[Scan]()
+        taken = list[Scan]()
 
         async def gather() -> None:
-            async for each in thread.scans():
+            async for each in begin(Counted()).scans():
                 taken.append(each)
 
         with pytest.raises(ZeroDivisionError, match="oh"):  # no failure of the device: not retried
             await gather()
         assert [each.time for each in taken] == [each.time for each in made]
-        await thread.end()
 
     asyncio.run(main())
 
 
 def test_a_thread_without_its_loop_ends() -> None:
-    async def main() -> ScanThread:
-        return begin(Counted())
+    async def main() -> AsyncGenerator[Scan]:
+        scans = begin(Counted()).scans()
+        await anext(scans)
+        return scans
 
-    asyncio.run(main())
+    loop = asyncio.new_event_loop()
+    loop.run_until_complete(main())
+    loop.close()
     for thread in threading.enumerate():
         if thread.name.startswith("takktile"):
             thread.join(30.0)

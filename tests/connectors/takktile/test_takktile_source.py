@@ -156,7 +156,7 @@ async def test_a_replugged_adapter_is_opened_again(rig: Rig, number: int) -> Non
 async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(
     rig: Rig, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("connectors.takktile.scan_thread.TIMEOUT", 0.5)
+    monkeypatch.setattr("connectors.takktile.scanner.TIMEOUT", 0.5)
     with caplog.at_level(logging.WARNING):
         source = rig.source()
         rig.skin.then[5] = rig.bus.wedge
