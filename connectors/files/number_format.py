@@ -14,7 +14,6 @@ from connectors.files.raw_table import Problems, RawTable
 
 MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
 _BLANKS: Final = "'\u2019\u00a0\u202f "  # between thousands
-_SAMPLE: Final = 2000  # values of a column that decide; all others must have the same format
 
 
 @dataclass(frozen=True)
@@ -85,14 +84,8 @@ def _example(table: RawTable, names: Iterable[str], pattern: str) -> str:
     """Return a value that matches, with its column; empty if there is none."""
     for name in names:
         column = table.columns[name]
-        signed = column.filter(column.str.contains("[.,]"))
-        sample = signed.gather_every(max(1, len(signed) // _SAMPLE))
-        if not (found := sample.filter(sample.str.contains(pattern))).is_empty():
-            return f"column {name}: {found[0]}"
-        rest = signed.filter(signed.str.contains(","))  # a rare comma counts, too
-        found = rest.filter(rest.str.contains(pattern))
-        if len(found):
-            return f"column {name}: {found[0]}"
+        for value in column.filter(column.str.contains(pattern)).head(1):
+            return f"column {name}: {value}"
     return ""
 
 

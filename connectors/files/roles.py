@@ -1,4 +1,7 @@
-"""Roles of a table's columns: those that the map states, and those with usual names."""
+"""Roles and units of a table's columns: what the map states, and what their names tell.
+
+Case counts where it carries meaning: mPa is not MPa, and T is not t.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -23,7 +26,6 @@ from connectors.files.column_map import (
     expanded,
 )
 from connectors.files.raw_table import Problems, RawTable
-from connectors.files.units import is_temperature, split_unit, unit_in
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
 
@@ -34,7 +36,6 @@ _NAMES: Final = {  # usual names, without blanks and signs, in lower case
     SPEED: "speed|v|tcpspeed|geschwindigkeit",
     LABEL: "labels?|slip|isslip|slipping|groundtruth|state|zustand|class|klasse",
 }
-_TIME_UNIT: Final = re.compile("(?:time)?(ms|us|ns)|(millis|micros)")
 _UNSURE_LABELS: Final = ("state", "zustand", "class", "klasse")  # labels only if their words are usual
 _CELL: Final = re.compile(  # words before the number of a cell
     "s|c|p|b|counts?|cells?|taxels?|txl|baro|barometer|pressure|press|druck|sensors?|ch|channel|kanal|zelle|pad"
@@ -52,6 +53,27 @@ _WORDS: Final = {  # usual values of labels
     }.items()
 }
 _SHOWN: Final = 20  # columns in an error
+_OTHER_NAMES: Final = {  # in lower case
+    name: unit
+    for unit, names in {
+        "s": "sec secs second seconds sek sekunden",
+        "ms": "msec millis millisecond milliseconds",
+        "us": "usec micros microsecond microseconds",
+        "ns": "nsec nanos nanosecond nanoseconds",
+        "min": "minute minutes",
+        "h": "hour hours",
+        "d": "day days",
+        "count": "counts raw lsb digit digits adc a.u. -",
+        "N": "newton",
+        "V": "volt volts",
+        "ohm": "\u03c9",
+        "kohm": "k\u03c9",
+    }.items()
+    for name in names.split()
+}
+_TEMPERATURE: Final = re.compile(r"°.*|deg(rees)? ?[ckf]|celsius|kelvin|temp.*|[ckt]", re.IGNORECASE)
+_BRACKETS: Final = re.compile(r"(.+?)[ _]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
+_ENDING: Final = re.compile(r"(.+?)(?:[ _]+(?:in )?|\s*/\s*)([^\d\s_/\[\]]+(?:/s)?)")
 
 
 @dataclass(frozen=True)
@@ -126,6 +148,57 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
                 CellGroup(tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0, sure)
             )
     return [group for group in groups if not _word(group.names[0]).startswith("temp")]
+
+
+def unit_in(text: str, quantities: tuple[str, ...] = (TIME, COUNTS, SPEED, VELOCITY)) -> str:
+    r"""Return the unit that a text is; empty if it is none of the quantities.
+
+    >>> unit_in("KPA"), unit_in("mPa"), unit_in("MPA"), unit_in("\u00b5s"), unit_in("seconds")
+    ('kPa', 'mPa', '', 'us', 's')
+    """
+    text = text.strip().replace("\u00b5", "u").replace("\u03bc", "u")
+    known = dict.fromkeys(unit for quantity in quantities for unit in UNITS.get(quantity, ()))
+    if text in known:
+        return text
+    other = _OTHER_NAMES.get(text.lower(), "")
+    folded = [unit for unit in known if unit.casefold() == text.casefold()]
+    if other not in known and len(folded) == 1 and _same_prefix(folded[0], text):
+        return folded[0]
+    return other if other in known else ""
+
+
+def split_unit(quantity: str, name: str) -> tuple[str, str]:
+    """Split the unit off a column name; an empty unit: it has none.
+
+    An unknown unit of cells in brackets is kept as it is. After an underscore or a blank, one letter is a
+    unit of time only.
+
+    >>> split_unit("time", "t_ms"), split_unit("counts", "cell 1 [kPa]"), split_unit("counts", "b0_T")
+    (('t', 'ms'), ('cell 1', 'kPa'), ('b0_T', ''))
+    """
+    if (match := _BRACKETS.fullmatch(name)) and not match[2].isdecimal():
+        unit = unit_in(match[2], (quantity,))
+        if unit or (quantity == COUNTS and match[2]):
+            return match[1].strip(), unit or match[2]
+        return name.strip(), ""
+    match = _ENDING.fullmatch(name)
+    if (
+        match
+        and (unit := unit_in(match[2], (quantity,)))
+        and (len(unit) > 1 or quantity == TIME or "/" in name)
+    ):
+        return match[1].strip(), unit
+    return name.strip(), ""
+
+
+def is_temperature(text: str) -> bool:
+    """Return True for a unit, or the ending of a name, of a temperature, such as ``degC`` or ``T``."""
+    return bool(_TEMPERATURE.fullmatch(text))
+
+
+def _same_prefix(unit: str, text: str) -> bool:
+    """Return True if case does not change the meaning: m is not M, and one letter stands for itself."""
+    return unit in UNITS[TIME] or (len(unit) > 1 and (unit[0] not in "mM" or text[0] == unit[0]))
 
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
@@ -218,8 +291,8 @@ def _units(
             for name in names
         }
         unit = next(iter(known)) if len(known) == 1 else ""
-        if quantity == TIME and not unit and (match := _TIME_UNIT.fullmatch(_word(names[0]))):
-            unit = match[1] or unit_in(match[2])
+        if quantity == TIME and not unit:
+            unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
         like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
         if like and unit not in like:
             problems.add(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")

@@ -2,7 +2,6 @@
 
 import codecs
 import csv
-import io
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -14,7 +13,7 @@ import polars as pl
 
 from connectors.files.column_map import SEPARATORS
 from connectors.files.raw_table import RawTable, check_size
-from connectors.files.units import unit_in
+from connectors.files.roles import unit_in
 from operators.errors import InputError
 
 _HEAD: Final = 1 << 20  # bytes in which the names and the first rows must be
@@ -245,13 +244,14 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
         body = b"\n".join(b" ".join(line.split()) for line in body.split(b"\n"))
     check_size(where, body.count(sign.encode()) + body.count(b"\n") + 1)
     top, last = (split_line(line.decode("utf-8", "replace"), sign) for line in _ends(body))
-    frame = _frame(body, where, shape, max(len(shape.names), len(top)))
+    frame = _frame(body, where, sign, shape.first, max(len(shape.names), len(top)) + 1)
     blank = pl.DataFrame([column.fill_null("") == "" for column in frame])
     while frame.width > len(shape.names) and blank.to_series(frame.width - 1).all():
         frame, blank = frame[:, :-1], blank[:, :-1]  # a separator at the end of each row
     if frame.width > len(shape.names):
         row = int((~blank.to_series(len(shape.names))).arg_true()[0])
-        raise InputError(f"{where}, line {row + shape.first + 1}", _too_many(shape))
+        reason = f"has more fields than {shape.header}; a {_NAMES[sign]} in a value needs quotes"
+        raise InputError(f"{where}, line {row + shape.first + 1}", reason)
     if len(last) < min(frame.width, len(top)):
         reason = f"the last line has fewer fields than line {shape.first + 1}: it is cut off, delete it"
         raise InputError(where, reason)
@@ -286,39 +286,26 @@ def _ends(body: bytes) -> tuple[bytes, bytes]:
     return body.lstrip(b"\n").partition(b"\n")[0], body[body.rfind(b"\n", 0, end) + 1 :].partition(b"\n")[0]
 
 
-def _frame(body: bytes, where: str, shape: _Shape, width: int) -> pl.DataFrame:
+def _frame(body: bytes, where: str, separator: str, above: int, width: int) -> pl.DataFrame:
     """Parse the columns of a file as text.
 
     Raises:
-        InputError: if a row has too many fields, or a quotation mark is not closed.
+        InputError: if a quotation mark is not closed.
     """
     schema = {f"{number}": pl.String for number in range(width)}
+    widest = separator * (width - 1) + "\n"
     try:
-        frame = pl.read_csv(body, has_header=False, schema=schema, separator=shape.separator)
+        frame = pl.read_csv(
+            widest.encode() + body,
+            has_header=False,
+            schema=schema,
+            separator=separator,
+            truncate_ragged_lines=True,
+        )[1:]
     except pl.exceptions.PolarsError as error:
-        if line := _too_long(body, shape.separator, width):
-            raise InputError(f"{where}, line {line + shape.first}", _too_many(shape)) from None
         raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
     torn = [column.str.contains("\n", literal=True).arg_true()[:1] for column in frame]
     if rows := [row for each in torn for row in each]:  # an unpaired quotation mark
         reason = "has a quoted field that spans lines: close its quotation mark"
-        raise InputError(f"{where}, line {min(rows) + shape.first + 1}", reason)
-    columns = frame.get_columns()
-    del frame
-    for number in range(len(columns)):  # one by one, as each needs as much memory again
-        columns[number] = columns[number].str.strip_chars()
-    return pl.DataFrame(columns)
-
-
-def _too_many(shape: _Shape) -> str:
-    return f"has more fields than {shape.header}; a {_NAMES[shape.separator]} in a value needs quotes"
-
-
-def _too_long(body: bytes, sign: str, width: int) -> int:
-    """Return the number of the first line with more than `width` fields; 0 if there is none."""
-    text = io.StringIO(body.decode("utf-8", "replace").replace("\r", ""), newline="")
-    rows = csv.reader(text, delimiter=sign)
-    try:
-        return next((rows.line_num for row in rows if len(row) > width), 0)
-    except csv.Error:
-        return 0
+        raise InputError(f"{where}, line {min(rows) + above + 1}", reason)
+    return frame.select(pl.all().str.strip_chars())

@@ -7,8 +7,7 @@ import pytest
 
 from connectors.files.column_map import ColumnMap
 from connectors.files.raw_table import Problems, RawTable
-from connectors.files.roles import cell_groups, completed
-from connectors.files.units import unit_in
+from connectors.files.roles import cell_groups, completed, unit_in
 from operators.errors import InputError
 
 CELLS = ("s1", "s2", "s3", "s4", "s5", "s6")
