@@ -1,4 +1,4 @@
-"""Choice of debounce settings that keep a rate of false alarms with a stated confidence."""
+"""Debounce settings that keep a stated rate of false alarms with a stated confidence."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,31 +7,25 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, gammainccinv, ndtri, stdtrit
 
-from flows.learn.alarms.alarm_limit import TooLittleDataError, alarm_limit
 from flows.learn.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
-from operators.batch import Reals, ms
+from operators.batch import Reals
+from operators.errors import SlipflowError
 
-_STRICTEST: Final = 7.0  # logit of the highest threshold
-_LOWEST: Final = -1.5  # logit of the lowest threshold
-_STEP: Final = 0.25
-_LONG_RUNS: Final = (50, 30, 20, 12, 8)  # decisions, at the highest threshold
-_RUNS: Final = ((5.0, 5), (4.0, 3), (3.0, 2), (_LOWEST, 1))  # decisions from this logit on
-_RELEASES: Final = ((1.0, 12), (0.0, 8), (_LOWEST, 5))  # the same
-_MISSED: Final = 1000 * ms  # ns, delay that a missed slip counts as in the choice among settings that hold
+_MISSED: Final = 1000.0  # ms, delay that a missed slip counts as in the choice among settings that hold
 _PIECES: Final = 10  # into which a single session is cut
 
 
 def _path() -> tuple[Debounce, ...]:
-    logits = np.arange(_STRICTEST, _LOWEST - _STEP / 2, -_STEP)
-    thresholds = np.round(1 / (1 + np.exp(-logits)), 5).tolist()
-    rules = [Debounce(thresholds[0], run, _RELEASES[0][1]) for run in _LONG_RUNS]
+    logits = np.arange(7, -1.6, -0.25)  # of the thresholds
+    thresholds = np.round(expit(logits), 5).tolist()
+    rules = [Debounce(thresholds[0], run, 12) for run in (50, 30, 20, 12, 8)]
     for logit, threshold in zip(logits, thresholds, strict=True):
-        run, release = (
-            next(value for least, value in steps if logit >= least) for steps in (_RUNS, _RELEASES)
-        )
+        run = 1 + sum(add for least, add in ((3, 1), (4, 1), (5, 2)) if logit >= least)
+        release = 5 + sum(add for least, add in ((0, 3), (1, 4)) if logit >= least)
         rules.append(Debounce(threshold, run, release))
     return tuple(rules)
 
@@ -113,15 +107,15 @@ def calibrated(trials: Trials, rate: float, confidence: float) -> Calibrated:
     if not accepted:
         needed = alarm_limit(every[0], each_minutes, confidence) / rate
         raise TooLittleDataError(rate, confidence, int(every[0].sum()), minutes, needed)
-    found = [_sum(trials.outcomes[setting]) for setting in range(len(accepted))]
+    found = [_sum(row) for row in trials.outcomes[: len(accepted)]]
     best = min(range(len(found)), key=lambda setting: (_cost(found[setting]), -setting))
     return Calibrated(rate, confidence, best, trials.rules[best], accepted[best] / minutes, found[best])
 
 
 def _cost(found: EventMetrics) -> float:
     """Return the mean delay, ms, to whole ms; 0 without slips."""
-    missed = found.missed_slips * _MISSED / ms
-    return round((float(found.delays.sum()) + missed) / found.slips) if found.slips else 0.0
+    total = float(found.delays.sum()) + found.missed_slips * _MISSED
+    return round(total / found.slips) if found.slips else 0.0
 
 
 def _sum(every: Sequence[EventMetrics]) -> EventMetrics:
@@ -132,3 +126,72 @@ def _sum(every: Sequence[EventMetrics]) -> EventMetrics:
         sum(each.repeats for each in every),
         sum(each.minutes for each in every),
     )
+
+
+def alarm_limit(alarms: NDArray[np.int64], minutes: Reals, confidence: float) -> float:
+    """Return the upper confidence limit of the expected number of false alarms in all these minutes.
+
+    Alarms in one session resemble each other: a session of a rough surface has many. So sessions, or all
+    sessions of a surface, are the exchangeable units, not samples. The limit is that of a Poisson count,
+    after count and time have been divided by the design effect, the factor by which the variance over units
+    exceeds that of a Poisson process [1]. The effect is at least 1, and enlarged by a quotient of quantiles
+    of the t and the normal distribution because it is estimated from few units.
+
+    Without clusters the limit is exact or conservative: for units that have at most one alarm each, with any
+    probabilities, because such a sum is rarer far below its mean than a Poisson count [2]; and for Poisson
+    counts. For clustered alarms it is an approximation. No limit can exclude a unit with very many alarms
+    that none of the given ones resembles. Without any alarm it is -ln(1 - confidence): 3.0 at 95 %.
+
+    Args:
+        alarms: (n,) false alarms of each unit.
+        minutes: (n,) static minutes of each unit.
+        confidence: Probability that the expected number is at most the limit, above 0.5, below 1.
+
+    >>> round(alarm_limit(np.zeros(5, np.int64), np.ones(5), 0.95), 3)
+    2.996
+    >>> round(alarm_limit(np.ones(5, np.int64), np.ones(5), 0.95), 2)
+    10.51
+    >>> round(alarm_limit(np.array([5, 0, 0, 0, 0]), np.ones(5), 0.95), 2)
+    34.2
+
+    References:
+        [1] Korn and Graubard, "Confidence intervals for proportions with small expected number of positive
+        counts estimated from survey data", Survey Methodology 24 (1998).
+        [2] Hoeffding, "On the distribution of the number of successes in independent trials" (1956); Anderson
+        and Samuels, "Some inequalities among binomial and Poisson probabilities" (1967).
+    """
+    count = int(alarms.sum())
+    effect = _design_effect(alarms, minutes)
+    if effect > 1:
+        effect *= float(stdtrit(len(alarms) - 1, confidence) / ndtri(confidence)) ** 2
+    return effect * float(gammainccinv(count / effect + 1, 1 - confidence))
+
+
+def _design_effect(alarms: NDArray[np.int64], minutes: Reals) -> float:
+    """Return the variance of the number of alarms over units relative to a Poisson count, at least 1."""
+    count, size = int(alarms.sum()), len(alarms)
+    if size < 2 or count < 2:
+        return 1.0
+    residuals = alarms - count * minutes / minutes.sum()
+    return max(float((residuals**2).sum()) * size / (size - 1) / count, 1.0)
+
+
+class TooLittleDataError(SlipflowError):
+    """Too little static time to show that a rate of false alarms is kept, even by the strictest setting."""
+
+    def __init__(self, rate: float, confidence: float, alarms: int, minutes: float, needed: float) -> None:
+        had = f"{alarms} false alarm{'' if alarms == 1 else 's'}" if alarms else "no false alarm"
+        found = f"the strictest setting had {had} in {minutes:.1f} static minutes"
+        if alarms > rate * minutes:
+            advice = (
+                f", {alarms / minutes:.2g} per minute, so more data will not help;"
+                " allow a higher rate, or train the model for such recordings"
+            )
+        else:
+            more = f"{needed - minutes:.1f} more static minutes{' without a further one' if alarms else ''}"
+            advice = f", but {needed:.1f} are needed; record {more}, or allow a higher rate"
+        super().__init__(
+            f"a rate of {rate:g} false alarms per minute cannot be shown with {100 * confidence:g} %"
+            f" confidence: {found}{advice}"
+        )
+        self.minutes, self.needed = minutes, needed

@@ -10,6 +10,7 @@ import numpy as np
 
 from flows.learn.alarms.alarm_calibration import Calibrated, calibrated, try_settings
 from flows.learn.datasets import learned_from
+from flows.learn.debounce_tuning import debounce_settings
 from flows.learn.evaluation.folds import repeated
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
@@ -125,19 +126,18 @@ def _unseen(
 
 def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     events = found.measured
-    measured: dict[str, Any] = {
-        "false_alarms": events.false_alarms,
-        "static_minutes": round(events.minutes, 3),
-        "slips": events.slips,
-        "missed_slips": events.missed_slips,
-        "onset_ms": float(np.median(events.delays)) if len(events.delays) else None,
-    }
     return {
         "false_alarms_per_min": found.rate,
         "confidence": found.confidence,
         "bound_per_min": round(found.bound, 4),
-        "debounce": {name: getattr(found.debounce, name) for name in ("threshold", "consecutive", "release")},
-        "measured": measured,
+        "debounce": debounce_settings(found.debounce),
+        "measured": {
+            "false_alarms": events.false_alarms,
+            "static_minutes": round(events.minutes, 3),
+            "slips": events.slips,
+            "missed_slips": events.missed_slips,
+            "onset_ms": float(np.median(events.delays)) if len(events.delays) else None,
+        },
         "data": list(data),
         "software": f"slipflow {software_version()}",
     }

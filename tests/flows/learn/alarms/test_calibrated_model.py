@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from flows.graph.loading import load as load_flow
-from flows.learn.alarms.alarm_limit import TooLittleDataError
+from flows.learn.alarms.alarm_calibration import TooLittleDataError
 from flows.learn.alarms.calibrated_model import calibrate_model
 from flows.learn.labelled_recordings import load
 from flows.learn.training.trained_model import provenance
