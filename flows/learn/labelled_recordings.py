@@ -198,57 +198,38 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
     return first.fingertip
 
 
-def _zeroed(session: Session, kind: type[Touch], finger: int) -> Zeroed:
-    zero = Zero()
-    return concat(Zeroed, [*map(zero.push, session.read(kind, finger)), zero.flush()])
-
-
 def _of_session(session: Session, finger: int, rate: float | None, hand: HandLabels) -> LabelledRecording:
-    sampled = finger in session.fingers(Labelled)
-    labelled = (
-        concat(Labelled, list(session.read(Labelled, finger)))
-        if sampled
-        else _without_motion(_zeroed(session, Touch, finger))
-    )
-    fingertip = session.fingertip(Labelled if sampled else Touch) or TAKKTILE
+    kind: type[Touch] = Labelled if finger in session.fingers(Labelled) else Touch
+    fingertip = session.fingertip(kind)
+    if fingertip is None:
+        reason = "does not state its fingertip, and its rows share one time, so the rate is unknown"
+        raise InputError(session.name, f"{reason}: record or import it again with its layout and rate")
+    if kind is Labelled:
+        samples: Zeroed = concat(Labelled, list(session.read(Labelled, finger)))
+    else:
+        zero = Zero()
+        samples = concat(Zeroed, [*map(zero.push, session.read(Touch, finger)), zero.flush()])
+    label = samples.label if isinstance(samples, Labelled) else np.full(len(samples), UNKNOWN, np.int8)
     if rate is not None and not isclose(fingertip.rate, rate, rel_tol=RATE_TOLERANCE):
-        labelled, fingertip = _resampled(labelled, rate), replace(fingertip, rate=rate)
+        time, resample = samples.time, Resample(rate)
+        touch = Zeroed(time, samples.counts, samples.temperature, samples.valid)
+        samples = concat(Zeroed, [cast("Zeroed", each) for each in (resample.push(touch), resample.flush())])
+        label = label[time.searchsorted(samples.time)]  # of the first sample that was taken at or after it
+        fingertip = replace(fingertip, rate=rate)
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
-    sliding = _sliding(labelled, truth) if len(truth) else None
-    label, rows = hand.replace(labelled.label, labelled.time, finger)
+    label, rows = hand.replace(label, samples.time, finger)
     return LabelledRecording(
-        forward_fill(labelled.counts, labelled.valid),
+        forward_fill(samples.counts, samples.valid),
         label,
-        labelled.valid,
-        sliding,
-        _strokes(episodes, labelled.time),
+        samples.valid,
+        _sliding(samples, truth) if len(truth) else None,
+        _strokes(episodes, samples.time),
         int(rows.sum()),
         session.name,
         str(session.about.get("split") or ""),
         str(session.about.get("group") or ""),
         fingertip,
-    )
-
-
-def _without_motion(zeroed: Zeroed) -> Labelled:
-    """Return samples without the arm's motion, whose label is unknown."""
-    rows = len(zeroed)
-    unknown, label = np.full((rows, 6), np.nan), np.full(rows, UNKNOWN, np.int8)
-    values = zeroed.counts, zeroed.temperature, zeroed.valid, unknown, unknown
-    return Labelled(
-        zeroed.time, *values, np.zeros(rows, np.bool_), np.full(rows, np.nan), label, finger=zeroed.finger
-    )
-
-
-def _resampled(labelled: Labelled, rate: float) -> Labelled:
-    """Return samples at another rate, each with the label of the first one that was taken at or after it."""
-    resample = Resample(rate)
-    touch = Zeroed(labelled.time, labelled.counts, labelled.temperature, labelled.valid)
-    found = concat(Zeroed, [cast("Zeroed", each) for each in (resample.push(touch), resample.flush())])
-    rows = labelled[labelled.time.searchsorted(found.time)]
-    return replace(
-        rows, time=found.time, counts=found.counts, temperature=found.temperature, valid=found.valid
     )
 
 

@@ -161,6 +161,14 @@ def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) ->
     assert recording.fingertip.cells == 6
 
 
+def test_a_session_whose_fingertip_is_unknown_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    time, counts = np.full(200, s), np.zeros((200, 6), np.int16)
+    session = record(tmp_path, [Touch(time, counts, counts, np.ones((200, 6), np.bool_), finger=0)])
+    session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
+    with pytest.raises(InputError, match="does not state its fingertip, .*: record or import it again"):
+        load(tmp_path)
+
+
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
     scenes = {plan: {each.seed for each in planned_recordings(plan, 0)} for plan in ("paper", "tiny")}
     assert not scenes["paper"] & scenes["tiny"]
