@@ -8,7 +8,6 @@ import numpy as np
 
 from flows.learn.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.sampling import Sampling
 from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.batch import Reals
@@ -23,10 +22,10 @@ RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions at 100 Hz
 _MENU: Final = tuple(Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE, RELEASE))
 
 
-def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector, budget: float = BUDGET) -> Debounce:
+def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector) -> Debounce:
     """Tune the debounce of a detector on recordings; see `tuned`."""
     scores = [probabilities(detector, recording) for recording in recordings]
-    return tuned(scores, [Slips.labelled(recording) for recording in recordings], budget)
+    return tuned(scores, [Slips.labelled(recording) for recording in recordings])
 
 
 def debounce_settings(rule: Debounce) -> dict[str, Any]:
@@ -34,13 +33,7 @@ def debounce_settings(rule: Debounce) -> dict[str, Any]:
     return {name: getattr(rule, name) for name in ("threshold", "consecutive", "release")}
 
 
-def tuned(
-    scores: Sequence[Reals],
-    slips: Sequence[Slips],
-    budget: float = BUDGET,
-    missed: float = MISSED,
-    repeated: float = REPEATED,
-) -> Debounce:
+def tuned(scores: Sequence[Reals], slips: Sequence[Slips], budget: float = BUDGET) -> Debounce:
     """Return the settings with the least onset delay among those that keep three limits.
 
     Recordings of some minutes contain few false alarms, so the upper one-sigma limit of a Poisson count is
@@ -51,18 +44,15 @@ def tuned(
         scores: Probabilities of each recording (n,), on the validation split.
         slips: True slips of each recording.
         budget: Most false alarms per static minute.
-        missed: Most slips without an onset, %.
-        repeated: Most onsets of a slip after its first, % of the slips.
     """
-    sampling = slips[0].sampling if slips else Sampling()
-    best, chosen = (np.inf, np.inf, np.inf), Debounce()
-    for rule in map(sampling.rule, _MENU):
+
+    def cost(rule: Debounce) -> tuple[float, float, float]:
         found = EventMetrics.of(scores, slips, rule)
         alarms = found.false_alarms + 1 + np.sqrt(found.false_alarms + 0.75)
-        over, excess, delay = max(alarms - budget * found.minutes, 0), 100 - missed, np.inf
-        if len(found.delays):
-            excess = max(found.missed - missed, 0) + max(found.repeated - repeated, 0)
-            delay = float(found.delays.mean())
-        if (over, excess, delay) < best:
-            best, chosen = (over, excess, delay), rule
-    return chosen
+        over = max(alarms - budget * found.minutes, 0)
+        if not len(found.delays):
+            return over, 100 - MISSED, np.inf
+        excess = max(found.missed - MISSED, 0) + max(found.repeated - REPEATED, 0)
+        return over, excess, float(found.delays.mean())
+
+    return min(map(slips[0].sampling.rule, _MENU), key=cost)

@@ -7,7 +7,6 @@ from importlib import import_module
 from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
-from scipy.special import expit
 
 from flows.learn.sampling import USUAL, Sampling
 from operators.batch import Counts, Flags, Reals
@@ -102,16 +101,14 @@ ACTIVITY_AND_STEPS: Final = Features(40, activity_and_steps)
 STROKES: Final = Features(50, strokes)
 
 
-Answer: TypeAlias = Callable[[Reals], Reals]  # features (n, k) to the probability of slip (n,)
-
-
 @dataclass(frozen=True, eq=False)
 class Baseline:
     """Model on features of windows; fitting weights both classes equally."""
 
     name: str
     features: Features
-    answer: Answer
+    model: Any  # of scikit-learn
+    prepare: Callable[[Reals], Reals]  # features (n, k) as the model takes them
 
     @property
     def length(self) -> int:
@@ -120,53 +117,48 @@ class Baseline:
 
     @classmethod
     def fitted(cls, name: str, windows: Counts, slip: Flags, features: Features) -> Self:
-        """Fit logistic regression or gradient boosting (`FITS`) to windows (n, length, cells)."""
-        return cls(name, features, FITS[name](features.of(windows), slip))
+        """Fit logistic regression or gradient boosting (`MODELS`) to windows (n, length, cells)."""
+        found = features.of(windows)
+        model, prepare = MODELS[name](found)
+        model.fit(prepare(found), slip)
+        return cls(name, features, model, prepare)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""
-        return self.answer(self.features.of(windows))
+        probability: Reals = self.model.predict_proba(self.prepare(self.features.of(windows)))[:, 1]
+        return probability
 
 
-def _fit_logistic(features: Reals, slip: Flags) -> Answer:
-    mean, std = features.mean(axis=0), features.std(axis=0) + 1e-9
+Model: TypeAlias = tuple[Any, Callable[[Reals], Reals]]  # of scikit-learn; prepares its features
+
+
+def _logistic(features: Reals) -> Model:
     model = sklearn("linear_model").LogisticRegression(
         C=1 / (_DECAY * len(features)), class_weight="balanced", tol=1e-6, max_iter=1000
     )
-    model.fit((features - mean) / std, slip)
-    return partial(_logistic, mean, std, model.coef_[0], float(model.intercept_[0]))
+    return model, partial(_standardised, features.mean(axis=0), features.std(axis=0) + 1e-9)
 
 
-def _logistic(mean: Reals, std: Reals, weights: Reals, bias: float, features: Reals) -> Reals:
-    probability: Reals = expit((features - mean) / std @ weights + bias)
-    return probability
+def _standardised(mean: Reals, std: Reals, features: Reals) -> Reals:
+    return (features - mean) / std
 
 
-def _fit_boosting(features: Reals, slip: Flags) -> Answer:
+def _boosting(features: Reals) -> Model:
     model = sklearn("ensemble").HistGradientBoostingClassifier(
         max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,
         class_weight="balanced", early_stopping=False, random_state=0,
     )  # fmt: skip
     # scikit-learn 1.9 finds these bins with weights, one by one: several times the time of the fit
-    edges = np.quantile(features, np.arange(1, _BINS) / _BINS, axis=0)  # (bins - 1, k)
-    model.fit(_binned(features, edges), slip)
-    return partial(_boosted, edges, model)
+    return model, partial(_binned, np.quantile(features, np.arange(1, _BINS) / _BINS, axis=0))
 
 
-def _boosted(edges: Reals, model: Any, features: Reals) -> Reals:
-    probability: Reals = model.predict_proba(_binned(features, edges))[:, 1]
-    return probability
+def _binned(edges: Reals, features: Reals) -> Reals:
+    """Return the number of the bin of each feature (n, k); edges (bins - 1, k)."""
+    columns = zip(edges.T, features.T, strict=True)
+    return np.stack([np.searchsorted(edge, column) for edge, column in columns], axis=1).astype(np.float64)
 
 
-def _binned(features: Reals, edges: Reals) -> Reals:
-    """Return the number of the bin of each feature (n, k)."""
-    bins = np.empty(features.shape)
-    for column, edge in enumerate(edges.T):
-        bins[:, column] = np.searchsorted(edge, features[:, column])
-    return bins
-
-
-FITS: Final[Mapping[str, Callable[[Reals, Flags], Answer]]] = {
-    "gradient_boosting": _fit_boosting,
-    "logistic": _fit_logistic,
+MODELS: Final[Mapping[str, Callable[[Reals], Model]]] = {
+    "gradient_boosting": _boosting,
+    "logistic": _logistic,
 }

@@ -4,6 +4,7 @@ CPU time excludes other work on the machine and includes all threads of a librar
 turns, and the median turn counts, so that a temporary load of the machine has no effect.
 """
 
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from itertools import cycle, islice
 from statistics import median
@@ -68,16 +69,16 @@ def costs(
         span: Approximate CPU time of one turn, s.
     """
     steps = {name: _step(detector, counts) for name, detector in detectors.items()}
-    turns = {name: _turn(step, span) for name, step in steps.items()}
-    found: dict[str, list[float]] = {name: [] for name in steps}
-    for _ in range(rounds):
-        for name, step in steps.items():
-            found[name].append(_timed(step, turns[name]) / turns[name] / 1000)
-    return {name: median(times) for name, times in found.items()}
+    samples = {name: _turn(step, span) for name, step in steps.items()}  # of a turn
+    turns = [
+        {name: _timed(step, samples[name]) / samples[name] for name, step in steps.items()}  # ns
+        for _ in range(rounds)
+    ]
+    return {name: median(turn[name] for turn in turns) / 1000 for name in steps}
 
 
 def _step(detector: Detector, counts: Counts) -> Step:
-    """Return a function that makes a detector process its next samples."""
+    """Return a function that makes a detector process a number of samples, the next ones at each call."""
     take: Callable[[Counts], object]
     if isinstance(detector, Streaming):
         take = detector.stream().push
@@ -87,12 +88,7 @@ def _step(detector: Detector, counts: Counts) -> Step:
         begins = range(0, len(counts) - length + 1, max(1, (len(counts) - length) // _WINDOWS))
         given = [counts[None, at : at + length] for at in begins]
     samples = cycle(given)
-
-    def step(number: int) -> None:
-        for sample in islice(samples, number):
-            take(sample)
-
-    return step
+    return lambda number: deque(map(take, islice(samples, number)), maxlen=0)
 
 
 def _turn(step: Step, span: float) -> int:

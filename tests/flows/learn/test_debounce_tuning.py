@@ -26,7 +26,7 @@ def test_a_larger_budget_is_kept_with_a_margin_for_chance_and_spent_on_less_dela
     found, slips = recordings(2, number=6)
     delays = list[float]()
     for budget in (4.0, 20.0, 80.0):
-        events = EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
+        events = EventMetrics.of(found, slips, tuned(found, slips, budget))
         assert events.false_alarms + 1 + np.sqrt(events.false_alarms + 0.75) <= budget * events.minutes
         delays.append(events.delays.mean())
     assert delays[0] > delays[1] > delays[2]

@@ -165,7 +165,7 @@ def test_a_session_whose_fingertip_is_unknown_is_refused_with_the_remedy(tmp_pat
     time, counts = np.full(200, s), np.zeros((200, 6), np.int16)
     session = record(tmp_path, [Touch(time, counts, counts, np.ones((200, 6), np.bool_), finger=0)])
     session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
-    with pytest.raises(InputError, match="does not state its fingertip, .*: record or import it again"):
+    with pytest.raises(InputError, match=r"does not state its fingertip, .*: record or import it again"):
         load(tmp_path)
 
 

@@ -3,7 +3,7 @@ import pytest
 
 from flows.learn.evaluation.baselines import (
     ACTIVITY,
-    FITS,
+    MODELS,
     STROKES,
     Baseline,
 )
@@ -21,7 +21,7 @@ def shaking(seed: int) -> tuple[Counts, Flags]:
     return windows.astype(np.int16), slip
 
 
-@pytest.mark.parametrize("name", FITS)
+@pytest.mark.parametrize("name", MODELS)
 def test_a_baseline_detects_shaking_of_any_cell(name: str) -> None:
     with one_thread():  # as in evaluations; busy cores slow several threads down
         fitted = Baseline.fitted(name, *shaking(0), ACTIVITY)
