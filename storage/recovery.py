@@ -4,17 +4,16 @@ import os
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import count
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, cast
 
-from operators.batch import Batch
 from operators.errors import EndpointError, os_error_reason
 from operators.ports import Description
 from storage import files
-from storage.append_log import Damage, LogReader
+from storage.append_log import LogReader
 from storage.description import describe_recovery, read_session
 from storage.files import lock
 from storage.journal import Buffer, NumberedRows, check_segment, decode, delete_journal
@@ -24,6 +23,7 @@ from storage.layout import (
     LABELS,
     MANIFEST,
     SEGMENTS,
+    TABLE_OF,
     TABLES,
     Table,
     check_links,
@@ -108,18 +108,15 @@ class Repair:
 
     def __init__(self, folder: Path, about: Description) -> None:
         self._folder, self._about, self._session = folder, about, str(about["session"])
-        self.lost, self.cut, self.done = list[str](), list[str](), list[str]()  # as in `Recovery`
+        self.lost, self.cut, self.done = list[str](), list[str](), list[str]()
         self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
         self._listed = listed = read_manifest(folder, about)
-        self._parts = {
-            table.name: [part for path, part in listed.items() if table.has(path)] for table in TABLES
-        }
+        self._parts = {table: [part for path, part in listed.items() if table.has(path)] for table in TABLES}
         found = [path for table in TABLES for path in numbered_files(folder, table.pattern).values()]
         self._strays = [path for path in found if path.relative_to(folder).as_posix() not in listed]
         self._logs = numbered_files(folder, SEGMENTS)
         self._damaged = list[Path]()  # segments to be kept
-        self._rows = Counter[str]()  # that the journal adds, by table
-        self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
+        self._rows = dict[Table, Buffer]()  # that the journal adds
         self._read_journal()
         self._covered = not self._strays or (bool(self._logs) and not self.lost)  # the journal has their rows
         if not self._covered:
@@ -137,42 +134,74 @@ class Repair:
         Raises:
             OSError: it may be tried again.
         """
-        before = {name: _count(parts) for name, parts in self._parts.items()}
         if not self._covered:
             for path in self._strays:
                 self._move_away(path)
-        self._commit_journal()
-        after = {name: _count(parts) for name, parts in self._parts.items()}
-        found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
-        result = Recovery(self._session, found, tuple(self.lost), tuple(self.done))
-        self._describe(result)
-        parts = self._all_parts()
-        if set(parts) != set(self._listed.values()) or not may_exist(self._folder / MANIFEST):
-            write_manifest(self._folder, parts, about=self._about)
-        return replace(result, done=(*result.done, *self._clean_up()))
+        rows = dict[str, int]()
+        for table in (table for table in TABLES if table in self._rows):
+            before = self._parts[table] if table.parted else []
+            number = 1 + max((file_number(table.pattern, part.path) or 0 for part in before), default=-1)
+            new = to_arrow(table, self._rows[table].batches())
+            parts = write_parts(self._folder, table, new, number=number, limit=PART_ROWS)
+            rows[table.name] = len(new) - (0 if table.parted else _count(self._parts[table]))
+            self._parts[table] = [*before, *parts]
+        if rows or self.lost or not (self._before or "end_ns" in self._about):
+            recovered = {
+                "rows": rows or self._before.get("rows", {}),
+                "lost": [*self._before.get("lost", []), *self.lost],
+                "cut": [*self._before.get("cut", []), *self.cut],
+            }
+            newest = max((part.last for part in self._all_parts() if part.rows), default=None)
+            describe_recovery(self._folder, self._about, recovered, newest=newest)
+        if set(self._all_parts()) != {*self._listed.values()} or not may_exist(self._folder / MANIFEST):
+            write_manifest(self._folder, self._all_parts(), about=self._about)
+        self._clean_up()
+        return Recovery(self._session, rows, tuple(self.lost), tuple(self.done))
 
     def _all_parts(self) -> list[Part]:
         return [part for each in self._parts.values() for part in each]
 
     def _read_journal(self) -> None:
-        """Count the rows of the journal that follow those in parts, and note what is lost."""
-        damages = dict[Path, Damage | None]()
-        for table, rows in self._journal_rows(damages):
-            self._rows[table.name] += len(rows)
-        for table in TABLES:
-            if not table.parted and self._rows[table.name] <= _count(self._parts[table.name]):
-                del self._rows[table.name]  # its file has them already
-        for path, damage in damages.items():
-            if damage:
+        """Read the rows of the journal up to the first missing row of each table, and note what is lost."""
+        left_out = Counter[Table]()
+        for first, batch in self._journal_rows():
+            table = TABLE_OF[type(batch)]
+            start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
+            buffer = self._rows.get(table) or Buffer(type(batch), start, batch.cells)
+            if table in left_out or first > buffer.end:
+                left_out[table] += len(batch)
+            elif first + len(batch) > buffer.end:
+                buffer.add(batch[buffer.end - first :])
+                self._rows[table] = buffer
+        for table in (table for table in [*self._rows] if not table.parted):
+            if self._rows[table].rows <= _count(self._parts[table]):
+                del self._rows[table]  # its file has them already
+        for table, rows in left_out.items():
+            end = self._rows[table].end if table in self._rows else _count(self._parts[table])
+            self.lost.append(f"{table.name}: {rows} rows that do not follow row {end}")
+            self._damaged = list(self._logs.values())
+
+    def _journal_rows(self) -> Iterator[NumberedRows]:
+        """Yield the rows of all segments, those of single-file tables last; each segment repeats these.
+
+        Note damages of segments.
+        """
+        single = list[NumberedRows]()
+        for number, path in self._logs.items():
+            with LogReader(path) as reader:
+                check_segment(reader, self._session, number)
+                for record in reader.records():
+                    rows = decode(record.data, str(path))
+                    if TABLE_OF[type(rows.batch)].parted:
+                        yield rows
+                    else:
+                        single.append(rows)
+            if damage := reader.damage:
                 reason = "the recorder was cut off there" if damage.torn else "it is damaged"
                 self.lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
-                self.cut += self.lost[-1:] if damage.torn and path == [*damages][-1] else []
+                self.cut += self.lost[-1:] if damage.torn and number == max(self._logs) else []
                 self._damaged += [] if damage.torn else [path]
-        for name, rows_left in self._left_out.items():
-            follow = _count(self._parts[name]) + self._rows[name]
-            self.lost.append(f"{name}: {rows_left} rows that do not follow row {follow}")
-        if self._left_out:
-            self._damaged = list(self._logs.values())
+        yield from sorted(single, key=attrgetter("first"))
 
     def _note_missing_end(self) -> None:
         """Note what is missing in a session that was not closed."""
@@ -182,64 +211,8 @@ class Repair:
             self.lost.append("was not closed and lacks its journal: rows after its last part are missing")
             self.cut += [] if (self._folder / JOURNAL).is_dir() else self.lost[-1:]  # a killed replay
 
-    def _journal_rows(self, damages: dict[Path, Damage | None]) -> Iterator[tuple[Table, Batch]]:
-        """Yield the rows that follow those in parts, up to the first missing row of each table.
-
-        Single-file tables begin anew. Count the other rows in `_left_out`, and note damages of segments.
-        """
-        next_row = {table.name: _count(self._parts[table.name]) if table.parted else 0 for table in TABLES}
-        self._left_out.clear()
-        for rows in self._all_rows(damages):
-            table, end = rows.table, rows.first + len(rows.batch)
-            name, next_of_table = table.name, next_row[rows.table.name]
-            if name in self._left_out or rows.first > next_of_table:
-                self._left_out[name] += len(rows.batch)
-            elif end > next_of_table:
-                next_row[name] = end
-                yield table, rows.batch[next_of_table - rows.first :]
-
-    def _all_rows(self, damages: dict[Path, Damage | None]) -> Iterator[NumberedRows]:
-        """Yield the rows of all segments, those of single-file tables last; each segment repeats these."""
-        single = list[NumberedRows]()
-        for number, path in self._logs.items():
-            with LogReader(path) as reader:
-                check_segment(reader, self._session, number)
-                for record in reader.records():
-                    rows = decode(record.data, str(path))
-                    if rows.table.parted:
-                        yield rows
-                    else:
-                        single.append(rows)
-                damages[path] = reader.damage
-        yield from sorted(single, key=attrgetter("first"))
-
-    def _commit_journal(self) -> None:
-        """Write the rows of the journal as the next parts of multi-part tables, or as single files."""
-        buffers = dict[Table, Buffer]()
-        for table, rows in self._journal_rows({}):
-            if table.name in self._rows:
-                buffers.setdefault(table, Buffer(type(rows), cells=rows.cells)).add(rows)
-        for table, buffer in buffers.items():
-            before = self._parts[table.name] if table.parted else []
-            number = 1 + max((file_number(table.pattern, part.path) or 0 for part in before), default=-1)
-            found = to_arrow(table, buffer.batches())
-            parts = write_parts(self._folder, table, found, number=number, limit=PART_ROWS)
-            self._parts[table.name] = [*before, *parts]
-
-    def _describe(self, result: Recovery) -> None:
-        """Record the recovery in session.json."""
-        if not (result.rows or result.lost) and (self._before or "end_ns" in self._about):
-            return
-        recovered = {
-            "rows": dict(result.rows or self._before.get("rows", {})),
-            "lost": [*self._before.get("lost", []), *self.lost],
-            "cut": [*self._before.get("cut", []), *self.cut],
-        }
-        newest = max((part.last for part in self._all_parts() if part.rows), default=None)
-        describe_recovery(self._folder, self._about, recovered, newest=newest)
-
-    def _clean_up(self) -> list[str]:
-        """Delete temporary files, strays and the journal, keep damaged files; return lines for `done`."""
+    def _clean_up(self) -> None:
+        """Delete temporary files, strays and the journal; keep damaged files."""
         for path in self._damaged:
             self._move_away(path)
         listed = {self._folder / part.path for part in self._all_parts()}
@@ -248,7 +221,7 @@ class Repair:
             path.unlink(missing_ok=True)
         if (self._folder / JOURNAL).is_dir():
             delete_journal(self._folder)
-        return [f"{len(scratch)} incomplete files were deleted"] if scratch else []
+        self.done += [f"{len(scratch)} incomplete files were deleted"] if scratch else []
 
     def _move_away(self, path: Path) -> None:
         """Move a file to the folder `damaged`, under a name that is free."""
