@@ -30,7 +30,6 @@ COLUMNS: Final[Mapping[str, type[pl.DataType]]] = {
 DRAWS: Final = 1000
 _LEAST: Final = 3  # recordings: fewer give no interval
 _TAILS: Final = (0.025, 0.975)
-_BINS: Final = 512  # of the values, for the area under the ROC curve in draws
 
 
 def result_rows(
@@ -97,8 +96,8 @@ class Statistic:
     """A number that is computed from the metrics of a group of recordings."""
 
     of: Callable[[Recordings], float]  # NaN: unknown
-    # in draws that contain each recording as often as weights (draws, recordings); (draws,)
-    drawn: Callable[[Recordings, Values], Values]
+    # in draws that have each recording as often as weights (draws, recordings); (draws,); None: no interval
+    drawn: Callable[[Recordings, Values], Values] | None = None
 
 
 def of_sums(compute: Callable[[Callable[[str], Values]], Values]) -> Statistic:
@@ -169,22 +168,7 @@ def area(upper: str, lower: str) -> Statistic:
         ranks = rankdata(np.concatenate([high, low]))[: len(high)]
         return 100 * float((ranks.sum() / len(high) - (len(high) + 1) / 2) / len(low))
 
-    def drawn(group: Recordings, weights: Values) -> Values:  # from histograms of the values
-        parts = group.values(upper), group.values(lower)
-        pooled = np.concatenate([values for _, values in parts])
-        if not len(pooled):
-            return np.full(len(weights), np.nan)
-        edges = np.unique(np.quantile(pooled, np.linspace(0, 1, _BINS + 1)[1:-1]))
-        size, cells = len(edges) + 1, len(group.names) * (len(edges) + 1)
-        counts = [
-            np.bincount(places * size + edges.searchsorted(values, "right"), minlength=cells)
-            for places, values in parts
-        ]
-        high, low = (weights @ each.reshape(-1, size) for each in counts)  # (draws, bins) each
-        below = np.cumsum(low, axis=1) - low / 2  # equal values count half
-        return 100 * ratio((high * below).sum(axis=1), high.sum(axis=1) * low.sum(axis=1))
-
-    return Statistic(of, drawn)
+    return Statistic(of)
 
 
 def ratio(part: Values, whole: Values) -> Values:
@@ -222,7 +206,7 @@ def estimates(
         group = Recordings(part)
         weights = _weights(len(group.names), draws)
         for name, statistic in statistics.items():
-            drawn = statistic.drawn(group, weights) if len(weights) else np.empty(0)
+            drawn = statistic.drawn(group, weights) if statistic.drawn and len(weights) else np.empty(0)
             known = drawn[np.isfinite(drawn)]
             low, high = np.quantile(known, _TAILS).tolist() if len(known) else (None, None)
             value = statistic.of(group)
