@@ -1,9 +1,8 @@
 """Sink that prints slip events and faults, as text or JSON."""
 
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TextIO
+from typing import Literal
 
 from connectors.events import encode, faults, finger_name, slips, timestamp
 from operators.batch import Faults, Slips, ms
@@ -14,7 +13,7 @@ from operators.ports import Json, Run, Sink
 
 @dataclass(eq=False)
 class Console(Sink[Slips | Faults]):
-    """Slip events and faults as lines of a stream, coloured on a terminal: time (UTC), fingertip, event.
+    """Slip events and faults as printed lines, coloured on a terminal: time (UTC), fingertip, event.
 
     >>> import asyncio
     >>> import numpy as np
@@ -34,7 +33,6 @@ class Console(Sink[Slips | Faults]):
 
     shared = True  # a parallel replay sorts the lines of all processes
 
-    stream: TextIO | None = field(default=None, repr=False)  # None: sys.stdout
     format: Literal["text", "json"] = "text"
     _run: Run | None = field(default=None, init=False, repr=False)
 
@@ -44,11 +42,7 @@ class Console(Sink[Slips | Faults]):
     @property
     def destination(self) -> str:
         """Name of the stream."""
-        return str(getattr(self._out, "name", "console"))
-
-    @property
-    def _out(self) -> TextIO:
-        return self.stream or sys.stdout  # which commands redirect
+        return str(getattr(sys.stdout, "name", "console"))
 
     async def open(self, run: Run) -> None:
         """Use the clock and the recording name of this run."""
@@ -70,44 +64,34 @@ class Console(Sink[Slips | Faults]):
         if isinstance(batch, Faults):
             for time, fault, begins in faults(batch):
                 change = "begins" if begins else "ends"
-                if self.format == "json":
-                    details: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
-                    name = f"limit_{change}" if fault.limit else f"fault_{change}"
-                    self._print_json(time, batch.finger, name, details)
-                else:
-                    kind = "range limit" if fault.limit else fault.kind
-                    self._print(time, batch.finger, f"barometer {fault.barometer} {kind} {change}", "yellow")
+                event = f"{'limit' if fault.limit else 'fault'}_{change}"
+                details: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
+                text = f"barometer {fault.barometer} {'range limit' if fault.limit else fault.kind} {change}"
+                self._print(time, batch.finger, event, details, text, "yellow")
             return
         for slip in slips(batch):
-            latency = self._run.latency(slip.time) if self._run else None
-            if self.format == "json":
-                known: dict[str, Json] = {} if latency is None else {"latency_ms": round(latency / ms, 3)}
-                name = "slip_onset" if slip.onset else "slip_end"
-                self._print_json(slip.time, batch.finger, name, {"p": slip.probability, **known})
-                continue
-            text, style = ("slip onset", "bold red") if slip.onset else ("slip end  ", "green")
-            late = [] if latency is None else [f"sensor to event {latency / ms:.1f} ms"]
-            self._print(slip.time, batch.finger, "  ".join([text, f"p {slip.probability:.2f}", *late]), style)
+            event, style = ("slip_onset", "bold red") if slip.onset else ("slip_end", "green")
+            details = {"p": slip.probability}
+            text = f"{event.replace('_', ' '):10}  p {slip.probability:.2f}"
+            if self._run and (latency := self._run.latency(slip.time)) is not None:
+                details["latency_ms"] = round(latency / ms, 3)
+                text += f"  sensor to event {latency / ms:.1f} ms"
+            self._print(slip.time, batch.finger, event, details, text, style)
 
-    def _print_json(self, time: int, finger: int, event: str, details: Mapping[str, Json]) -> None:
+    def _print(
+        self, time: int, finger: int, event: str, details: dict[str, Json], text: str, style: str
+    ) -> None:
+        when, which, out = timestamp(time), finger_name(finger), sys.stdout  # which commands redirect
         recording = self._run.recording if self._run else None
-        source: dict[str, Json] = {} if recording is None else {"recording": recording}
-        document = {
-            "time": timestamp(time),
-            "event": event,
-            **source,
-            "finger": finger_name(finger),
-            **details,
-        }
-        # one write per line: other processes may print to the same stream
-        self._out.write(f"{encode(document).decode()}\n")
-        self._out.flush()
-
-    def _print(self, time: int, finger: int, text: str, style: str) -> None:
-        line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}"
-        if self._out.isatty():
+        if self.format == "json":
+            source: dict[str, Json] = {} if recording is None else {"recording": recording}
+            line = encode({"time": when, "event": event, **source, "finger": which, **details}).decode()
+        else:
+            line = f"{when[:23].replace('T', ' ')}  finger {which}  {text}"
+        if self.format == "text" and out.isatty():
             from rich.console import Console as Terminal
 
-            Terminal(file=self._out).print(line, style=style, highlight=False, markup=False, soft_wrap=True)
+            Terminal(file=out).print(line, style=style, highlight=False, markup=False, soft_wrap=True)
         else:
-            print(line, file=self._out, flush=True)
+            out.write(f"{line}\n")  # one write per line: other processes may print to the same stream
+            out.flush()

@@ -110,13 +110,11 @@ class Fields:
     def ranges(self, name: str) -> list[tuple[int, int]]:
         """Return a field with a list of ranges ``[first, last]`` of integers from 1."""
         items, found = self._items(name), list[tuple[int, int]]()
-        for item, value in items.values.items():
-            if not isinstance(value, list) or len(value) != len(("first", "last")):
+        for item in items.values:
+            numbers = items.integers(item)
+            if len(numbers) != len(("first", "last")) or numbers[1] < numbers[0]:
                 items.fail(item, "[first, last]")
-            first, last = items.integers(item)
-            if last < first:
-                items.fail(item, "[first, last]")
-            found.append((first, last))
+            found.append((numbers[0], numbers[1]))
         return found
 
     def _items(self, name: str) -> "Fields":

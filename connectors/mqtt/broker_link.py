@@ -6,11 +6,9 @@ import os
 import re
 import socket
 import ssl
-import time
 from collections import deque
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import suppress
-from math import inf
 from secrets import token_hex
 from typing import Any, Final
 
@@ -38,8 +36,6 @@ SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the l
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
 INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
-EXPIRES_SOON: Final = 14.0  # days
-DAY: Final = 86400.0  # s
 
 _REFUSAL: Final = 0.2  # s, from the end of a connection to the reason of its refusal
 _CLOSED = "the broker closed the connection"
@@ -148,11 +144,6 @@ class Link:
             self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
 
-    def peer_certificate(self) -> dict[str, object]:
-        """Return the certificate of a broker that uses TLS, as `ssl.SSLSocket.getpeercert` does."""
-        sock = self._paho.socket()
-        return dict((isinstance(sock, ssl.SSLSocket) and sock.getpeercert()) or {})
-
     def post(self, message: Message) -> None:
         """Publish a message without waiting for its acknowledgement, which may never come."""
         self._publish(message)
@@ -188,9 +179,8 @@ class Link:
         """
         filters = [(topic, SubscribeOptions(qos=1)) for topic in topics]
         try:
-            async with asyncio.timeout(TIMEOUT):
-                answers = await self._client.subscribe(filters, timeout=inf)
-        except (aiomqtt.MqttError, TimeoutError) as error:
+            answers = await self._client.subscribe(filters)
+        except aiomqtt.MqttError as error:
             raise EndpointError(self._url, f"connection lost ({_reason(error)})") from None
         for topic, answer in zip(topics, answers, strict=True):
             if isinstance(answer, ReasonCode) and answer.is_failure:
@@ -358,7 +348,7 @@ async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGene
     try:
         yield _login(broker, user, password)
         if broker.scheme == "mqtts":
-            yield _certificate(broker, link.peer_certificate())
+            yield Finding(str(broker), "TLS with a trusted certificate")
         start = clock.now()
         [refusal] = await link.send_all([Message(topic, b"{}", retain=False)])
         if refusal:
@@ -378,15 +368,3 @@ def _login(broker: Broker, user: str | None, password: str | None) -> Finding:
         return Finding(str(broker), text, "note")
     remedy = f"; set {USER} if it should not" if not user and not is_loopback(broker.host) else ""
     return Finding(str(broker), f"admits {who}{remedy}", "note" if remedy else "good")
-
-
-def _certificate(broker: Broker, certificate: dict[str, object]) -> Finding:
-    """Return for how long the broker's certificate is valid."""
-    end = str(certificate.get("notAfter", ""))
-    left = 0.0
-    with suppress(ValueError):
-        left = (ssl.cert_time_to_seconds(end) - time.time()) / DAY
-    text = f"TLS with a trusted certificate, valid for {left:.0f} days"
-    if left > EXPIRES_SOON:
-        return Finding(str(broker), text)
-    return Finding(str(broker), f"{text}: renew it, and set {CA} if another authority signs it", "note")

@@ -121,16 +121,14 @@ class Outbox:
         """Return the oldest unsent entries, at most `limit`, all of one epoch."""
         for epoch, last in list(self._released.items()):
             while self._sent[epoch] < last:
-                first = self._sent[epoch] + 1
-                numbers = range(first, min(first + limit, last + 1))
                 try:
-                    found = await self._load(epoch, numbers)
+                    found, reached = await self.between(epoch, self._sent[epoch] + 1, last, limit)
                 except OSError as error:
                     log.warning("%s: cannot be read, retrying: %s", self.path, os_error_reason(error))
                     break  # epochs do not wait for each other
                 if found:
                     return found
-                self._skip_to(epoch, numbers[-1] + 1)
+                self._skip_to(epoch, reached + 1)
         return []
 
     async def between(self, epoch: str, first: int, last: int, limit: int) -> tuple[list[Entry], int]:

@@ -18,10 +18,7 @@ _FILE_NAME_MAX: Final = 200  # bytes; the limit of file systems is 255
 
 def host_rig() -> str:
     """Return the default name of a rig: that of the host, without its domain."""
-    name = re.sub(r"[^\w.-]", "-", gethostname().partition(".")[0])[:NAME_MAX]
-    while is_replay(name):
-        name = name.removesuffix(SUFFIX)
-    return name or "rig"
+    return re.sub(r"[^\w.-]", "-", gethostname().partition(".")[0])[:NAME_MAX] or "rig"
 
 
 def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> str:

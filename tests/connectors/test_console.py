@@ -1,6 +1,7 @@
 import asyncio
 import io
 import json
+from contextlib import redirect_stdout
 from dataclasses import replace
 from typing import Any, Literal, cast
 
@@ -37,13 +38,14 @@ def printed(
     stream: io.StringIO, run: Run, *batches: Slips | Faults, form: Literal["text", "json"] = "text"
 ) -> list[str]:
     async def main() -> None:
-        sink = Console(stream, form)
+        sink = Console(form)
         await sink.open(run)
         for batch in batches:
             await sink.write(batch)
         await sink.close()
 
-    asyncio.run(main())
+    with redirect_stdout(stream):
+        asyncio.run(main())
     return stream.getvalue().splitlines()
 
 

@@ -119,17 +119,17 @@ def test_notes_and_the_error_of_a_command_are_records_of_a_json_log(
     assert capsys.readouterr().err == ""
 
 
-def test_consoles_print_json_and_one_is_added_if_there_is_none() -> None:
-    flow, stream = Flow("pressed"), StringIO()
+def test_consoles_print_json_and_one_is_added_if_there_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+    flow = Flow("pressed")
     slips = flow.source(TestSource(Scores, [scores(0.9, 0.9)])) | Debounce()
-    slips.to(Console(stream))
+    slips.to(Console())
     print_json(flow)
 
     async def main() -> None:
         await LiveRunner(flow, "run1").execute()
 
     asyncio.run(main())
-    assert [each["event"] for each in objects(stream.getvalue())] == ["slip_onset"]
+    assert [each["event"] for each in objects(capsys.readouterr().out)] == ["slip_onset"]
     bare = Flow("bare")
     slips = bare.source(TestSource(Scores)) | Debounce()
     slips.to(TestSink())
