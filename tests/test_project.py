@@ -148,7 +148,7 @@ def test_operators_import_no_heavy_package() -> None:
 
 
 def test_check_imports_no_heavy_package() -> None:
-    heavy = {"scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba", "onnxruntime", "matplotlib"}
+    heavy = {"scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba", "matplotlib"}
     code = f"import sys; from flows.cli.check import check; check('live'); print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"

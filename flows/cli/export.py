@@ -7,29 +7,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.cli.options import AsJson
+from flows.cli.options import AsJson, DatasetOrSession
 from flows.cli.terminal import check_output_file, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
     from storage import Session
 
-_FORMATS = ("lerobot", "mcap", "onnx")
+_FORMATS = ("lerobot", "mcap")
 
 
 def export(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE", help="Folder of a dataset or session; with --to onnx a model: tcn or its file."
-        ),
-    ],
-    out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="New folder; FILE.mcap for one session; FILE.onnx.")
-    ],
+    source: DatasetOrSession,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New folder; FILE.mcap for one session.")],
     *,
     to: Annotated[
-        str, typer.Option("--to", metavar="FORMAT", help="lerobot (LeRobot v3.0), mcap (Foxglove) or onnx.")
+        str, typer.Option("--to", metavar="FORMAT", help="lerobot (LeRobot v3.0) or mcap (Foxglove).")
     ],
     rate: Annotated[
         int | None,
@@ -39,7 +32,7 @@ def export(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Export recordings to LeRobot or MCAP, or a model to ONNX.
+    """Export recordings to LeRobot or MCAP.
 
     lerobot: each session becomes an episode. The observation is the zeroed counts of all fingertips, the
     action is the arm velocity. Each frame takes the nearest sample; without one it repeats the frame before
@@ -48,24 +41,15 @@ def export(
     mcap: every row of every stream at its event time, on the topics /touch/FINGER, /motion, /samples/FINGER,
     /slip/FINGER and /faults; one file per session. Requires the extra `mcap`.
 
-    onnx: a tcn for other runtimes, from windows of zeroed counts to the calibrated probability of slip.
-    Requires the extra `onnx`.
-
     Examples:
       slipflow export recordings lerobot --to lerobot --rate 50
       slipflow export recordings/sessions/stroke-9 stroke.mcap --to mcap
-      slipflow export mine.safetensors mine.onnx --to onnx
     """
     if to not in _FORMATS:
-        raise typer.BadParameter(f"--to {to}: give lerobot, mcap or onnx")
+        raise typer.BadParameter(f"--to {to}: give lerobot or mcap")
     if rate is not None and to != "lerobot":
         raise typer.BadParameter(f"--rate requires --to lerobot: omit it with --to {to}")
-    if to == "lerobot":
-        found, text = _lerobot(Path(source), out, rate)
-    elif to == "mcap":
-        found, text = _mcap(Path(source), out)
-    else:
-        found, text = _onnx(source, out)
+    found, text = _lerobot(source, out, rate) if to == "lerobot" else _mcap(source, out)
     typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
 
 
@@ -117,17 +101,3 @@ def _mcap(source: Path, out: Path) -> tuple[dict[str, Any], str]:
     rows = sum(sum(topics.values()) for topics in files.values())
     text = f"{counted(len(files), 'file')}, {counted(rows, 'row')}\nwrote {', '.join(files)}"
     return {"files": files}, text
-
-
-def _onnx(model: str, out: Path) -> tuple[dict[str, Any], str]:
-    from flows.learn.training.onnx_export import export_onnx
-    from operators.detectors import Tcn
-    from operators.errors import InputError
-    from storage import load_detector
-
-    detector = load_detector(model)
-    if not isinstance(detector, Tcn):
-        raise InputError(model, "is not a tcn; only a tcn can be exported: give tcn or a file of its weights")
-    check_output_file(out)
-    export_onnx(detector, out)
-    return {"model": model}, f"wrote {out}"

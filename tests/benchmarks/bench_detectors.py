@@ -11,17 +11,13 @@ import gc
 import statistics
 import time
 from collections.abc import Callable
-from importlib import import_module
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.training.onnx_export import export_onnx
 from operators import Debounce, Score, Touch, Zero, Zeroed, ms
-from operators.batch import Batch, Counts, Reals, Scores
+from operators.batch import Batch, Counts, Scores
 from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.operator import Operator
@@ -33,28 +29,6 @@ SAMPLES = 2000  # of one fingertip
 DEFAULT = 16  # filters
 TURNS = 15
 Run = Callable[[], int]  # says how many samples it scored
-
-
-class OnnxWindowed:
-    """`Tcn` run by onnxruntime on whole windows, on one thread."""
-
-    name = "onnxruntime_windowed"
-
-    def __init__(self, tcn: Tcn) -> None:
-        runtime: Any = import_module("onnxruntime")  # an extra without type annotations
-        options = runtime.SessionOptions()
-        options.intra_op_num_threads = options.inter_op_num_threads = 1
-        self.length = tcn.length
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "tcn.onnx"
-            export_onnx(tcn, path)
-            self._session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-
-    def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, length, 6) of zeroed counts; (n,)."""
-        inputs = {"counts": windows.astype(np.float32, order="C")}
-        probability: Reals = self._session.run(None, inputs)[0].astype(np.float64)
-        return probability
 
 
 def network(filters: int) -> Tcn:
@@ -123,11 +97,9 @@ def windowed(detector: Detector, counts: Counts, number: int) -> Run:
 def variants(filters: int, counts: Counts) -> dict[str, Run]:
     """What is measured for one size."""
     tcn = network(filters)
-    runtime = OnnxWindowed(tcn)
     windows = sliding_window_view(counts, tcn.length, axis=0)[:50].swapaxes(1, 2)
     streamed = tcn.stream().push(counts[:, None])[tcn.length - 1 :][:50, 0]
-    for same in (tcn.score(windows), runtime.score(windows)):
-        np.testing.assert_allclose(same, streamed, atol=1e-5)
+    np.testing.assert_allclose(tcn.score(windows), streamed, atol=1e-5)
     return {
         "streaming": streaming(tcn, counts, 1),
         "live, through Score": live(tcn, counts),
@@ -136,7 +108,6 @@ def variants(filters: int, counts: Counts) -> dict[str, Run]:
             for fingers in FINGERS
         },
         "windowed, numpy": windowed(tcn, counts, 200),
-        "windowed, onnxruntime": windowed(runtime, counts, 100),
     }
 
 
@@ -160,9 +131,6 @@ def main() -> None:
     for name in dict.fromkeys(name for name, filters in cost if filters):
         medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
         print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
-    pairs = [(cost["windowed, onnxruntime", each], cost["streaming", each]) for each in FILTERS]
-    ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
-    print(f"{'windowed, onnxruntime : streaming':46}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
     path = {"Zero": ("Zero", 0), "Score": ("live, through Score", DEFAULT), "Debounce": ("Debounce", 0)}
     costs = {name: statistics.median(cost[key]) for name, key in path.items()}
     print(f"us per sample, live, {DEFAULT} filters")

@@ -51,7 +51,7 @@ def test_mistakes_are_one_line_each(tiny: Path, tmp_path: Path) -> None:
         assert "Traceback" not in done.stderr
 
 
-def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
+def test_train_writes_files(tiny: Path, tmp_path: Path) -> None:
     size = ("--filters", "4", "--steps", "20", "-o", "small.safetensors")
     done = slipflow("train", str(tiny), *size, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -59,18 +59,6 @@ def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
     assert model["recipe"]["steps"] == 20
     assert json.loads((tmp_path / "small.json").read_text())["sha256"] == model["sha256"]
     assert re.search(r"^step 20 of 20: accuracy \d+\.\d\d % on validation, \d+ s$", done.stderr, re.MULTILINE)
-    done = slipflow("export", "small.safetensors", "small.onnx", "--to", "onnx", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "small.onnx").stat().st_size > 1000
-
-
-def test_only_a_tcn_can_be_exported_and_only_to_an_existing_folder(tmp_path: Path) -> None:
-    done = slipflow("export", "psd", "psd.onnx", "--to", "onnx", cwd=tmp_path)
-    assert (done.returncode, "is not a tcn" in done.stderr) == (2, True)
-    done = slipflow("export", "tcn", "nowhere/tcn.onnx", "--to", "onnx", cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "nowhere/tcn.onnx" in done.stderr
 
 
 def test_interrupted_training_stops_without_a_model(
@@ -116,16 +104,15 @@ main()
     ("arguments", "hidden", "error"),
     [
         (["evaluate", "DATA", "--method", "tcn", "--method", "logistic", "--jobs", "1"],
-         {"torch", "onnx", "sklearn"},
+         {"torch", "sklearn"},
          "not evaluated: logistic: needs scikit-learn: in the clone, pip install -e '.[baselines]'"),
-        (["train", "DATA", "--filters", "2", "--steps", "1"], {"onnx", "sklearn"}, ""),
-        (["export", "tcn", "tcn.onnx", "--to", "onnx"], {"torch", "sklearn"}, ""),
+        (["train", "DATA", "--filters", "2", "--steps", "1"], {"sklearn"}, ""),
     ],
 )  # fmt: skip
 def test_a_command_needs_only_the_packages_that_it_uses(
     tiny: Path, tmp_path: Path, arguments: list[str], hidden: set[str], error: str
 ) -> None:
-    code = HIDING.replace("{hidden}", repr({*hidden, "onnxruntime"}))
+    code = HIDING.replace("{hidden}", repr(hidden))
     given = [str(tiny) if each == "DATA" else each for each in arguments]
     done = subprocess.run(
         [sys.executable, "-c", code, *given], capture_output=True, text=True, check=False, cwd=tmp_path

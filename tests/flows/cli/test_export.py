@@ -77,7 +77,7 @@ def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
     ("arguments", "message"),
     [
         (["export", "nowhere", "out", "--to", "lerobot"], "nowhere: there is no such folder"),
-        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot, mcap or onnx"),
+        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot or mcap"),
         (["export", "nowhere", "out", "--to", "mcap", "--rate", "5"], "--rate requires --to lerobot"),
     ],
 )
