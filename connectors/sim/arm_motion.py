@@ -14,111 +14,27 @@ base's. At yaw q about its normal, its rotation vector is pi (cos q/2, -sin q/2,
 """
 
 import math
-from typing import Final, NamedTuple
+from typing import Final, TypeVar
 
 import numpy as np
 
-from connectors.sim.contact import compiled
 from connectors.sim.scene import Move, Sampler, Scene
 from operators.batch import Motion, Reals, s
+
+Value = TypeVar("Value", float, Reals)
 
 TAP_DURATION: Final = 0.01  # s
 SPIN_ACCELERATION: Final = 10.0  # rad/s2, at the ends of a rotation
 CONTROLLER_UPTIME: Final = 3600.0  # s at the beginning of a run
 
 
-class Course(NamedTuple):
-    """Constants of one move."""
-
-    start: float  # s
-    seconds: float
-    rest: float  # s
-    ramp: float  # s
-    speed: float  # m/s or, of a rotation, rad/s
-    spins: bool
-    along: tuple[float, float]  # unit vector of the direction, in the fingertip's frame
-    onward: tuple[float, float]  # unit vector of the direction, in the frame of the pose
-    pose: tuple[float, float, float]  # m, m, rad at the start
-    end: tuple[float, float, float]  # m, m, rad at the end
-    tap: float  # N
-    settle: float  # s
-    first: float  # N at the start
-    last: float  # N after settling
-
-
-def course(move: Move, start: float, pose: tuple[float, float, float], force: float, scene: Scene) -> Course:
-    """Return the course of a move from `start` (s), an initial pose (m, m, rad) and force (N)."""
-    heading, spins = math.radians(move.direction_deg), move.motion == "rotation"
-    acceleration = SPIN_ACCELERATION if spins else scene.acceleration
-    ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
-    onward = math.cos(heading + pose[2]), math.sin(heading + pose[2])
-    travel = move.speed * (move.seconds - move.rest - ramp)
-    return Course(
-        start=start,
-        seconds=move.seconds,
-        rest=move.rest,
-        ramp=ramp,
-        speed=move.speed,
-        spins=spins,
-        along=(math.cos(heading), math.sin(heading)),
-        onward=onward,
-        pose=pose,
-        end=(
-            (pose[0], pose[1], pose[2] + travel)
-            if spins
-            else (pose[0] + travel * onward[0], pose[1] + travel * onward[1], pose[2])
-        ),
-        tap=move.tap,
-        settle=move.settle,
-        first=force,
-        last=force if move.force is None else move.force,
-    )
-
-
-@compiled
-def follow(course: Course, times: Reals, drive: Reals, pose: Reals) -> None:
-    """Write the trajectory of a course at instants (k,) (s) to `drive` (k, 6), initially 0, and `pose`."""
-    for i in range(times.size):
-        t = times[i] - course.start
-        pose[i, 0], pose[i, 1], pose[i, 2] = course.pose
-        if course.speed != 0.0:
-            up = min(max((t - course.rest) / course.ramp, 0.0), 1.0)
-            down = min(max((course.seconds - t) / course.ramp, 0.0), 1.0)
-            longest = course.seconds - course.rest - 2 * course.ramp
-            cruise = min(max(t - course.rest - course.ramp, 0.0), longest)
-            speed = course.speed * min(up, down)
-            travel = course.speed * (
-                course.ramp * up * up / 2 + cruise + course.ramp * (1.0 - down * down) / 2
-            )
-            if course.spins:
-                drive[i, 2] = speed
-                pose[i, 2] += travel
-            else:
-                drive[i, 0], drive[i, 1] = speed * course.along[0], speed * course.along[1]
-                pose[i, 0] += travel * course.onward[0]
-                pose[i, 1] += travel * course.onward[1]
-        drive[i, 3] = course.last
-        if course.first != course.last:
-            u = min(max(t / course.settle, 0.0), 1.0)
-            drive[i, 3] = course.first + (course.last - course.first) * u * u * (3 - 2 * u)
-        if course.tap != 0.0:
-            u = min(max((t - course.rest) / TAP_DURATION, 0.0), 1.0)
-            push = 4 * course.tap * u * (1 - u)
-            drive[i, 4], drive[i, 5] = push * course.along[0], push * course.along[1]
-
-
 class PlannedArm:
     """An arm that executes the plan of a scene once; `seed` is that of the plan."""
 
     def __init__(self, scene: Scene, seed: int) -> None:
-        self._scene, self._moves = scene, scene.moves(seed)
-        self._course = self._next((0.0, 0.0, 0.0), 0.0)  # current move; None after the plan
-
-    def _next(self, pose: tuple[float, float, float], force: float) -> Course | None:
-        """Begin the next move at a pose (m, m, rad) and a force (N)."""
-        for start, move in self._moves:
-            return course(move, start, pose, force, self._scene)
-        return None
+        self._acceleration, self._moves = scene.acceleration, scene.moves(seed)
+        self._next = next(self._moves, None)  # current move with its start (s); None after the plan
+        self._pose, self._force = (0.0, 0.0, 0.0), 0.0  # m, m, rad and N at its start
 
     def at(self, times: Reals) -> tuple[Reals, Reals]:
         """Return the trajectory at increasing instants (k,) (s); shorter if the plan ends before the last.
@@ -129,15 +45,55 @@ class PlannedArm:
         """
         k, done = len(times), 0
         drive, pose = np.zeros((k, 6)), np.zeros((k, 3))
-        while (course := self._course) is not None:
-            until = int(times.searchsorted(course.start + course.seconds))
+        while self._next is not None:
+            start, move = self._next
+            until = int(times.searchsorted(start + move.seconds))
             if until > done:
-                follow(course, times[done:until], drive[done:until], pose[done:until])
+                self._follow(move, times[done:until] - start, drive[done:until], pose[done:until])
                 done = until
             if done == k:
                 break
-            self._course = self._next(course.end, course.last)
+            self._pose = self._displaced(move, move.speed * (move.seconds - move.rest - self._ramp(move)))
+            self._force = self._force if move.force is None else move.force
+            self._next = next(self._moves, None)
         return drive[:done], pose[:done]
+
+    def _ramp(self, move: Move) -> float:
+        """Return the time (s) in which a move reaches its speed."""
+        acceleration = SPIN_ACCELERATION if move.motion == "rotation" else self._acceleration
+        return min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
+
+    def _displaced(self, move: Move, travel: Value) -> tuple[Value | float, Value | float, Value | float]:
+        """Return the pose (m, m, rad) after a part of a move (m or rad)."""
+        x, y, yaw = self._pose
+        if move.motion == "rotation":
+            return x, y, yaw + travel
+        onward = math.radians(move.direction_deg) + yaw
+        return x + travel * math.cos(onward), y + travel * math.sin(onward), yaw
+
+    def _follow(self, move: Move, t: Reals, drive: Reals, pose: Reals) -> None:
+        """Write the trajectory at times (k,) (s since the move began) to `drive`, now 0, and `pose`."""
+        heading, pose[:] = math.radians(move.direction_deg), self._pose
+        along = math.cos(heading), math.sin(heading)
+        if move.speed:
+            ramp = self._ramp(move)
+            up, down = np.clip((t - move.rest) / ramp, 0, 1), np.clip((move.seconds - t) / ramp, 0, 1)
+            cruise = np.clip(t - move.rest - ramp, 0, move.seconds - move.rest - 2 * ramp)
+            speed = move.speed * np.minimum(up, down)
+            travel = move.speed * (ramp * up * up / 2 + cruise + ramp * (1 - down * down) / 2)
+            if move.motion == "rotation":
+                drive[:, 2] = speed
+            else:
+                drive[:, 0], drive[:, 1] = speed * along[0], speed * along[1]
+            pose[:, 0], pose[:, 1], pose[:, 2] = self._displaced(move, travel)
+        drive[:, 3] = self._force
+        if move.force is not None:
+            u = np.clip(t / move.settle, 0, 1)
+            drive[:, 3] = self._force + (move.force - self._force) * u * u * (3 - 2 * u)
+        if move.tap:
+            u = np.clip((t - move.rest) / TAP_DURATION, 0, 1)
+            push = 4 * move.tap * u * (1 - u)
+            drive[:, 4], drive[:, 5] = push * along[0], push * along[1]
 
 
 def in_base(drive: Reals, pose: Reals) -> tuple[Reals, Reals]:

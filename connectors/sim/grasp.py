@@ -55,20 +55,16 @@ def least_force(
     return held.mass * mass * GRAVITY / (held.friction * friction * mu)
 
 
-def material(held: Object, parameters: Parameters) -> Parameters:
-    """Return the parameters of the pad on an object."""
-    return replace(
+def surface(held: Object, parameters: Parameters) -> Scene:
+    """Return the surface of an object as a scene, with the parameters of the pad on it."""
+    material = replace(
         parameters,
         static_friction=parameters.static_friction * held.friction,
         kinetic_friction=parameters.kinetic_friction * held.friction,
         texture=min(TEXTURE_LIMIT, parameters.texture * held.texture),
         normal_stiffness=parameters.normal_stiffness * held.stiffness,
     )
-
-
-def surface(held: Object, parameters: Parameters) -> Scene:
-    """Return the surface of an object as a scene."""
-    return Scene(curvature=held.curvature, radius=held.radius, parameters=material(held, parameters))
+    return Scene(curvature=held.curvature, radius=held.radius, parameters=material)
 
 
 def grip_model(held: Object, scene: Scene, position: tuple[float, float], passive: float) -> GripModel:

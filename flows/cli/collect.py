@@ -11,7 +11,7 @@ from flows.cli.options import Recordings, Rows, parse_rows
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
-    from connectors.ur.ur_state import Pose
+    from connectors.ur.ur_state import Point, Pose
     from flows.lab.collection.collector import Collector
     from flows.lab.collection.stroke_plan import CollectionPlan, PlannedPath
 
@@ -53,7 +53,6 @@ def collect(
       slipflow collect mine.toml --dry-run --robot 10.0.0.2
       slipflow collect mine.toml --robot 10.0.0.2 --out recordings
     """
-    from flows.lab.collection.collection_report import path_text
     from flows.lab.collection.plan_file import load_plan, plan_text
 
     if show:
@@ -64,7 +63,7 @@ def collect(
     begin_log()
     chosen = load_plan(plan)
     if dry_run:
-        typer.echo(path_text(asyncio.run(_planned(chosen, robot, virtual=virtual))))
+        typer.echo(_path_text(asyncio.run(_planned(chosen, robot, virtual=virtual))))
         return
     if not virtual:
         from operators.extras import require_extra
@@ -96,7 +95,7 @@ async def _collect(
 ) -> "Collector":
     from connectors import TakkTile, UrMotion
     from connectors.ur.ur_arm import UrArm
-    from flows.lab.collection.collector import Collector, collect, virtual_arm
+    from flows.lab.collection.collector import Collector, virtual_arm
     from flows.run.clocks import LoopClock
 
     path, clock = await _planned(plan, robot, virtual=virtual), LoopClock()
@@ -109,23 +108,48 @@ async def _collect(
         limits, touch = plan.limits, TakkTile(int(bus) if bus.isdigit() else bus, rows)
         arm = UrArm(robot, path.bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
         collector = Collector(path, arm, touch, UrMotion(robot), out, clock, note)
-    await collect(collector)
+    await collector.collect()
     return collector
 
 
 def _report(result: "Collector") -> None:
-    """Print the result, and set the exit code."""
-    from flows.lab.collection.collection_report import result_text
+    """Print the sessions with their rows, gaps and dropped batches, and set the exit code."""
+    from flows.report.table import counted
 
-    typer.echo(result_text(result))
+    gaps = dropped = 0
+    for run in result.runs:
+        missing = sum(len(source.gaps) for source in run.sources.values())
+        lost = sum(sink.dropped for sink in run.sinks.values() if sink.records)
+        notes = [f"{source.rows} {name}" for name, source in run.sources.items()]
+        notes += [f"gaps {missing}"] * bool(missing) + [f"dropped {lost}"] * bool(lost)
+        typer.echo(f"{run.session:40} {', '.join([*notes, *['ended early'] * bool(run.error)])}")
+        gaps, dropped = gaps + missing, dropped + lost
+    typer.echo(f"{result.strokes} strokes in {counted(len(result.runs), 'session')}")
     if result.interrupted:
         typer.echo("interrupted; the arm has stopped where it is", err=True)
         raise typer.Exit(130)
     if result.error:
         typer.echo(f"error: {result.error}; the arm has stopped where it is", err=True)
         raise typer.Exit(2)
-    sinks = [sink for run in result.runs for sink in run.sinks.values() if sink.records]
-    if any(sink.dropped for sink in sinks) or any(
-        s.gaps for run in result.runs for s in run.sources.values()
-    ):
+    if gaps or dropped:
         raise typer.Exit(1)
+
+
+def _path_text(path: "PlannedPath") -> str:
+    """Return duration and bounds of the sessions of a plan, its workspace, and how it presses."""
+    from flows.lab.collection.arm_path import Extent
+
+    rows = [f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"]
+    for each in path.series:
+        extent = Extent.of(each.steps, each.begin.poses[-1])
+        size = f"{each.name:28} {len(each.strokes):7} {extent.seconds:7.1f} s"
+        rows.append(f"{size}   {_spans(extent.low, extent.high)} {each.split}")
+    whole, strokes = path.extent, sum(len(each.strokes) for each in path.series)
+    minutes = f"{whole.seconds / 60:.1f} min"
+    rows.append(f"{'total':28} {strokes:7} {minutes:>8}   {_spans(whole.low, whole.high)}".rstrip())
+    rows.append(f"{'workspace':47} {_spans(path.bounds.low, path.bounds.high)}".rstrip())
+    return "\n".join([*rows, f"pressed {1000 * path.plan.path.depth:g} mm after first contact"])
+
+
+def _spans(low: "Point", high: "Point") -> str:
+    return " ".join(f"{f'{round(1000 * a)} .. {round(1000 * b)}':15}" for a, b in zip(low, high, strict=True))

@@ -1,21 +1,23 @@
 """Execution of a collection plan: a flow records each series of strokes while the arm makes them."""
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+import math
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, cast
+from typing import Final, Protocol, Self, cast
+
+import numpy as np
 
 from connectors.sim.scene import Moves, Scene, Vibration
 from connectors.sim.simulated_arm import SimulatedArm
-from connectors.ur.ur_state import Pose
+from connectors.ur.ur_state import ArmState, Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
+from flows.lab.collection.arm_path import Line, Step, Turn, Wait
 from flows.lab.collection.contact_monitor import ContactMonitor
-from flows.lab.collection.stroke_driver import Arm, StrokeDriver
-from flows.lab.collection.stroke_plan import PlannedPath, StrokeSeries
+from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
 from operators import (
@@ -31,8 +33,9 @@ from operators import (
     ms,
     s,
 )
+from operators.batch import MOTIONS, SURFACES, Episodes
 from operators.errors import EndpointError, InputError
-from operators.ports import Clock, Json, Run
+from operators.ports import Clock, Description, Run
 from storage import Dataset, arrow
 from storage.background_task import BackgroundTask
 
@@ -40,82 +43,106 @@ FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingerti
 _POLL: Final = 0.05  # s
 
 
-async def collect(collector: "Collector") -> None:
-    """Execute a plan and record it; SIGINT and SIGTERM stop the arm first.
+class Arm(Protocol):
+    """Arm that makes one move at a time: `UrArm` or `SimulatedArm`, which document the moves.
+
+    Entering its context opens it, leaving stops it. The moves raise EndpointError if it had to be stopped.
+    """
+
+    fault: str  # reason why it was stopped; empty if it was not
+
+    @property
+    def state(self) -> ArmState: ...  # noqa: D102
+    async def line(  # noqa: D102
+        self, poses: Sequence[Pose], speed: float, acceleration: float, seconds: float
+    ) -> None: ...
+    async def turn(self, spin: float, seconds: float, acceleration: float) -> None: ...  # noqa: D102
+    async def wait(self, seconds: float) -> None: ...  # noqa: D102
+    async def stop(self) -> None: ...  # noqa: D102
+    def fail(self, reason: str) -> None: ...  # noqa: D102
+    async def __aenter__(self) -> Self: ...
+    async def __aexit__(self, *_: object) -> None: ...
+
+
+class Collector(Source[Episodes]):
+    """Recorder of series of strokes, one session each; it drives the arm and gives the episodes.
 
     Args:
-        collector: Recorder of the strokes; its `error` says why the arm was stopped.
+        path: Path of the plan.
+        arm: Arm that makes the strokes; `collect` opens and closes it.
+        touch: Source of the fingertips.
+        motion: Source of the arm's motion.
+        out: Folder of the dataset.
+        clock: Clock of all sessions.
+        log: Called with the name of each series.
 
-    Raises:
-        EndpointError: if a device is not ready; nothing has moved then.
-        SlipflowError: if a session cannot be recorded; the arm stands still.
+    Attributes:
+        strokes: Number of completed strokes.
+        runs: Run of each series so far.
+        error: Reason why the arm was stopped; empty if it was not.
+        interrupted: True after `interrupt`.
     """
-    await _check_sampling(collector.touch, collector.clock)
-    await asyncio.to_thread(arrow.load)
-    await asyncio.to_thread(collector.compile_operators)
-    with signals_to(collector.interrupt):
-        try:
-            async with collector.arm:
-                await collector.collect()
-        except EndpointError as stopped:
-            if not collector.arm.fault or not (collector.runs or collector.interrupted):
-                raise
-            collector.error = str(stopped)
 
+    stale_after = None  # episodes are rare
 
-async def _check_sampling(touch: Source[Touch], clock: Clock) -> None:
-    """Wait for a first sample.
+    def __init__(
+        self,
+        path: PlannedPath,
+        arm: Arm,
+        touch: Source[Touch],
+        motion: Source[Motion],
+        out: Path,
+        clock: Clock,
+        log: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.path, self.arm, self.touch, self.clock = path, arm, touch, clock
+        self.strokes, self.runs, self.error, self.interrupted = 0, list[Run](), "", False
+        self._motion, self._out, self._log = motion, out, log
+        self._episodes = asyncio.Queue[Episodes]()
+        self._series = path.series[0]  # current one
+        self._runner: LiveRunner | None = None
 
-    Raises:
-        EndpointError: if none arrives.
-    """
-    batches = cast("AsyncGenerator[Touch]", touch.batches(clock))
-    try:
-        async with asyncio.timeout(FIRST_SAMPLE), aclosing(batches):
-            await anext(batches)
-    except TimeoutError as error:
-        raise EndpointError("touch", f"gives no sample within {FIRST_SAMPLE:g} s") from error
+    @property
+    def kind(self) -> type[Episodes]:
+        """Episodes."""
+        return Episodes
 
+    async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:
+        """Yield each episode when it has ended, until cancelled."""
+        while True:
+            yield await self._episodes.get()
 
-@dataclass
-class Collector:
-    """Recorder of series of strokes, one session each."""
-
-    path: PlannedPath
-    arm: Arm  # makes the strokes; `collect` opens and closes it
-    touch: Source[Touch]
-    motion: Source[Motion]
-    out: Path  # folder of the dataset
-    clock: Clock  # of all sessions
-    log: Callable[[str], None] = lambda _: None
-    driver: StrokeDriver = field(init=False)
-    runs: list[Run] = field(default_factory=list[Run], init=False)  # one for each series so far
-    error: str = field(default="", init=False)  # why the arm was stopped; empty: it was not
-    interrupted: bool = field(default=False, init=False)  # True after `interrupt`
-    _runner: LiveRunner | None = field(default=None, init=False)
-
-    def __post_init__(self) -> None:
-        self.driver = StrokeDriver(
-            self.arm, self.clock, require_contact=self.path.plan.limits.require_contact
-        )
+    def describe(self) -> Description:
+        """Return plan, limits and series of the session."""
+        plan = self.path.plan
+        return {
+            "plan": plan.name,
+            "seed": plan.seed,
+            "workspace": [*self.path.bounds.low, *self.path.bounds.high],
+            "force_limit": plan.limits.force,
+            "recording": self._series.name,
+            **self._series.describe(),
+        }
 
     async def collect(self) -> None:
-        """Record all series; if the arm has to be stopped, the part recorded so far is committed.
+        """Execute the plan and record it; SIGINT and SIGTERM stop the arm first, the recorded part is kept.
 
         Raises:
-            EndpointError: if the arm had to be stopped.
-            SlipflowError: if a session cannot be recorded.
+            EndpointError: if a device is not ready; nothing has moved then.
+            SlipflowError: if a session cannot be recorded; the arm stands still.
         """
-        series = self.path.series
-        stamp = f"{datetime.fromtimestamp(self.clock.now() // s, UTC):%Y%m%dT%H%M%S}Z"
-        for number, each in enumerate(series, 1):
-            self.log(f"{number}/{len(series)} {each.name}: {len(each.strokes)} strokes")
-            await self.driver.follow([each.begin])
-            await self._record(each, f"{each.name}-{stamp}")
-
-    def compile_operators(self) -> None:
-        """Compile the operators of a session; once the arm is commanded, this would delay the commands."""
-        CompiledFlow(self._declare(self.path.series[0].surface.middle, ContactMonitor()))
+        await self._check_sampling()
+        await asyncio.to_thread(arrow.load)
+        flow = self._declare(ContactMonitor())
+        await asyncio.to_thread(CompiledFlow, flow)  # later this would delay the commands
+        with signals_to(self.interrupt):
+            try:
+                async with self.arm:
+                    await self._record_all()
+            except EndpointError as stopped:
+                if not self.arm.fault or not (self.runs or self.interrupted):
+                    raise
+                self.error = str(stopped)
 
     def interrupt(self) -> None:
         """Stop the arm and end the collection; a second call also stops the writing of the session."""
@@ -124,21 +151,34 @@ class Collector:
         self.interrupted = True
         self.arm.fail("interrupted")
 
-    async def _record(self, series: StrokeSeries, name: str) -> None:
-        monitor, plan = ContactMonitor(), self.path.plan
-        about: dict[str, Json] = {
-            "plan": plan.name,
-            "seed": plan.seed,
-            "workspace": [*self.path.low, *self.path.high],
-        }
-        about |= {"force_limit": plan.limits.force, "recording": series.name}
-        self.driver.about = {**about, **series.describe()}
-        flow = self._declare(series.surface.middle, monitor)
+    async def _check_sampling(self) -> None:
+        """Wait for a first sample.
+
+        Raises:
+            EndpointError: if none arrives.
+        """
+        batches = cast("AsyncGenerator[Touch]", self.touch.batches(self.clock))
+        try:
+            async with asyncio.timeout(FIRST_SAMPLE), aclosing(batches):
+                await anext(batches)
+        except TimeoutError as error:
+            raise EndpointError("touch", f"gives no sample within {FIRST_SAMPLE:g} s") from error
+
+    async def _record_all(self) -> None:
+        series = self.path.series
+        stamp = f"{datetime.fromtimestamp(self.clock.now() // s, UTC):%Y%m%dT%H%M%S}Z"
+        for number, self._series in enumerate(series, 1):
+            self._log(f"{number}/{len(series)} {self._series.name}: {len(self._series.strokes)} strokes")
+            await self._follow([self._series.begin])
+            await self._record(f"{self._series.name}-{stamp}")
+
+    async def _record(self, name: str) -> None:
+        monitor = ContactMonitor()
         # signals are handled by the collection, which stops the arm first
-        runner = self._runner = LiveRunner(flow, name, clock=self.clock)
+        runner = self._runner = LiveRunner(self._declare(monitor), name, clock=self.clock)
         self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
-        driving = asyncio.create_task(self._drive(series, monitor))
+        driving = asyncio.create_task(self._drive(monitor))
         try:
             await asyncio.wait({running, driving}, return_when=asyncio.FIRST_COMPLETED)
             if not driving.done():  # recording has ended
@@ -156,28 +196,31 @@ class Collector:
             raise recorded[0]
         await driving
 
-    def _declare(self, surface: Pose, monitor: ContactMonitor) -> Flow:
-        """Return the flow of a session, which records both raw streams, labelled samples and the arm's clock.
-
-        At the pose `surface` the fingertip just touches the surface.
-        """
-        flow, dataset = Flow("collect"), Dataset(self.out)
-        touch, motion = flow.source(self.touch, "touch"), flow.source(self.motion, "motion")
+    def _declare(self, monitor: ContactMonitor) -> Flow:
+        """Return the flow of a session: raw streams, labelled samples, episodes and the arm's clock."""
+        flow, dataset = Flow("collect"), Dataset(self._out)
+        touch, motion = flow.source(self.touch, "touch"), flow.source(self._motion, "motion")
         samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
         label = Label(speed=0.003, rotation=0.2, delay=self.path.plan.label_delay)  # m/s, rad/s; paper
         touch.to(dataset)
         motion.to(dataset)
         (motion | WatchClock()).to(dataset)
-        (samples | label | MaskLifted(surface)).to(dataset)
-        flow.source(self.driver, "collection").to(dataset)
+        (samples | label | MaskLifted(self._series.surface.middle)).to(dataset)
+        flow.source(self, "collection").to(dataset)
         touch.to(monitor)
         return flow
 
-    async def _drive(self, series: StrokeSeries, monitor: ContactMonitor) -> None:
+    async def _drive(self, monitor: ContactMonitor) -> None:
+        """Stay in the air for the baseline, then make each stroke."""
         watching = BackgroundTask("touch", "the watch for samples", self._watch(monitor), self.arm.fail)
         try:
             await self._wait_for_first_samples(monitor)
-            await self.driver.make_strokes(series, monitor)
+            monitor.restart()
+            await self._follow_as_episode([self._series.baseline])
+            monitor.set_baseline()
+            for stroke in self._series.strokes:
+                await self._make(stroke, monitor)
+                self.strokes += 1
         finally:
             await watching.end()
 
@@ -205,6 +248,61 @@ class Collector:
                     )
                     self.arm.fail(reason)
             await self.clock.sleep_until(now + round(_POLL * s))
+
+    async def _follow(self, steps: Sequence[Step]) -> None:
+        """Move along a path from the arm's pose."""
+        for step in steps:
+            match step:
+                case Line(poses, speed, acceleration):
+                    seconds = step.seconds(self.arm.state.pose)
+                    await self.arm.line(poses, speed, acceleration, seconds)
+                case Turn(spin, time, acceleration):
+                    await self.arm.turn(spin, time, acceleration)
+                case Wait(time):
+                    await self.arm.wait(time)
+
+    async def _make(self, stroke: Stroke, monitor: ContactMonitor) -> None:
+        await self._follow(stroke.approach)
+        monitor.restart()
+        await self._follow_as_episode(stroke.contact, stroke)
+        without_contact = monitor.without_contact()
+        await self._follow(stroke.retreat)
+        if without_contact and self.path.plan.limits.require_contact:
+            self.arm.fail(
+                f"fingertip {without_contact[0]} measured no contact in a stroke: at the start, or at the"
+                " planned pose, it must just touch the surface (limits.require_contact = false ignores this)"
+            )
+            await self.arm.wait(_POLL)  # raises
+
+    async def _follow_as_episode(self, steps: Sequence[Step], stroke: Stroke | None = None) -> None:
+        """Follow steps as an episode; `stroke` None: the baseline."""
+        start = self.clock.now()
+        try:
+            await self._follow(steps)
+        finally:
+            end = max(self.clock.now(), start + 1)
+            self._episodes.put_nowait(_episode(self._series, stroke, start, end))
+
+
+def _episode(series: StrokeSeries, stroke: Stroke | None, start: int, end: int) -> Episodes:
+    """Return an episode from `start` to `end` (ns) as a row; `stroke` None: the baseline."""
+    motion, speed, rotates = "hold", 0.0, False
+    if stroke:
+        motion, speed, rotates = "rotation" if stroke.rotates else "translation", stroke.speed, stroke.rotates
+    values = (
+        stroke.direction if stroke else 0.0,
+        0.0 if rotates else speed,
+        speed if rotates else 0.0,
+        series.plan.path.depth if stroke else math.nan,
+        math.nan,  # the force is not measured
+    )
+    return Episodes(
+        np.array([start]),
+        np.array([end]),
+        np.array([MOTIONS.index(motion)], np.int8),
+        np.array([SURFACES.index(series.surface.shape)], np.int8),
+        *(np.array([value]) for value in values),
+    )
 
 
 async def virtual_arm(path: PlannedPath, clock: Clock, fingers: tuple[int, ...] = (0,)) -> SimulatedArm:

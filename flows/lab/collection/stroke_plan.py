@@ -17,7 +17,7 @@ from typing import Annotated, Final, TypeAlias
 import numpy as np
 
 from connectors.ur.control_process import WATCHDOG
-from connectors.ur.ur_state import Bounds, Point, Pose, offset_pose
+from connectors.ur.ur_state import Bounds, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
 from flows.lab.collection.arm_path import Extent, Line, Step, Turn, Wait
 from flows.lab.collection.surfaces import Surface
@@ -256,13 +256,12 @@ class CollectionPlan:
 
 @dataclass(frozen=True, slots=True)
 class PlannedPath:
-    """Path of a plan and its workspace, as planned, or the path with its margin."""
+    """Path of a plan, and the bounds within which the arm may move."""
 
     plan: CollectionPlan
     series: tuple[StrokeSeries, ...]
     extent: Extent  # from the arm's pose if it is known
-    low: Point  # corner of the workspace, m
-    high: Point
+    bounds: Bounds  # workspace as planned, or the path with its margin
 
     @classmethod
     def of(cls, plan: CollectionPlan, surface: Pose, here: Pose | None = None) -> "PlannedPath":
@@ -282,15 +281,10 @@ class PlannedPath:
         if limits.workspace is None:
             a, b, c = (each - limits.margin for each in path.low)
             d, e, f = (each + limits.margin for each in path.high)
-            return cls(plan, series, path, (a, b, c), (d, e, f))
+            return cls(plan, series, path, Bounds((a, b, c), (d, e, f), limits.force))
         low, high = limits.workspace[:3], limits.workspace[3:]
         for axis, a, b, c, d in zip("xyz", low, path.low, path.high, high, strict=True):
             if not a <= b <= c <= d:
                 must_be = f"around the path, which leads from {b:.4f} to {c:.4f} m along {axis}"
                 raise ParameterError("collect", "limits.workspace", [*low, *high], must_be)
-        return cls(plan, series, path, low, high)
-
-    @property
-    def bounds(self) -> Bounds:
-        """Bounds within which the arm may move."""
-        return Bounds(self.low, self.high, self.plan.limits.force)
+        return cls(plan, series, path, Bounds(low, high, limits.force))

@@ -20,7 +20,7 @@ from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import run_virtually
-from flows.lab.collection.collector import Collector, collect, virtual_arm
+from flows.lab.collection.collector import Collector, virtual_arm
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
     Limits,
@@ -136,7 +136,7 @@ def made(
                 finger._scene = replace(finger._scene, vibration=None)
         collector = Collector(path, arm, arm.fingertips, arm.motion, out, clock)
         acting = asyncio.create_task(act_in_contact(arm))
-        await collect(collector)
+        await collector.collect()
         acting.cancel()
         await asyncio.sleep(0.1)
         velocity = np.abs(arm.state.velocity).max()
@@ -156,7 +156,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def test_all_strokes_are_recorded_completely(quick: Made) -> None:
     collected = quick.collected
-    assert (collected.driver.strokes, collected.error, collected.interrupted) == (QUICK.count, "", False)
+    assert (collected.strokes, collected.error, collected.interrupted) == (QUICK.count, "", False)
     assert quick.about["complete"]
     touch = concat(Touch, list(quick.session.read(Touch, 0)))
     motion = concat(Motion, list(quick.session.read(Motion, EVERY)))
@@ -213,7 +213,7 @@ def test_session_json_has_the_plan(quick: Made) -> None:
 
 def test_rotations_slip(tmp_path: Path) -> None:
     done = made(tmp_path / "data", ROTATIONS)
-    assert (done.collected.driver.strokes, done.collected.error) == (STROKES, "")
+    assert (done.collected.strokes, done.collected.error) == (STROKES, "")
     labelled = concat(Labelled, list(done.session.read(Labelled, 0)))
     assert (labelled.label == SLIP).sum() > STROKES * 20
     air, first, last = done.session.frame("episodes").to_dicts()
@@ -225,7 +225,7 @@ def test_depth_and_speed_are_kept_over_a_sphere(tmp_path: Path) -> None:
     curved = made(tmp_path / "data", CURVED, surface="sphere")
     about = curved.about["sources"]["collection"]
     assert (about["depth"], about["radius"]) == (CURVED.path.depth, 0.06)
-    assert (curved.collected.driver.strokes, curved.collected.error) == (STROKES, "")
+    assert (curved.collected.strokes, curved.collected.error) == (STROKES, "")
     motion = concat(Motion, list(curved.session.read(Motion, EVERY)))
     _, *strokes = curved.session.frame("episodes").to_dicts()
     assert len(strokes) == STROKES
@@ -242,7 +242,7 @@ def test_depth_and_speed_are_kept_over_a_sphere(tmp_path: Path) -> None:
 def interrupted(done: Made, why: str) -> None:
     """Check that a collection ended early, with the recorded part committed."""
     assert why in done.collected.error
-    assert done.collected.driver.strokes < QUICK.count
+    assert done.collected.strokes < QUICK.count
     assert not done.about["complete"]
     assert why in done.about["error"]
     touch = concat(Touch, list(done.session.read(Touch, 0)))

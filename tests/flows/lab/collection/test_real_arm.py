@@ -49,7 +49,7 @@ def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
                 return await _collect(plan, HOST, PATH, (0,), tmp_path, virtual=False)
 
     collected = asyncio.run(main())
-    assert (collected.driver.strokes, collected.error) == (STROKES, "")
+    assert (collected.strokes, collected.error) == (STROKES, "")
     session = Session.open(tmp_path / "sessions" / collected.runs[0].session)
     assert concat(Touch, list(session.read(Touch, 0))).valid.all()
     motion = concat(Motion, list(session.read(Motion, EVERY)))
