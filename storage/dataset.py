@@ -12,7 +12,7 @@ from operators.errors import EndpointError
 from operators.ports import Clock, Finding, Run, Sink
 from storage import arrow
 from storage.background_task import BackgroundTask
-from storage.disk_check import check_disk
+from storage.files import check_disk
 from storage.journal import APPEND_AT
 from storage.writer import SessionWriter
 

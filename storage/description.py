@@ -9,13 +9,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from operators.batch import Batch, s
+from operators.batch import s
 from operators.errors import InputError
 from operators.extras import software_version
-from operators.fingertip import Fingertip
 from operators.ports import Description, Run
 from storage import files
-from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, Table
+from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, TABLES
 
 VERSION: Final = 2  # of the dataset format
 
@@ -59,10 +58,9 @@ def read_dataset(root: Path) -> Description:
 def describe_session(
     folder: Path,
     run: Run,
+    destination: str,
     *,
     host: str | None = None,
-    tables: Iterable[Table] = (),
-    fingertips: Mapping[type[Batch], Fingertip] | None = None,
     ended: bool = False,
     put: files.Put = files.put,
 ) -> None:
@@ -71,9 +69,8 @@ def describe_session(
     Args:
         folder: Folder of the session.
         run: The run.
+        destination: Folder of the dataset, as the run names it.
         host: Name of the machine; default: its host name.
-        tables: Tables that may get rows.
-        fingertips: Fingertips of the touch that it may get, by type.
         ended: True at the end of the run; the session is complete then if the run has no error.
         put: Function that writes the file.
 
@@ -81,6 +78,7 @@ def describe_session(
         InputError: if the description of a source is not JSON.
         OSError: if it cannot be written.
     """
+    kinds, fingertips = run.sink_types.get(destination, {}), run.fingertips.get(destination, {})
     about: dict[str, Any] = {
         "version": VERSION,
         "session": run.session,
@@ -90,12 +88,10 @@ def describe_session(
         "software": f"slipflow {software_version()}",
         "host": platform.node() if host is None else host,
         "declaration": list(run.declaration),
-        "tables": [table.name for table in tables],
+        "tables": [table.name for table in TABLES if table in map(TABLE_OF.get, kinds)],
         "sources": {name: dict(each) for name, each in run.describe.items()},
         "fingertips": {
-            table.name: fingertip.describe()
-            for kind, fingertip in (fingertips or {}).items()
-            if (table := TABLE_OF.get(kind))
+            TABLE_OF[kind].name: each.describe() for kind, each in fingertips.items() if kind in TABLE_OF
         },
         "split": _named("split", run.describe.values()),
         "group": _named("group", run.describe.values()),

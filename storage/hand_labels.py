@@ -140,11 +140,7 @@ def write_hand_labels(
 
 
 def _ordered(spans: Iterable[LabelSpan]) -> tuple[LabelSpan, ...]:
-    """Return spans in order of fingertip and time.
-
-    Raises:
-        ParameterError: if they overlap, or are more than 100,000.
-    """
+    """Return spans in order of fingertip and time; check that they are few and do not overlap."""
     ordered = tuple(sorted(islice(spans, SPANS_MAX + 1), key=lambda span: (span.finger, span.begin)))
     if len(ordered) > SPANS_MAX:
         raise ParameterError("hand labels", "number of spans", len(ordered), f"at most {SPANS_MAX:,}")

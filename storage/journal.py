@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from operators.batch import Batch, columns
 from operators.errors import InputError
-from storage import append_log, files
+from storage import files
 from storage.append_log import AppendLog, LogReader
 from storage.layout import (
     JOURNAL,
@@ -275,15 +275,12 @@ def identity(session: str, number: int) -> bytes:
 
 
 def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
-    """Return the records of rows, one for each batch unless it is larger than a record may be."""
+    """Return the records of rows, one for each batch."""
     records = list[bytes]()
     for first, batch in rows:
-        kind = type(batch)
-        names, most = columns(kind), (append_log.LIMIT - _HEAD.size) // row_size(kind, batch.cells)
-        for start in range(0, len(batch), most):
-            part = batch if len(batch) <= most else batch[start : start + most]
-            head = _HEAD.pack(_CODES[kind], batch.finger, batch.cells, len(part), first + start)
-            records.append(b"".join([head, *(getattr(part, name).tobytes() for name in names)]))
+        head = _HEAD.pack(_CODES[type(batch)], batch.finger, batch.cells, len(batch), first)
+        values = (getattr(batch, name).tobytes() for name in columns(type(batch)))
+        records.append(b"".join([head, *values]))
     return records
 
 

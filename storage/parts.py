@@ -185,11 +185,7 @@ def _digest(lines: str) -> str:
 
 
 def _part(where: str, content: Any) -> Part:
-    """Return a part of a manifest.
-
-    Raises:
-        InputError: if it is invalid.
-    """
+    """Return a valid part of a manifest."""
     values: dict[str, Any] = content if isinstance(content, dict) else {}
     if {key: type(value) for key, value in values.items()} == _TYPES:
         part, table = Part(**values), table_of(values["path"])

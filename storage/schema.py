@@ -124,11 +124,7 @@ def _values(rows: pa.Table, name: str) -> NDArray[Any]:
 
 
 def _codes(kind: type[Batch], column: str, names: tuple[str, ...], rows: pa.Table) -> NDArray[Any]:
-    """Return the codes (n,) of a column that is stored by name.
-
-    Raises:
-        BatchError: if a name has no code.
-    """
+    """Return the codes (n,) of a column that is stored by name."""
     stored: list[Any] = cast("Any", rows)[column].to_pylist()
     if unknown := set(stored) - set(names):
         reason = f"holds {', '.join(map(repr, sorted(unknown)))}, must be one of {', '.join(names)}"

@@ -51,11 +51,7 @@ class _Part:
 
 @lru_cache(maxsize=PARTS_IN_MEMORY)
 def _read_part(folder: Path, part: Part) -> _Part:
-    """Read and verify a part; fingertips that are read in parallel share it.
-
-    Raises:
-        InputError: as `read_part`, or if the type of its rows is not that of the table.
-    """
+    """Read and verify a part; fingertips that are read in parallel share it."""
     rows, table = read_part(folder, part), cast("Table", table_of(part.path))
     stored = schema.batch_type(rows)
     if stored is None or not issubclass(stored, table.kind):

@@ -47,12 +47,8 @@ class SessionWriter:
         self.folder = new_session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
-        kinds = run.sink_types.get(str(root), {})
-        self._fingertips = run.fingertips.get(str(root), {})
-        self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # may get rows
-        self._buffers: dict[str, Buffer] = {
-            table.name: Buffer(table.kind) for table in self._tables if not table.parted
-        }
+        tables = map(TABLE_OF.get, run.sink_types.get(str(root), {}))
+        self._buffers = {each.name: Buffer(each.kind) for each in tables if each and not each.parted}
         self._committing: dict[str, Buffer] | None = None  # buffers of the commit in progress
         self._single: list[NumberedRows] = []  # rows of single-file tables when the commit began
         self._failed = False  # the last commit failed: it must succeed before more rows are added
@@ -239,26 +235,15 @@ class SessionWriter:
         self._release()
 
     def _describe(self, *, ended: bool = False) -> None:
-        describe_session(
-            self.folder,
-            self._run,
-            host=self._host,
-            tables=self._tables,
-            fingertips=self._fingertips,
-            ended=ended,
-            put=files.put if ended else self._put,
-        )
+        put = files.put if ended else self._put
+        describe_session(self.folder, self._run, str(self._root), host=self._host, ended=ended, put=put)
 
     def _write_manifest(self) -> None:
         about: Description = {"session": self._run.session, "start_ns": self._run.start}
         write_manifest(self.folder, self._parts, self._put, about)
 
     def _sync_replay(self) -> None:
-        """Make the files of a replay durable.
-
-        Raises:
-            OSError: also at each further try, since an fsync after a failed one proves nothing.
-        """
+        """Make the files of a replay durable; after a failed fsync, a second one would prove nothing."""
         if self._unsynced:
             raise OSError(EIO, "the disk has lost what was written; run the replay again")
         self._unsynced = True

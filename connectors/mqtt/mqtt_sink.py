@@ -26,7 +26,7 @@ from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.extras import software_version
 from operators.ports import Clock, Finding, Json, Run, Sink
-from storage.disk_check import check_disk
+from storage.files import check_disk
 
 log = logging.getLogger("slipflow")
 

@@ -156,11 +156,7 @@ def export(
 
 
 def _common_contents(sessions: Sequence[Session]) -> _Contents:
-    """Return what all sessions have.
-
-    Raises:
-        InputError: if one has no samples, or other fingertips than the first.
-    """
+    """Return what all sessions have."""
     found = list[_Contents]()
     for session in sessions:
         fingers = session.fingers(Labelled)
@@ -190,11 +186,7 @@ def _rows(session: Session, kind: type[SomeBatch], finger: int) -> SomeBatch:
 
 
 def _frame_rate(sessions: Sequence[Session], wanted: int | None) -> int:
-    """Return the wanted rate, or the lowest of the sessions' samples, in whole Hz.
-
-    Raises:
-        InputError: if the wanted rate is above that of a session's samples.
-    """
+    """Return the wanted rate, or the lowest of the sessions' samples, in whole Hz."""
     rates = [(found.rate, str(each.folder)) for each in sessions if (found := each.fingertip(Labelled))]
     lowest, slowest = min(rates)
     if wanted is None:
@@ -206,11 +198,7 @@ def _frame_rate(sessions: Sequence[Session], wanted: int | None) -> int:
 
 
 def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, Times, Flags]:
-    """Return the frames of a session, their times (n,) ns, and whether every fingertip has a sample (n,).
-
-    Raises:
-        InputError: if the session is damaged or has no frame.
-    """
+    """Return the frames of a session, their times (n,) ns, and whether every fingertip has a sample (n,)."""
     samples = [_rows(session, Labelled, finger) for finger in contents.fingers]
     begin = sum(int(each.time[0]) for each in samples) // len(samples)
     last = min(int(each.time[-1]) for each in samples)

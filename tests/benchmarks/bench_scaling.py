@@ -160,7 +160,7 @@ def tiled(touch: Touch, out: Path, hours: int) -> Path:
     (folder / TOUCH.name).mkdir(parents=True)
     describe_dataset(out)
     start = int(touch.time[0])
-    describe_session(folder, Run(folder.name, "tiled", EventClock(start), start, live=False))
+    describe_session(folder, Run(folder.name, "tiled", EventClock(start), start, live=False), "")
     parts, tiles = list[Part](), len(touch) // BLOCK
     for number in range(hours * 60):
         first = number % tiles * BLOCK

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from operators.errors import EndpointError
-from storage import disk_check
-from storage.disk_check import check_disk
+from storage import files
+from storage.files import check_disk
 
 
 def test_space_and_fsync_of_the_disk_are_measured_without_leaving_a_file(tmp_path: Path) -> None:
@@ -17,8 +17,8 @@ def test_space_and_fsync_of_the_disk_are_measured_without_leaving_a_file(tmp_pat
 
 
 def test_a_full_and_slow_disk_is_bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(disk_check, "FREE_MIN", 1e18)
-    monkeypatch.setattr(disk_check, "SYNC_MAX", 0.0)
+    monkeypatch.setattr(files, "FREE_MIN", 1e18)
+    monkeypatch.setattr(files, "SYNC_MAX", 0.0)
     space, sync = check_disk(tmp_path)
     assert (space.state, sync.state) == ("bad", "bad")
     assert space.text.endswith(": free some space, or use another disk")
