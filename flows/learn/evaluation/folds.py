@@ -79,20 +79,17 @@ def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> l
 
 
 def _group_fold(recordings: Sequence[LabelledRecording], group: str) -> Fold:
-    """Hold out a group; every fifth of the others with slip, and of those without, validates.
+    """Hold out a group; every fifth of the others validates, those with slip counted first.
 
     If fewer than five have slip, all train and validate, as none can be spared.
     """
     judged = [each for each in recordings if each.group == group]
     others = _others(recordings, judged)
-    train, validation = list[LabelledRecording](), list[LabelledRecording]()
-    for with_slip in (True, False):
-        alike = [each for each in others if bool(each.slip.any()) is with_slip]
-        if with_slip and len(alike) < _TURN:
-            return Fold(group, others, others, judged)
-        for place, each in enumerate(alike):
-            (validation if place % _TURN == _TURN // 2 else train).append(each)
-    return Fold(group, train, validation, judged)
+    ordered = sorted(others, key=lambda each: not each.slip.any())
+    if not all(each.slip.any() for each in ordered[:_TURN]) or len(ordered) < _TURN:
+        return Fold(group, others, others, judged)
+    train = [each for place, each in enumerate(ordered) if place % _TURN != _TURN // 2]
+    return Fold(group, train, ordered[_TURN // 2 :: _TURN], judged)
 
 
 def _others(

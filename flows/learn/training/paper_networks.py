@@ -48,12 +48,7 @@ def paper_network(mean: Reals, std: Reals, recipe: PaperRecipe) -> "PaperNetwork
 
 
 class PaperNetwork(Network):
-    """Base class of the networks: standardised counts to logits of static and slip.
-
-    Args:
-        mean: (6,) mean of the training counts.
-        std: (6,) standard deviation of the training counts.
-    """
+    """Base class of the networks: standardised counts to logits of static and slip."""
 
     mean: Tensor  # (6,)
     std: Tensor  # (6,)
@@ -93,11 +88,6 @@ class PaperTcnNetwork(PaperNetwork):
 
     As in `PaperTcn`, only the steps that the last step depends on are computed. That is exact: layer norm
     treats each step by itself, and dropout drops a channel at all steps.
-
-    Args:
-        mean: (6,) mean of the training counts.
-        std: (6,) standard deviation of the training counts.
-        dropout: Probability that a channel or a dense unit is dropped.
     """
 
     def __init__(self, mean: Reals, std: Reals, dropout: float) -> None:
@@ -154,13 +144,7 @@ class PaperTcnNetwork(PaperNetwork):
 
 
 class FrequencyCnnNetwork(PaperNetwork):
-    """Frequency CNN as the authors ran it; `InterleavedFrequencyCnn` describes the computation.
-
-    Args:
-        mean: (6,) mean of the training counts.
-        std: (6,) standard deviation of the training counts.
-        dropout: Probability that a bin of the image, a channel or a dense unit is dropped.
-    """
+    """Frequency CNN as the authors ran it; `InterleavedFrequencyCnn` describes the computation."""
 
     parts: Tensor  # (100, 102) of the DFT
 

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from flows.learn.datasets import SPLITS
+import numpy as np
+
 from flows.learn.debounce_tuning import debounce_settings, tuned_on
 from flows.learn.labelled_recordings import (
     LabelledRecording,
@@ -37,7 +38,8 @@ Parts: TypeAlias = Mapping[str, Sequence[LabelledRecording]]  # by split
 
 FURTHER_STEPS: Final = 300  # of further training
 _FEW: Final = 5  # recordings, from which on whole ones are held out
-_ENDS: Final = (0.0, 0.6, 0.8, 1.0)  # of train, validation and test in one recording
+_SHARES: Final = {"train": 0.6, "validation": 0.2, "test": 0.2}  # of a recording that is divided in time
+_FURTHER_SHARES: Final = {"train": 0.7, "test": 0.3}  # the same, for further training
 
 
 def train(
@@ -92,7 +94,7 @@ def train(
     if parent is None:
         parts = by_split(recordings)
         if len(recordings) < _FEW and not parts["validation"]:
-            parts = _in_time(recordings)
+            parts = _in_time(recordings, _SHARES)
             log("few recordings: each is divided in time, which flatters the model; record five or more")
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
@@ -102,12 +104,15 @@ def train(
     return write_model(out, arrays, {**about, **results})
 
 
-def _in_time(recordings: Sequence[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
-    """Return the parts of few recordings: the begin of each to learn from, then validation and test."""
+def _in_time(
+    recordings: Sequence[LabelledRecording], shares: Mapping[str, float]
+) -> dict[str, list[LabelledRecording]]:
+    """Divide each recording in time, into consecutive splits of these shares."""
+    ends = np.cumsum([0.0, *shares.values()])
     pieces = [
-        replace(each.piece(slice(round(begin * len(each)), round(end * len(each)))), split=split)
+        replace(each.piece(slice(*np.rint(len(each) * ends[place : place + 2]).astype(int))), split=split)
         for each in recordings
-        for split, (begin, end) in zip(SPLITS, pairwise(_ENDS), strict=True)
+        for place, split in enumerate(shares)
     ]
     return by_split(pieces)
 
@@ -153,11 +158,17 @@ def _from_model(
     held_out = [each for each in recordings if each.split == "test"]
     if not learned:
         raise InputError("train", "all recordings are in the test split: give some to learn from")
+    if not held_out:
+        parts = _in_time(learned, _FURTHER_SHARES)
+        learned, held_out = parts["train"], parts["test"]
+    if not any(len(each.known(1)) for each in held_out):
+        names = ", ".join(each.name for each in held_out)
+        raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")
     found = fine_tune(parent, learned, held_out, recipe, progress)
     compared = {"before": parent, "after": found.tcn}
     return found.tcn.weights, {
-        "alignment": asdict(found.alignment),
-        "scores": {name: label_scores(each, found.held_out) for name, each in compared.items()},
+        "time_scale": found.time_scale,
+        "scores": {name: label_scores(each, held_out) for name, each in compared.items()},
         "debounce": debounce_settings(tuned_on(learned, found.tcn)),
         "curve": [asdict(check) for check in found.curve],
     }

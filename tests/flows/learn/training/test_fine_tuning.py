@@ -9,7 +9,7 @@ import pytest
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import trainer
 from flows.learn.training.dense_training import train_dense
-from flows.learn.training.fine_tuning import Alignment, aligned, best_alignment, fine_tune
+from flows.learn.training.fine_tuning import best_time_scale, fine_tune, stretched
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Model, label_scores, write_model
 from flows.learn.training.trainer import train
@@ -58,14 +58,13 @@ def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording
     monkeypatch.setattr(trainer, "load", lambda _: recordings)
 
 
-def test_slower_and_weaker_strokes_are_found_by_time_scale_and_gain(learned: Tcn) -> None:
-    slow = [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)]
-    found = best_alignment(learned, slow)
-    assert found.time_scale > 1
-    assert found.gain < 1 or found.time_scale > 1
-    before, after = (label_scores(each, slow)["balanced"] for each in (learned, aligned(learned, found)))
+def test_slower_strokes_are_found_by_the_time_scale(learned: Tcn) -> None:
+    slow = [stroked(seed, stroke=1.0) for seed in (10, 11)]
+    found = best_time_scale(learned, slow)
+    assert found > 1
+    before, after = (label_scores(each, slow)["balanced"] for each in (learned, stretched(learned, found)))
     assert after > before
-    assert best_alignment(learned, [stroked(0, seconds=3)]) == Alignment()  # hardly longer than a window
+    assert best_time_scale(learned, [stroked(0, seconds=3)]) == 1  # hardly longer than a window
 
 
 def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the_origin(
@@ -78,7 +77,7 @@ def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the
     assert scores["after"]["balanced"] > scores["before"]["balanced"]
     assert "NOT better" not in model.report()
     assert model.card["parent"]["id"] == "parent"
-    assert model.card["alignment"]["time_scale"] in {1, 2, 3}
+    assert model.card["time_scale"] in {1, 2, 3}
     assert (len(done), load_debounce(out) is None) == (30, False)
     assert isinstance(load_detector(out), Tcn)
 
@@ -100,13 +99,19 @@ def test_the_test_split_is_held_out_and_a_worse_model_is_called_so(
     [
         (lambda one: replace(one, label=np.zeros_like(one.label)), "lacks slip or static samples"),
         (lambda one: one.piece(slice(250)), "too short to hold out a part"),
+        (lambda one: replace(one, split="test"), "give some to learn from"),
     ],
 )
 def test_recordings_that_cannot_be_learned_from_are_refused(
-    learned: Tcn, change: Callable[[LabelledRecording], LabelledRecording], reason: str
+    parent: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    change: Callable[[LabelledRecording], LabelledRecording],
+    reason: str,
 ) -> None:
+    _loading(monkeypatch, [change(stroked(0))])
     with pytest.raises(InputError, match=reason):
-        fine_tune(learned, [change(stroked(0))], (), Recipe(steps=3))
+        train([tmp_path], tmp_path / "m.safetensors", Recipe(steps=3), start=str(parent))
 
 
 def test_only_a_tcn_is_trained_further(tmp_path: Path) -> None:
@@ -128,6 +133,6 @@ def test_two_minutes_of_real_strokes_improve_the_shipped_network_on_another_surf
     assert isinstance(tcn, Tcn)
     two_minutes = [_read(f"{surface}_vel3").piece(slice(4000)) for surface in ("dvp_flat", "still", "tkan")]
     others = [_read(f"fabric_vel{number}") for number in (2, 4, 5)]
-    tuned = fine_tune(tcn, two_minutes, (), Recipe(steps=trainer.FURTHER_STEPS)).tcn
+    tuned = fine_tune(tcn, two_minutes, others, Recipe(steps=trainer.FURTHER_STEPS)).tcn
     before, after = (label_scores(each, others)["balanced"] for each in (tcn, tuned))
     assert after > max(before, 85)
