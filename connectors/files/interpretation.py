@@ -7,13 +7,14 @@ from typing import Final
 import numpy as np
 import polars as pl
 
-from connectors.files.column_map import DATE, LABEL, LABELS, MOTIONS, TIME, ColumnMap
-from connectors.files.number_format import MISSING, NumberFormat, number_format
-from connectors.files.raw_table import Problems, RawTable
+from connectors.files.column_map import LABEL, LABELS, MOTIONS, ColumnMap
+from connectors.files.number_format import MISSING, with_decimal
+from connectors.files.raw_table import RawTable
 from connectors.files.readings import described, readings_of, reals_of
 from connectors.files.roles import completed, label_value, label_values
-from connectors.files.time_axis import gap_doubts, time_axis
+from connectors.files.time_axis import time_axis
 from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch
+from operators.errors import InputError
 from operators.fingertip import Fingertip
 
 _MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
@@ -28,7 +29,6 @@ class Part:
     sha256: str  # of the file, hex; empty for a table in memory
     columns: ColumnMap  # complete, without absent quantities
     stated: frozenset[str]  # quantities that the user mapped; others were recognised by their names
-    rate: float | None  # rows per second; None: unknown
     fingertip: Fingertip | None  # None: the rate is unknown
     notes: tuple[str, ...]  # conclusions on how the data is read
     warnings: tuple[str, ...]  # doubts about implausible values
@@ -64,12 +64,6 @@ class Part:
         """Number of missing readings."""
         return sum(int(np.count_nonzero(~each.valid)) for each in self.fingertips.values())
 
-    @property
-    def speeds(self) -> Reals:
-        """Speed of the arm in each row of motion, (n,) m/s."""
-        speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
-        return speeds
-
 
 def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> list[Part]:
     """Interpret a table by what the user states; with `split`, a clock that starts again begins another part.
@@ -78,77 +72,55 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         InputError: that lists all problems, with a map that solves them.
         ParameterError: if the layout or the range does not fit the cells.
     """
-    problems = Problems(table.file)
-    if not len(table):
-        problems.add("has no rows")
-    elif not table.columns:
-        problems.add("has no columns of numbers or texts")
-    problems.stop()
-    columns, notes = completed(stated, table, problems)
-    used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
-    if columns.decimal is None:
-        numbers = number_format(table, used, columns.unit, problems)
-    else:
-        numbers = NumberFormat(columns.decimal_sign)
-    notes += ["decimal comma"] if numbers.decimal == "," else []
-    axis = time_axis(table, columns, numbers, problems, split=split)
-    columns = replace(
-        columns,
-        units={**columns.units, **({TIME: axis.unit} if TIME in columns.columns else {})},
-        decimal="comma" if numbers.decimal == "," else "point",
-        dates=axis.dates,
-        rate=columns.rate or axis.rate,
-        separator=table.separator,
-    )
-    readings = readings_of(table, columns, numbers, axis.time, problems)
-    columns, velocity = readings.columns, _velocity(table, columns, numbers, problems)
-    labels = _labels(table, columns, problems)
-    problems.stop()
-    fingertip = described(columns) if columns.rate else None
-    parts = list[Part]()
-    for part in (slice(*ends) for ends in axis.parts):
-        time, touch, first = axis.time[part], dict[int, Touch](), 0
+    if not len(table) or not table.columns:
+        raise InputError(table.file, "has no columns of numbers or texts" if len(table) else "has no rows")
+    columns = with_decimal(table, completed(table, stated))
+    columns, time, ends = time_axis(table, replace(columns, separator=table.separator), split=split)
+    columns, counts, valid = readings_of(table, columns, time)
+    velocity, labels = _velocity(table, columns), _labels(table, columns)
+    table.stop()
+    fingertip, parts = described(columns) if columns.rate else None, list[Part]()
+    moving: Flags = np.all(np.isfinite(velocity), axis=1)
+    for start, stop in ends:
+        rows, cells, touch = slice(start, stop), 0, dict[int, Touch]()
         for finger, names in columns.cells.items():
-            cells = slice(first, first := first + len(names))
-            counts, valid = readings.counts[part, cells], readings.valid[part, cells]
-            touch[finger] = columns.kind(time, counts, np.zeros_like(counts), valid, finger=finger)
-        moving: Flags = np.all(np.isfinite(velocity[part]), axis=1)
-        unknown = np.full((len(time), 6), np.nan)
-        motion = Motion(time, time, velocity[part], unknown, finger=EVERY)[moving]
-        doubts = [*axis.warnings, *readings.warnings]
-        found = Part(
-            table.file,
-            table.sha256,
-            columns,
-            frozenset(stated.columns),
-            axis.rate,
-            fingertip,
-            (*table.notes, *notes, *axis.notes, *readings.notes),
-            (),
-            touch,
-            motion,
-            labels[part],
-        )
-        if (fastest := float(found.speeds.max(initial=0.0))) > _MAX_SPEED:
-            doubts.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
-        if found.missing:
-            bad: Flags = np.any(~readings.valid[part], axis=1)
-            doubts.append(f"missing readings: {found.missing}, in {np.count_nonzero(bad)} of {len(bad)} rows")
-        parts.append(replace(found, warnings=(*doubts, *gap_doubts(time, axis.rate))))
+            own = slice(cells, cells := cells + len(names))
+            none = np.zeros_like(counts[rows, own])
+            touch[finger] = columns.kind(time[rows], counts[rows, own], none, valid[rows, own], finger=finger)
+        still = np.full((stop - start, 6), np.nan)
+        motion = Motion(time[rows], time[rows], velocity[rows], still, finger=EVERY)[moving[rows]]
+        warnings = [*_doubts(motion), *table.warnings]
+        if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
+            many = int(np.count_nonzero(~valid[rows]))
+            warnings.append(f"missing readings: {many}, in {bad} of {stop - start} rows")
+        found = table.file, table.sha256, columns, frozenset(stated.columns), fingertip, tuple(table.notes)
+        parts.append(Part(*found, tuple(warnings), touch, motion, labels[rows]))
     return parts
 
 
-def _velocity(table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems) -> Reals:
+def _doubts(motion: Motion) -> list[str]:
+    fastest = float(speeds_of(motion).max(initial=0.0))
+    text = f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?"
+    return [text] if fastest > _MAX_SPEED else []
+
+
+def speeds_of(motion: Motion) -> Reals:
+    """Return the speed of the arm in each row, (n,) m/s."""
+    speeds: Reals = np.linalg.norm(motion.velocity[:, :3], axis=1)
+    return speeds
+
+
+def _velocity(table: RawTable, columns: ColumnMap) -> Reals:
     """Return the velocity of the arm (n, 6), m/s and rad/s; NaN: unknown."""
     for key in MOTIONS:
         if names := columns.columns.get(key):
-            given = np.column_stack([reals_of(table, name, numbers, problems) for name in names])
+            given = np.column_stack([reals_of(table, name, columns) for name in names])
             given[:, :3] *= columns.scale(key)
             return np.pad(given, ((0, 0), (0, 6 - len(names))))
     return np.full((len(table), 6), np.nan)
 
 
-def _labels(table: RawTable, columns: ColumnMap, problems: Problems) -> Codes:
+def _labels(table: RawTable, columns: ColumnMap) -> Codes:
     """Return the labels of the rows (n,); other values than the stated or usual ones are a problem."""
     if LABEL not in columns.columns:
         return np.full(len(table), LABELS[columns.labelled or "unknown"], np.int8)
@@ -163,7 +135,7 @@ def _labels(table: RawTable, columns: ColumnMap, problems: Problems) -> Codes:
     if words := [text for text, code in codes.items() if code is None]:
         listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
         text = f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
-        place = f"{table.place_of(int(found.is_null().arg_true()[0]))}, column {name}"
-        problems.add(text, place, fix=None if columns.labels else f"labels.slip={words[0]}")
+        place = table.place_of(int(found.is_null().arg_true()[0]), name)
+        table.add_problem(text, place, fix=None if columns.labels else f"labels.slip={words[0]}")
     labels: Codes = found.fill_null(UNKNOWN).to_numpy()
     return labels

@@ -7,7 +7,7 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import DATE, SEPARATORS, TIME, ColumnMap
-from connectors.files.number_format import NumberFormat
+from connectors.files.number_format import reals
 from connectors.files.readings import counts_of
 from connectors.files.text_table import named, split_line
 from connectors.files.time_axis import of_numbers, of_texts
@@ -41,7 +41,6 @@ class LineDecoder:
     def __init__(self, where: str, columns: ColumnMap, names: Sequence[str], counted: dict[str, int]) -> None:
         self._where, self._columns, self._counted, self.reason = where, columns, counted, ""
         self._separator = SEPARATORS[columns.separator or "comma"]
-        self._numbers = NumberFormat(columns.decimal_sign)
         self._clock = DeviceClock(jump=_JUMP) if TIME in columns.columns else None  # None: time of arrival
         self._time = [name for key in (DATE, TIME) for name in columns.columns.get(key, ())]
         self._rest = b""  # of a line that is not complete
@@ -117,7 +116,8 @@ class LineDecoder:
         places = [self._names.index(name) for name in self._wanted]
         clock, cells = places[: len(self._time)], places[len(self._time) :]
         time, known = self._times([" ".join(row[place] for place in clock) for row in whole])
-        found = self._numbers.reals(pl.Series([row[place] for row in whole for place in cells]))
+        texts = pl.Series([row[place] for row in whole for place in cells])
+        found = reals(texts, self._columns.decimal_sign)
         readings: Reals = found.fill_null(np.nan).to_numpy().reshape(len(whole), -1)
         readings = np.where(np.isin(readings, self._columns.missing or ()), np.nan, readings)
         counts, good = counts_of(readings, self._columns)
@@ -149,7 +149,7 @@ class LineDecoder:
         if not self._time:
             return np.zeros(len(texts), np.int64), np.ones(len(texts), np.bool_)
         column = pl.Series(texts)
-        found = of_numbers(column, self._columns.units.get(TIME, "s"), self._numbers)
+        found = of_numbers(column, self._columns)
         if any(":" in text for text in texts):
             found = found.fill_null(of_texts(column, self._columns.dates or "ymd"))
         return found.fill_null(0).to_numpy(), found.is_not_null().to_numpy()

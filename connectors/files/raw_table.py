@@ -1,7 +1,7 @@
-"""Table as a recording's file has it: columns of texts or typed values, and the problems found in them."""
+"""Table as a recording's file has it: columns of texts or typed values, and what was found in them."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from shlex import quote
 from typing import Final, Self
 
@@ -18,19 +18,39 @@ COLUMN_LIMIT: Final = 4096
 _SHOWN: Final = 8  # problems in an error
 
 
-@dataclass(frozen=True)
+@dataclass
 class RawTable:
-    """Columns of a recording. A missing value is null, NaN or an empty text."""
+    """Columns of a recording, and what was found in them. A missing value is null, NaN or an empty text.
 
-    columns: Mapping[str, pl.Series]  # (n,) each
-    file: str  # name, also of a table in memory
-    place: str  # word for a row in messages
-    numbers: NDArray[np.int64]  # (n,) of the rows in messages
-    units: Mapping[str, str] = field(default_factory=dict[str, str])  # by column, of a row below the names
-    separator: str | None = None  # name, of a CSV file
-    left_out: Mapping[str, str] = field(default_factory=dict[str, str])  # reasons by names
-    notes: tuple[str, ...] = ()  # conclusions on how the file was read
-    sha256: str = ""  # of the file, hex
+    Args:
+        columns: Columns (n,), by name.
+        file: Name of the file, or of a table in memory.
+        place: Word for a row in messages.
+        numbers: (n,) of the rows in messages.
+        units: Units by column, of a row below the names.
+        separator: Name of the separator of a CSV file.
+        left_out: Reasons for columns that cannot be used, by name.
+        notes: Conclusions on how the file is read.
+        warnings: Doubts about implausible values.
+        sha256: Checksum of the file, hex.
+        suggested: Items of a map that has the table's columns.
+        fixes: Items of a map that solve problems; an empty one: those of the columns do.
+        problems: Place and reason of each problem, by its subject.
+    """
+
+    columns: Mapping[str, pl.Series]
+    file: str
+    place: str
+    numbers: NDArray[np.int64]
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
+    separator: str | None = None
+    left_out: Mapping[str, str] = field(default_factory=dict[str, str])
+    notes: list[str] = field(default_factory=list[str])
+    warnings: list[str] = field(default_factory=list[str])
+    sha256: str = ""
+    suggested: list[str] = field(default_factory=list[str])
+    fixes: list[str] = field(default_factory=list[str])
+    problems: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
 
     @classmethod
     def of(
@@ -52,70 +72,43 @@ class RawTable:
     def __len__(self) -> int:
         return len(self.numbers)
 
-    def rows(self, start: int, stop: int) -> Self:
-        """Return the rows from `start` to before `stop`."""
-        columns = {name: column[start:stop] for name, column in self.columns.items()}
-        return replace(self, columns=columns, numbers=self.numbers[start:stop])
+    def place_of(self, row: int, column: str) -> str:
+        """Return the place of a value in messages."""
+        return f"{self.place} {self.numbers[row]}, column {column}"
 
-    def place_of(self, row: int) -> str:
-        """Return the place of a row in messages."""
-        return f"{self.place} {self.numbers[row]}"
+    def add_problem(self, reason: str, place: str = "", *, about: str = "", fix: str | None = None) -> None:
+        """Add a problem at a place; of each subject, by default the place, only the first."""
+        subject = about or place or reason
+        if subject not in self.problems:
+            self.problems[subject] = place, reason
+            self.fixes += [] if fix is None else [fix]
 
-
-@dataclass
-class Problems:
-    """Problems of a file, which become one error."""
-
-    file: str
-    columns: list[str] = field(default_factory=list[str])  # items of a map that has the table's columns
-    fixes: list[str] = field(default_factory=list[str])  # items that solve problems; a map is suggested
-    found: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])  # place, reason
-
-    def add(self, reason: str, place: str = "", *, about: str = "", fix: str | None = None) -> None:
-        """Add a problem at a place of the file; of each subject, by default the place, only the first.
-
-        Args:
-            reason: The problem.
-            place: Line and column; empty: the file.
-            about: Subject.
-            fix: Item of a map that solves it; empty: those of the columns do.
-        """
-        if (
-            self.found.setdefault(about or place or reason, (place, reason)) == (place, reason)
-            and fix is not None
-        ):
-            self.fixes.append(fix)
-
-    def about(self, subject: str) -> bool:
-        """Return True if there is a problem about a subject."""
-        return subject in self.found
-
-    def check(self, table: RawTable, name: str, good: Flags, must_be: str) -> None:
-        """Add the first value of a column that is invalid; `good`: (n,) False for these."""
+    def check(self, name: str, good: Flags, must_be: str) -> None:
+        """Add the first value of a column that is invalid as a problem; `good`: (n,) False for these."""
         if not good.all():
             row = int(np.argmin(good))
-            found = table.columns[name][row]
+            found = self.columns[name][row]
             text = "''" if found is None else repr(found) if isinstance(found, str) else f"{found}"
-            self.add(f"is {text:.40}, must be {must_be}", f"{table.place_of(row)}, column {name}")
+            self.add_problem(f"is {text:.40}, must be {must_be}", self.place_of(row, name))
 
     def stop(self) -> None:
-        """Raise the error, if there are problems.
+        """Raise an error, if there are problems.
 
         Raises:
-            InputError: that lists all problems, and the remedy.
+            InputError: that lists all problems, and a map that solves them.
         """
-        given = {fix.partition("=")[0] for fix in self.fixes}
-        items = [each for each in self.columns if each.partition("=")[0] not in given]
+        solved = {fix.partition("=")[0] for fix in self.fixes}
+        items = [each for each in self.suggested if each.partition("=")[0] not in solved]
         items += [fix for fix in self.fixes if fix]
         remedy = f"; try --map {quote(','.join(items))}" if self.fixes else ""
-        if len(self.found) == 1:
-            [(place, reason)] = self.found.values()
+        if len(self.problems) == 1:
+            [(place, reason)] = self.problems.values()
             raise InputError(f"{self.file}, {place}" if place else self.file, f"{reason}{remedy}")
-        if self.found:
-            listed = [f"{place} {reason}".strip() for place, reason in self.found.values()][:_SHOWN]
+        if self.problems:
+            listed = [f"{place} {reason}".strip() for place, reason in self.problems.values()][:_SHOWN]
             text = "; ".join(f"({number}) {each}" for number, each in enumerate(listed, 1))
-            text += "; ..." if len(self.found) > _SHOWN else ""
-            raise InputError(self.file, f"has {len(self.found)} problems: {text}{remedy}")
+            text += "; ..." if len(self.problems) > _SHOWN else ""
+            raise InputError(self.file, f"has {len(self.problems)} problems: {text}{remedy}")
 
 
 def check_size(where: str, values: int, columns: int = 0) -> None:

@@ -1,14 +1,14 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from connectors.files.column_map import COUNTS, PRESSURES, ColumnMap, is_air, layout_text
-from connectors.files.number_format import NumberFormat
-from connectors.files.raw_table import Problems, RawTable
+from connectors.files.number_format import reals
+from connectors.files.raw_table import RawTable
 from operators.batch import Counts, Flags, Reals, Times, s
 from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
@@ -30,39 +30,29 @@ _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
 
 
-@dataclass(frozen=True)
-class Readings:
-    """Readings as counts, and what was concluded from them."""
+def readings_of(table: RawTable, columns: ColumnMap, time: Times) -> tuple[ColumnMap, Counts, Flags]:
+    """Return the readings of a table with times (n,) as counts (n, cells), and which are valid.
 
-    counts: Counts  # (n, cells of all fingertips)
-    valid: Flags  # (n, cells of all fingertips)
-    columns: ColumnMap  # with resolution, offset, missing and zeroed
-    notes: list[str]  # conclusions
-    warnings: list[str]  # doubts
-
-
-def readings_of(
-    table: RawTable, columns: ColumnMap, numbers: NumberFormat, time: Times, problems: Problems
-) -> Readings:
-    """Return the readings of a table with times (n,); readings that mean none become missing."""
-    names, readings, notes = columns.cell_names, _read(table, columns, numbers, problems), list[str]()
-    missing, warnings = columns.missing, list[str]()
+    The map gets resolution, offset, missing and zeroed. Readings that mean none become invalid.
+    """
+    names, readings = columns.cell_names, _read(table, columns)
+    missing = columns.missing
     if missing is None:
         missing = _sentinels(readings)
         for value in missing:
             place, many = _place(readings == value, names, table), int((readings == value).sum())
             text = f"{place} is {value:g}, far from all others: taken as missing ({many} in all"
-            warnings.append(f"{text}; missing= keeps it)")
+            table.warnings.append(f"{text}; missing= keeps it)")
     readings[np.isin(readings, missing)] = np.nan
-    warnings += _outliers(readings, names, table)
+    table.warnings += _outliers(readings, names, table)
     zeroed = columns.zeroed
     if zeroed is None:
         zeroed = names[0].startswith(EXPORTED) or _is_zeroed(readings)
-        notes += ["readings relative to the unloaded fingertip"] if zeroed else []
-    warnings += _doubts_at_rest(readings[time <= time[0] + s], readings, columns.unit, zeroed=zeroed)
+        table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
+    table.warnings += _doubts_at_rest(readings[time <= time[0] + s], readings, columns.unit, zeroed=zeroed)
     resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
     if columns.resolution is not None and not _is_multiple(readings, resolution):
-        warnings.append(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
+        table.warnings.append(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
     offset = columns.offset
     if offset is None and not zeroed and (found := offsets(readings, resolution)).any():
         offset = tuple(map(int, found))
@@ -70,34 +60,34 @@ def readings_of(
     counts, good = counts_of(readings, columns)
     for cell, (name, middle) in enumerate(zip(names, np.resize(offset or 0, len(names)), strict=True)):
         ends = f"from {(middle - COUNT_LIMIT) * resolution:g} to {(middle + COUNT_LIMIT) * resolution:g}"
-        problems.check(table, name, good[:, cell], f"{ends} at a resolution of {resolution:g}")
-    return Readings(counts, ~np.isnan(readings), columns, notes, warnings)
+        table.check(name, good[:, cell], f"{ends} at a resolution of {resolution:g}")
+    return columns, counts, ~np.isnan(readings)
 
 
-def _read(table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems) -> Reals:
+def _read(table: RawTable, columns: ColumnMap) -> Reals:
     """Return the readings (n, cells); NaN: missing."""
     names = columns.cell_names
     readings = np.full((len(table), len(names)), np.nan)
     for cell, name in enumerate(names):
-        readings[:, cell] = reals_of(table, name, numbers, problems)
+        readings[:, cell] = reals_of(table, name, columns)
         if columns.has_counts:
             fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
-            problems.check(table, name, ~_is_fraction(readings[:, cell]), fix)
+            table.check(name, ~_is_fraction(readings[:, cell]), fix)
     empty = np.isnan(readings).all(axis=0)
     for cell in np.flatnonzero(empty).tolist():
-        problems.add(f"column {names[cell]} has no readings")
+        table.add_problem(f"column {names[cell]} has no readings")
     if len({len(each) for each in columns.cells.values()}) > 1:
-        problems.add("its fingertips have different numbers of cells", about=COUNTS)
+        table.add_problem("its fingertips have different numbers of cells", about=COUNTS)
     if not names or empty.any():
-        problems.stop()
+        table.stop()
     return readings
 
 
-def reals_of(table: RawTable, name: str, numbers: NumberFormat, problems: Problems) -> Reals:
+def reals_of(table: RawTable, name: str, columns: ColumnMap) -> Reals:
     """Return the numbers of a column (n,); NaN for missing ones."""
-    values = numbers.reals(table.columns[name])
-    signs = " with a decimal comma" if numbers.decimal == "," else ""
-    problems.check(table, name, values.is_not_null().to_numpy(), f"a number{signs} or empty")
+    values = reals(table.columns[name], columns.decimal_sign)
+    signs = " with a decimal comma" if columns.decimal == "comma" else ""
+    table.check(name, values.is_not_null().to_numpy(), f"a number{signs} or empty")
     found: Reals = values.fill_null(np.nan).to_numpy()
     return found
 
@@ -194,7 +184,7 @@ def _is_zeroed(readings: Reals) -> bool:
 def _place(found: Flags, names: Sequence[str], table: RawTable) -> str:
     """Return the place of the first of some readings (n, cells)."""
     row, cell = np.argwhere(found)[0]
-    return f"{table.place_of(int(row))}, column {names[cell]}"
+    return table.place_of(int(row), names[cell])
 
 
 def _quantiles(readings: Reals, share: float) -> Reals:

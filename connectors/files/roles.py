@@ -25,7 +25,7 @@ from connectors.files.column_map import (
     ColumnMap,
     expanded,
 )
-from connectors.files.raw_table import Problems, RawTable
+from connectors.files.raw_table import RawTable
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
 
@@ -85,22 +85,27 @@ class CellGroup:
     sure: bool  # they have a usual name of cells
 
 
-def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[ColumnMap, list[str]]:
-    """Return a map that is completed by columns with usual names, and what was concluded.
+def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
+    """Return a map that is completed by columns with usual names.
 
     A time is required unless the map has a rate.
     """
-    given = {key: _matched(key, names, table, problems) for key, names in stated.columns.items()}
+    given = {key: _matched(key, names, table) for key, names in stated.columns.items()}
     groups, found = cell_groups(list(table.columns)), dict(given)
     for name in (TIME, DATE, VELOCITY, SPEED, LABEL):
         redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
         redundant |= name == LABEL and stated.labelled is not None
         if name not in given:
-            found[name] = () if redundant else _usual(name, table, problems)
+            found[name] = () if redundant else _usual(name, table)
     if not any(_quantity(key) == COUNTS for key in given):
-        found[COUNTS] = _cells(groups, table, problems)
-    if not found[TIME] and stated.rate is None and not stated.columns.get(TIME) and not problems.about(TIME):
-        problems.add(
+        found[COUNTS] = _cells(groups, table)
+    if (
+        not found[TIME]
+        and stated.rate is None
+        and not stated.columns.get(TIME)
+        and TIME not in table.problems
+    ):
+        table.add_problem(
             "no column is recognised as time; state time=..., or rate=... if it has none", about=TIME
         )
     if not found[TIME]:
@@ -111,18 +116,17 @@ def completed(stated: ColumnMap, table: RawTable, problems: Problems) -> tuple[C
         for name in sorted(found, key=lambda key: order.index(_quantity(key)))
         if found[name]
     }
-    units = _units(found, stated, table, problems)
-    layout = next((group for group in groups if group.rows and group.names in found.values()), None)
+    units = _units(found, stated, table)
     columns = replace(stated, columns=found, units=units)
-    problems.fixes += [""] if problems.found else []
+    table.fixes += [""] if table.problems else []
     others = [f"{name}={','.join(texts)}" for name, texts in stated.values().items()]
-    problems.columns = _suggested(columns, groups, table) + others
+    table.suggested = _suggested(columns, groups, table) + others
+    layout = next((group for group in groups if group.rows and group.names in found.values()), None)
     if layout is None or stated.layout is not None:
-        return columns, []
+        return columns
     wide = len(layout.names) // layout.rows
-    return replace(columns, layout=grid(len(layout.names), wide)), [
-        f"layout {layout.rows}x{wide} by the names"
-    ]
+    table.notes.append(f"layout {layout.rows}x{wide} by the names")
+    return replace(columns, layout=grid(len(layout.names), wide))
 
 
 def cell_groups(names: Sequence[str]) -> list[CellGroup]:
@@ -214,7 +218,7 @@ def label_value(text: str) -> str:
     return text.strip().lower()
 
 
-def _matched(key: str, names: Sequence[str], table: RawTable, problems: Problems) -> tuple[str, ...]:
+def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]:
     """Return the columns that a map names; a pattern becomes those that match, ordered by their numbers."""
     found = list[str]()
     for name in names:
@@ -223,20 +227,20 @@ def _matched(key: str, names: Sequence[str], table: RawTable, problems: Problems
         elif matches := [each for each in table.columns if "*" in name and fnmatchcase(each, name)]:
             found += sorted(matches, key=lambda each: [int(part) for part in re.findall(r"\d+", each)])
         elif name in table.left_out:
-            problems.add(f"column {name} cannot be used: {table.left_out[name]}")
+            table.add_problem(f"column {name} cannot be used: {table.left_out[name]}")
         else:
             more = f" and {len(table.columns) - _SHOWN} more" if len(table.columns) > _SHOWN else ""
             listed = " ".join([*table.columns][:_SHOWN])
-            problems.add(f"there is no column {name}; the columns are {listed}{more}", about=key)
+            table.add_problem(f"there is no column {name}; the columns are {listed}{more}", about=key)
     for name in found:
         if found.count(name) > 1:
-            problems.add(f"column {name} cannot be two cells")
+            table.add_problem(f"column {name} cannot be two cells")
     if len(found) not in (0, *(SIZES.get(key) or range(CELL_LIMIT + 1))):
-        problems.add(f"{key} matches {len(found)} columns", about=key)
+        table.add_problem(f"{key} matches {len(found)} columns", about=key)
     return tuple(found)
 
 
-def _usual(quantity: str, table: RawTable, problems: Problems) -> tuple[str, ...]:
+def _usual(quantity: str, table: RawTable) -> tuple[str, ...]:
     """Return the columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
         axes = {_word(each): each for each in table.columns}
@@ -254,7 +258,7 @@ def _usual(quantity: str, table: RawTable, problems: Problems) -> tuple[str, ...
     names = ["t"] if "t" in names else names  # T may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
-        problems.add(text, about=quantity)
+        table.add_problem(text, about=quantity)
     return tuple(names[:1])
 
 
@@ -264,7 +268,7 @@ def _has_usual_words(column: pl.Series) -> bool:
     return bool(words & {*_WORDS["slip"]}) and words <= set(label_values({}))
 
 
-def _cells(groups: Sequence[CellGroup], table: RawTable, problems: Problems) -> tuple[str, ...]:
+def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     """Return the cells: the only group of columns with a usual name; groups of one column only if alone."""
     sure = [group for group in groups if group.sure]
     sure = [group for group in sure if len(group.names) > 1] or sure
@@ -274,12 +278,16 @@ def _cells(groups: Sequence[CellGroup], table: RawTable, problems: Problems) -> 
     two = ", or counts.0=... and counts.1=... of two fingertips" if len(several) > 1 else ""
     left_out = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())
     who = f"{' or '.join(several):.200} may be the cells" if several else "no columns are recognised as cells"
-    problems.add(f"{who}; state counts=...{two}{f' ({left_out:.200})' if left_out else ''}", about=COUNTS)
+    table.add_problem(
+        f"{who}; state counts=...{two}{f' ({left_out:.200})' if left_out else ''}", about=COUNTS
+    )
     return ()
 
 
 def _units(
-    found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTable, problems: Problems
+    found: Mapping[str, Sequence[str]],
+    stated: ColumnMap,
+    table: RawTable,
 ) -> dict[str, str]:
     """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
     units = dict(stated.units)
@@ -295,11 +303,11 @@ def _units(
             unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
         like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
         if like and unit not in like:
-            problems.add(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")
+            table.add_problem(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")
         elif quantity == COUNTS and any(
             is_temperature(_suffix(split_unit(COUNTS, name)[0])) for name in names
         ):
-            problems.add(
+            table.add_problem(
                 f"column {names[0]} is a temperature, not a cell (or state units.counts=...)", about=COUNTS
             )
         else:

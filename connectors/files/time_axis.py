@@ -2,7 +2,7 @@
 
 from calendar import month_abbr
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from typing import Final, TypeAlias
@@ -11,8 +11,8 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import DATE, TIME, UNITS, ColumnMap
-from connectors.files.number_format import NumberFormat
-from connectors.files.raw_table import Problems, RawTable
+from connectors.files.number_format import plain, reals
+from connectors.files.raw_table import RawTable
 from operators.batch import Times, s
 from operators.fingertip import RATE_TOLERANCE, rows_per_second
 
@@ -22,8 +22,6 @@ EPISODE: Final = "episode_index"  # of LeRobot
 SLOWEST: Final = 5.0  # Hz; a rate outside these limits is implausible
 FASTEST: Final = 5000.0  # Hz
 
-_GAP: Final = 5.0  # mean intervals; a longer interval is a gap
-_RARE: Final = 0.02  # share of the intervals that may be gaps
 _ENOUGH: Final = 10  # rows from which on a rate is judged
 _COARSE: Final = 0.1  # largest share of the rows that one time may have
 _SHOWN: Final = 5  # parts in an error
@@ -55,54 +53,45 @@ _TEXT: Final = (
 )
 
 
-@dataclass(frozen=True)
-class TimeAxis:
-    """Times of the rows of a table."""
+def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[ColumnMap, Times, Parts]:
+    """Conclude the times (n,) of a table, ns; with `split`, a clock that starts again begins another part.
 
-    time: Times  # (n,) ns; never decreasing within a part
-    parts: Parts
-    unit: str  # of numbers
-    dates: str  # order in dates
-    rate: float | None  # rows per second; None: unknown
-    notes: tuple[str, ...] = ()  # conclusions
-    warnings: tuple[str, ...] = ()  # doubts
-
-
-def time_axis(
-    table: RawTable, columns: ColumnMap, numbers: NumberFormat, problems: Problems, *, split: bool
-) -> TimeAxis:
-    """Conclude the times of a table; with `split`, a clock that starts again begins another part.
-
-    Problems are invalid times, a unit that is not stated, and times that cannot tell the rate.
+    The map gets the unit of the time, the order in dates and the rate. Problems are invalid times, a unit
+    that is not stated, and times that cannot tell the rate.
     """
-    notes, warnings = list[str](), list[str]()
-    episodes = _episodes(table)
+    unknown: Times = np.zeros(len(table), np.int64)
     if TIME not in columns.columns:
         if columns.rate is None:
-            return TimeAxis(np.zeros(len(table), np.int64), ((0, len(table)),), "s", "ymd", None)
+            return columns, unknown, ((0, len(table)),)
+        table.notes.append("times by the rate")
         time = np.rint(np.arange(len(table)) * (s / columns.rate)).astype(np.int64)
-        return TimeAxis(time, episodes, "s", "ymd", columns.rate, ("times by the rate",))
+        return replace(columns, dates="ymd"), time, _episodes(table)
     name, dates, column = columns.columns[TIME][0], columns.columns.get(DATE), time_column(table, columns)
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
-    order = columns.dates or (date_order(table, (dates or [name])[0], problems) if texts else "ymd")
-    unit = "s" if textual else columns.units.get(TIME) or _unit(column, numbers, notes)
-    raw = of_texts(column, order) if texts else of_numbers(column, unit, numbers)
-    must_be = (
-        "a whole number of ns" if unit == "ns" else "a date and time" if textual else f"a time in {unit}"
-    )
-    problems.check(table, name, raw.is_not_null().to_numpy(), must_be)
+    order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
+    stated = "s" if textual else columns.units.get(TIME, "")
+    epoch = "" if stated else epoch_unit(reals(column, columns.decimal_sign).drop_nans())
+    table.notes += [f"time in {epoch} since 1970, by its digits"] if epoch else []
+    unit = stated or epoch or "s"
+    columns = replace(columns, units={**columns.units, TIME: unit}, dates=order)
+    raw = of_texts(column, order) if texts else of_numbers(column, columns)
+    what = "a whole number of ns" if unit == "ns" else "a date and time" if textual else f"a time in {unit}"
+    table.check(name, raw.is_not_null().to_numpy(), what)
     if raw.null_count():
-        return TimeAxis(np.zeros(len(table), np.int64), episodes, unit, order, None, tuple(notes))
-    time = continued(raw.to_numpy(), notes)
-    parts = _parts(table, name, time, problems, split=split)
-    rate = _rate(name, time, parts, problems, warnings)
-    _check_unit(columns, unit, rate, time, problems, textual=textual or unit != "s" or bool(notes))
-    if rate is not None and not SLOWEST <= rate <= FASTEST:
-        warnings.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
+        return columns, unknown, _episodes(table)
+    time = continued(raw.to_numpy(), table.notes)
+    parts = _parts(table, name, time, split=split)
+    rate = _rate(table, name, time, parts)
+    plausible = rate is None or SLOWEST <= rate <= FASTEST
+    if rate and not (plausible or stated or epoch):
+        _add_unit_problem(table, name, rate)
+    if not plausible:
+        table.warnings.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
     if columns.rate and rate and abs(rate - columns.rate) > RATE_TOLERANCE * columns.rate:
-        problems.add(f"has {rate:.1f} rows per second, not {columns.rate:g}: is its time in another unit?")
-    return TimeAxis(time, parts, unit, order, rate, tuple(notes), tuple(warnings))
+        text = f"has {rate:.1f} rows per second, not {columns.rate:g}: is its time in another unit?"
+        table.add_problem(text)
+    return replace(columns, rate=columns.rate or rate), time, parts
 
 
 def time_column(table: RawTable, columns: ColumnMap) -> pl.Series:
@@ -132,34 +121,14 @@ def continued(time: Times, notes: list[str], usual: float | None = None) -> Time
     return found
 
 
-def _unit(column: pl.Series, numbers: NumberFormat, notes: list[str]) -> str:
-    """Return the unit of times since 1970 by their digits; s for others."""
-    unit = epoch_unit(numbers.reals(column).drop_nans())
-    if unit:
-        notes.append(f"time in {unit} since 1970, by its digits")
-    return unit or "s"
-
-
-def _check_unit(
-    columns: ColumnMap, unit: str, rate: float | None, time: Times, problems: Problems, *, textual: bool
-) -> None:
-    """Add a problem if the file does not state the unit of its time, and seconds are implausible."""
-    if (
-        columns.units.get(TIME)
-        or textual
-        or rate is None
-        or len(time) < _ENOUGH
-        or SLOWEST <= rate <= FASTEST
-    ):
-        return
+def _add_unit_problem(table: RawTable, name: str, rate: float) -> None:
+    """Add the problem that the unit of the time is not stated, and seconds are implausible."""
     others = {each: rate * UNITS[TIME]["s"] / UNITS[TIME][each] for each in ("ms", "us", "ns", "min", "d")}
-    likely = [
-        f"units.time={each} ({value:.4g} Hz)" for each, value in others.items() if SLOWEST <= value <= FASTEST
-    ]
-    if likely:
-        reason = f"column {columns.columns[TIME][0]} has no unit, in seconds its rate is {rate:.4g} Hz"
+    likely = [f"units.time={each} ({hz:.4g} Hz)" for each, hz in others.items() if SLOWEST <= hz <= FASTEST]
+    if likely and len(table) >= _ENOUGH:
+        reason = f"column {name} has no unit, in seconds its rate is {rate:.4g} Hz"
         fix = likely[0].partition(" ")[0]
-        problems.add(f"{reason}; state {' or '.join(likely)}, or units.time={unit}", fix=fix)
+        table.add_problem(f"{reason}; state {' or '.join(likely)}, or units.time=s", fix=fix)
 
 
 def _episodes(table: RawTable) -> Parts:
@@ -173,7 +142,7 @@ def _episodes(table: RawTable) -> Parts:
     return tuple((int(a), int(b)) for a, b in pairwise([*starts, len(table)]))
 
 
-def _parts(table: RawTable, name: str, time: Times, problems: Problems, *, split: bool) -> Parts:
+def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
     """Return the parts, each with a clock that never goes back; without `split` only episodes are parts."""
     starts = {start for start, _stop in _episodes(table)}
     back = [int(row) + 1 for row in np.flatnonzero(np.diff(time) < 0) if int(row) + 1 not in starts]
@@ -183,11 +152,11 @@ def _parts(table: RawTable, name: str, time: Times, problems: Problems, *, split
         good[back] = False
         sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
         must_be = f"no less than in the {table.place} before; if the logger started again,"
-        problems.check(table, name, good, f"{must_be} --split makes {len(parts)} sessions ({sizes} rows)")
+        table.check(name, good, f"{must_be} --split makes {len(parts)} sessions ({sizes} rows)")
     return parts
 
 
-def _rate(name: str, time: Times, parts: Parts, problems: Problems, warnings: list[str]) -> float | None:
+def _rate(table: RawTable, name: str, time: Times, parts: Parts) -> float | None:
     """Return the rows per second of the longest part; times without resolution are a problem."""
     start, stop = max(parts, key=lambda part: part[1] - part[0])
     part = time[start:stop]
@@ -197,29 +166,14 @@ def _rate(name: str, time: Times, parts: Parts, problems: Problems, warnings: li
         step = f", {np.diff(shared.values).min() / s:g} s apart" if values > 1 else ""
         has = f"only {values} value{'s' * (values > 1)} in {len(part)} rows{step}"
         reason = f"column {name} has {has}: it tells no rate; state time=,rate=... (rows per second)"
-        problems.add(reason, about=TIME, fix="time=,rate=ROWS_PER_SECOND")
+        table.add_problem(reason, about=TIME, fix="time=,rate=ROWS_PER_SECOND")
         return None
     if most > 1:
         text = (
             f"{len(part) - values} of {len(part)} rows share the time of the row before (up to {most} rows)"
         )
-        warnings.append(f"column {name}: {text}; the rate is that of the rows over the time")
+        table.warnings.append(f"column {name}: {text}; the rate is that of the rows over the time")
     return rows_per_second(part)
-
-
-def gap_doubts(time: Times, rate: float | None) -> list[str]:
-    """Return a doubt about pauses in times (n,) of rows with a rate."""
-    stamps = np.unique(time)  # rows may share times
-    steps = np.diff(stamps)
-    if not steps.size or rate is None:
-        return []
-    gaps = np.flatnonzero(steps > _GAP * max(s / rate, float(np.median(steps))))
-    if not 0 < gaps.size <= max(5, _RARE * steps.size):
-        return []
-    longest = int(gaps[np.argmax(steps[gaps])])
-    many = "a gap" if len(gaps) == 1 else f"{len(gaps)} gaps, the longest"
-    after = (stamps[longest] - stamps[0]) / s
-    return [f"the time has {many} of {steps[longest] / s:.3g} s after {after:.4g} s"]
 
 
 def epoch_unit(values: pl.Series) -> str:
@@ -245,7 +199,7 @@ def is_text_of_time(column: pl.Series) -> bool:
     return bool(filled.str.contains(rf"{_CLOCK}|^\d{{4}}-\d{{1,2}}-|^\d{{1,2}}[./-]\d{{1,2}}[./-]\d").any())
 
 
-def date_order(table: RawTable, name: str, problems: Problems) -> str:
+def date_order(table: RawTable, name: str) -> str:
     """Conclude the order of day, month and year in the dates of a column: ``ymd``, ``dmy`` or ``mdy``."""
     texts = table.columns[name].unique()
     parts = texts.str.extract_groups(
@@ -262,20 +216,20 @@ def date_order(table: RawTable, name: str, problems: Problems) -> str:
         return "mdy"
     if short or (first != second).any():
         doubt = f"column {name}: {texts.drop_nulls()[0]!r:.40} may begin with the day or the month"
-        problems.add(f"{doubt}; state dates=dmy or dates=mdy", fix="dates=dmy")
+        table.add_problem(f"{doubt}; state dates=dmy or dates=mdy", fix="dates=dmy")
     return "dmy"
 
 
-def of_numbers(column: pl.Series, unit: str, numbers: NumberFormat) -> pl.Series:
+def of_numbers(column: pl.Series, columns: ColumnMap) -> pl.Series:
     """Return times (n,) as whole ns; null for what is no number.
 
     Decimal texts are converted exactly, then rounded to the nearest ns.
     """
-    kind = column.dtype
+    kind, unit = column.dtype, columns.units.get(TIME, "s")
     if kind.is_temporal():
         wanted = kind if kind == pl.Time else pl.Duration("ns") if kind == pl.Duration else pl.Datetime("ns")
         return column.cast(wanted, strict=False).to_physical()
-    column = numbers.plain(column)
+    column = plain(column, columns.decimal_sign)
     if kind.is_float() or unit not in _DIGITS:
         return _rounded(column.cast(pl.Float64, strict=False), unit)
     if unit == "ns":

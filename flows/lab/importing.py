@@ -14,7 +14,7 @@ import numpy as np
 
 from connectors import Replay, Trace
 from connectors.files.column_map import COUNTS, LABEL, LABELS, ColumnMap, layout_text
-from connectors.files.interpretation import Part
+from connectors.files.interpretation import Part, speeds_of
 from connectors.files.trace import interpreted
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
@@ -125,7 +125,7 @@ class TraceImport:
             "concluded": list(part.notes),
             "fingers": list(trace.fingers(Touch)),
             "seconds": int(part.touch.time[-1] - part.touch.time[0]) / s,
-            "rate": part.rate,
+            "rate": part.columns.rate,
             "unit": part.columns.unit,
             "resolution": part.resolution,
             "lowest": lowest,
@@ -163,14 +163,14 @@ class TraceImport:
     def report(self, *, short: bool = False) -> str:
         """Return the interpretation as text; `short`: without the columns."""
         found, part = self.summary(), self.trace.part
-        rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {part.rate or 0.0:.1f} Hz"
+        rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {part.columns.rate or 0.0:.1f} Hz"
         notes = f" ({', '.join(part.notes)})" if part.notes else ""
         unit = "counts" if found["unit"] == "count" else found["unit"]
         lines = [f"{self.trace.name}: {rows}{notes}", *(() if short else self.interpretation())]
         lines.append(f"  readings from {found['lowest']:g} to {found['highest']:g} {unit}")
         if (part.resolution, unit) != (1, "counts"):
             lines.append(f"  stored in steps of {part.resolution:g} {found['unit']}")
-        if len(speeds := part.speeds):  # (n,) m/s
+        if len(speeds := speeds_of(part.motion)):  # (n,) m/s
             moving = f"{np.sum(speeds > self.label.speed)} of {len(speeds)} rows"
             moving += f", above {self.label.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")

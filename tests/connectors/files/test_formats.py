@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from connectors.files.number_format import NumberFormat, number_format
-from connectors.files.raw_table import Problems, RawTable
+from connectors.files.number_format import reals, with_decimal
+from connectors.files.raw_table import RawTable
 from connectors.files.time_axis import continued, of_texts
 from operators.batch import ms, s
 from operators.errors import InputError
@@ -20,13 +20,12 @@ from operators.errors import InputError
 values = st.floats(-1e7, 1e7).map(lambda value: round(value, 3))
 
 
-def concluded(texts: list[str], unit: str = "count", separator: str = "semicolon") -> NumberFormat:
+def concluded(texts: list[str], unit: str = "count", separator: str = "semicolon") -> str:
     column = pl.Series("p0", texts, pl.String)
     table = RawTable({"p0": column}, "pad", "line", np.arange(len(texts)), separator=separator)
-    problems = Problems("pad")
-    found = number_format(table, ["p0"], unit, problems)
-    problems.stop()
-    return found
+    found = with_decimal(table, ColumnMap({"counts": ("p0",)}, {"counts": unit}))
+    table.stop()
+    return found.decimal_sign
 
 
 @given(
@@ -43,7 +42,7 @@ def test_a_number_is_read_or_its_format_is_refused(numbers: list[float], decimal
         doubtful = [text for text in texts if text.count(decimal) == 1 and len(text) < 9]
         assert doubtful or "both" in str(error)  # noqa: PT017 - of both outcomes one is right
         return
-    assert found.reals(pl.Series(texts, dtype=pl.String)).to_list() == numbers
+    assert reals(pl.Series(texts, dtype=pl.String), found).to_list() == numbers
 
 
 @pytest.mark.parametrize(
@@ -63,7 +62,7 @@ def test_a_number_is_read_or_its_format_is_refused(numbers: list[float], decimal
     ],
 )
 def test_the_file_as_a_whole_decides_the_sign_of_decimals(texts: list[str], unit: str, sign: str) -> None:
-    assert concluded(texts, unit).decimal == sign
+    assert concluded(texts, unit) == sign
 
 
 def test_an_ambiguous_number_is_refused_with_the_remedy() -> None:
@@ -72,7 +71,7 @@ def test_an_ambiguous_number_is_refused_with_the_remedy() -> None:
             InputError, match="may have decimals or thousands; state decimal=point or decimal=comma"
         ):
             concluded(texts)
-    assert concluded(["101.248"], separator="comma").decimal == "."
+    assert concluded(["101.248"], separator="comma") == "."
     with pytest.raises(
         InputError, match=r"both point and comma \(column p0: 0.5 and column p0: 0,5\); state"
     ):
@@ -81,7 +80,7 @@ def test_an_ambiguous_number_is_refused_with_the_remedy() -> None:
 
 def test_a_number_in_another_format_is_no_number() -> None:
     texts = ["1,5", "1.234,5", "1.5", "1,234", "1 000,5", "-,5", "x", "", "NA", "1,2,3", "inf"]
-    found = NumberFormat(",").reals(pl.Series(texts)).to_list()
+    found = reals(pl.Series(texts), ",").to_list()
     assert [None if each is None else "nan" if each != each else each for each in found] == [  # noqa: PLR0124
         *(1.5, 1234.5, None, 1.234, 1000.5, -0.5, None, "nan", "nan", None, None)
     ]
@@ -140,7 +139,7 @@ def test_the_unit_of_an_epoch_is_known_by_its_digits(start: int, step: int) -> N
     times = [(start + k * 10 * ms) // step for k in range(30)]
     found = trace([*times])
     assert found.touch.time.tolist() == [each * step for each in times]
-    assert found.rate == pytest.approx(100, rel=0.01)
+    assert found.columns.rate == pytest.approx(100, rel=0.01)
     assert "since 1970, by its digits" in found.notes[0]
 
 
@@ -186,13 +185,13 @@ def test_a_time_without_resolution_is_refused(digits: int) -> None:
         InputError, match=r"column t has only \d values? in 240 rows.*: it tells no rate; state time=,rate="
     ):
         trace([*times])
-    assert trace([*times], "time=,rate=100").rate == 100
+    assert trace([*times], "time=,rate=100").columns.rate == 100
 
 
 @given(rate=st.floats(300, 4500))
 def test_rows_that_share_whole_milliseconds_keep_their_rate_with_a_warning(rate: float) -> None:
     found = trace([int(1000 * k / rate) for k in range(900)], name="t_ms")
-    assert found.rate == pytest.approx(rate, rel=0.01)
+    assert found.columns.rate == pytest.approx(rate, rel=0.01)
     shared = any("share the time of the row before" in each for each in found.warnings)
     assert shared == (rate > 1000) or 990 < rate < 1010
 
@@ -203,7 +202,7 @@ def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
         match=r"column t has no unit, in seconds its rate is 0.1 Hz; state units.time=ms \(100 Hz\)",
     ):
         trace([10 * k for k in range(60)])
-    assert trace([10 * k for k in range(60)], "units.time=ms").rate == 100
+    assert trace([10 * k for k in range(60)], "units.time=ms").columns.rate == 100
     assert any(
         "is the time in another unit" in each
         for each in trace([10 * k for k in range(60)], "units.time=s").warnings

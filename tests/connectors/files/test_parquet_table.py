@@ -11,6 +11,7 @@ import pytest
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.container import read_table
+from connectors.files.interpretation import speeds_of
 from operators.batch import Motion, Touch
 from operators.errors import InputError
 
@@ -41,7 +42,7 @@ def test_columns_of_any_type_are_read(path: Path) -> None:
     trace = Trace(path, columns)
     assert trace.touch.counts.tolist() == [[1, 2], [3, 4], [5, 6], [7, 8]]
     assert trace.touch.time[0] == 1767225600_001000000
-    assert trace.speeds == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert speeds_of(trace.motion) == pytest.approx([0, 0.1, 0.2, 0.3])
     assert trace.labels.tolist() == [1, 0, -1, 0]
     with pytest.raises(InputError, match="column raw cannot be used: its values are Binary"):
         _ = Trace(path, ColumnMap.parse("counts=raw")).touch

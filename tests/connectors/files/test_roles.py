@@ -6,7 +6,7 @@ import polars as pl
 import pytest
 
 from connectors.files.column_map import ColumnMap
-from connectors.files.raw_table import Problems, RawTable
+from connectors.files.raw_table import RawTable
 from connectors.files.roles import cell_groups, completed, unit_in
 from operators.errors import InputError
 
@@ -16,9 +16,8 @@ CELLS = ("s1", "s2", "s3", "s4", "s5", "s6")
 def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
     """Return the completed map of a table with these names."""
     table = RawTable.of(pl.DataFrame({name: ["1"] for name in names}), "pad")
-    problems = Problems("pad")
-    found, _notes = completed(ColumnMap.parse(columns), table, problems)
-    problems.stop()
+    found = completed(table, ColumnMap.parse(columns))
+    table.stop()
     return found
 
 

@@ -54,7 +54,7 @@ def test_a_case_gives_the_right_value(path: str, columns: str, expected: tuple[A
     found = trace.touch
     assert (len(found), trace.columns.unit) == (rows, unit)
     assert np.ptp(found.time) / 1e9 == pytest.approx(seconds, abs=0.02)
-    assert trace.rate == pytest.approx(rate, abs=0.1)
+    assert trace.columns.rate == pytest.approx(rate, abs=0.1)
     assert int(found.time[0]) // 10**9 == start
     assert lowest is None or trace.extent[0] == pytest.approx(lowest, rel=0.01)
 

@@ -11,10 +11,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from connectors.files.column_map import SEPARATORS
+from connectors.files.column_map import SEPARATORS, ColumnMap
 from connectors.files.container import read_table
-from connectors.files.number_format import NumberFormat, number_format
-from connectors.files.raw_table import Problems
+from connectors.files.number_format import reals, with_decimal
 from operators.errors import InputError
 
 Write = Callable[[str], Path]
@@ -23,10 +22,10 @@ NAMES = "t", "p0", "p1"
 
 def read(path: Path) -> dict[str, list[float]]:
     """Return the columns of a file as numbers."""
-    table, problems = read_table(path), Problems(str(path))
-    numbers = number_format(table, [*table.columns], "count", problems)
-    problems.stop()
-    return {name: numbers.reals(column).to_list() for name, column in table.columns.items()}
+    table = read_table(path)
+    sign = with_decimal(table, ColumnMap({"counts": tuple(table.columns)})).decimal_sign
+    table.stop()
+    return {name: reals(column, sign).to_list() for name, column in table.columns.items()}
 
 
 @pytest.fixture
@@ -53,9 +52,8 @@ def test_numbers_are_read_with_any_separator(
     csv.writer(text, delimiter=SEPARATORS[separator]).writerows([NAMES, *rows])
     path = write(text.getvalue())
     assert read_table(path).separator == separator
-    numbers = NumberFormat()
     columns = read_table(path).columns
-    assert [numbers.reals(column).to_list() for column in columns.values()] == [
+    assert [reals(column, ".").to_list() for column in columns.values()] == [
         list(each) for each in zip(*rows, strict=True)
     ]
     assert tuple(columns) == NAMES
@@ -110,7 +108,7 @@ def test_a_row_of_units_is_not_a_row_of_values(write: Write) -> None:
 def test_windows_1252_is_read(tmp_path: Path) -> None:
     (tmp_path / "trace.csv").write_bytes("time [\u00b5s],p0,p1\n".encode("cp1252") + BODY.encode())
     table = read_table(tmp_path / "trace.csv")
-    assert (list(table.columns), table.notes) == (["time [\u00b5s]", "p0", "p1"], ("Windows-1252",))
+    assert (list(table.columns), table.notes) == (["time [\u00b5s]", "p0", "p1"], ["Windows-1252"])
 
 
 def test_a_row_per_channel_is_refused_with_the_remedy(write: Write) -> None:

@@ -295,12 +295,6 @@ def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> Non
         _ = Trace(write(HEADER, "0,1,,3,4,5,6", "1,1,,3,4,5,6")).touch
 
 
-def test_a_gap_in_the_time_is_a_warning(write: Write) -> None:
-    rows = [f"{k / 100 + (k > 50) * 2 + (k > 70)},1,2,3,4,5,6" for k in range(100)]
-    [warning] = Trace(write(HEADER, *rows)).warnings
-    assert warning == "the time has 2 gaps, the longest of 2.01 s after 0.5 s"
-
-
 def test_a_missing_stream_is_refused(write: Write) -> None:
     trace = Trace(write(HEADER, "0,1,2,3,4,5,6"))
     with pytest.raises(InputError, match=r"has no Motion stream of finger 0$"):
@@ -359,14 +353,14 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
     path = write(HEADER.removeprefix("t,"), *["1,2,3,4,5,6"] * 4)
     trace = Trace(path, ColumnMap(rate=30))
     assert trace.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
-    assert trace.rate == pytest.approx(30)
+    assert trace.columns.rate == pytest.approx(30)
 
 
 def test_a_stated_rate_must_match_the_times(write: Write) -> None:
     path = write(HEADER, *(f"{k * 10},1,2,3,4,5,6" for k in range(9)))
     with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: is its time in another unit"):
         _ = Trace(path, ColumnMap(rate=100)).touch
-    assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).rate == pytest.approx(100)
+    assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).columns.rate == 95
 
 
 def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
