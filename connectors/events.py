@@ -5,16 +5,18 @@ This module does no I/O and reads no clock. Source: https://github.com/cloudeven
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import starmap
 from math import isfinite
-from typing import Final, NamedTuple
+from typing import Annotated, Final, Literal, NamedTuple
 from urllib.parse import quote, unquote
 
 import numpy as np
+from msgspec import Meta
 
-from connectors.fields import INT64, Fields
+from connectors.documents import INT64, Document, Fraction, Number, decode
 from operators.batch import EVERY, SLIP, Faults, Slips
+from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
 from operators.health import FaultKind
 from operators.ports import Json
@@ -24,18 +26,47 @@ _JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 _LIMIT: Final = FaultKind.SATURATED.name.lower()
 CONTENT_TYPE: Final = "application/cloudevents+json"  # CloudEvents MQTT binding 1.0.2, section 3.2
 
+EPOCH_NAME_MAX: Final = 64  # characters
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+
+class Fault(Document, frozen=True):
     """A faulty cell, or one at the end of its range, at the time of an event."""
 
-    barometer: int  # number of the cell
+    barometer: Annotated[int, Meta(ge=0, lt=CELL_LIMIT)]  # number of the cell
     kind: str  # kind of fault, such as stuck
 
     @property
     def limit(self) -> bool:
         """True if the cell works, but its load is beyond its range."""
         return self.kind == _LIMIT
+
+
+class _Model(Document, frozen=True):
+    id: str
+    sha256: str | None
+
+
+class _Data(Document, frozen=True):
+    seq: Number
+    epoch: Annotated[str, Meta(max_length=EPOCH_NAME_MAX)]
+    finger: str
+    state: Literal["onset", "end"]
+    p: Fraction | None
+    threshold: Fraction | None
+    consecutive: Number | None
+    sample_time_ns: Annotated[int, Meta(ge=-INT64, le=INT64)]
+    latency_ms: float | None
+    model: _Model
+    degraded: tuple[Fault, ...]
+    session: str | None
+
+
+class _CloudEvent(Document, frozen=True):
+    specversion: Literal["1.0"]
+    type: str
+    source: str
+    id: str
+    data: _Data
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +148,7 @@ class Event:
                     "model": {"id": self.model, "sha256": self.sha256},
                     "quality": self.quality,
                     "reason": self.reason,
-                    "degraded": [asdict(fault) for fault in self.degraded],
+                    "degraded": [fault.values() for fault in self.degraded],
                     "session": self.session,
                 },
             }
@@ -130,45 +161,35 @@ class Event:
         Raises:
             InputError: naming `where` and the field that is missing or wrong, or if it is larger than 64 KiB.
         """
-        return cls.read(Fields.parse(payload, where))
-
-    @classmethod
-    def read(cls, event: Fields) -> "Event":
-        """Read an event from a JSON object.
-
-        Raises:
-            InputError: naming the field that is missing or wrong.
-        """
-        data = event.object("data")
-        model = data.object("model")
-        degraded = [
-            Fault(fault.integer("barometer", 0, CELL_LIMIT - 1), fault.text("kind"))
-            for fault in data.objects("degraded")
-        ]
-        epoch, seq, state = data.text("epoch"), data.integer("seq"), data.text("state")
-        if state not in ("onset", "end"):
-            data.fail("state", "'onset' or 'end'")
-        site, rig, finger = _source(event)
-        data.expect("finger", finger)
-        event.expect("specversion", "1.0")
-        event.expect("type", f"slip.{state}.v1")
-        event.expect("id", f"{epoch}-{seq}")
+        event = decode(payload, _CloudEvent, where)
+        data, parts = event.data, [unquote(part) for part in event.source.split("/")]
+        whole = len(parts) == len(("", "site", "rig", "finger")) and not parts[0] and all(parts[1:])
+        if not whole or not "".join(parts).isprintable():
+            must_be = "'/<site>/<rig>/<finger>' in printable text"
+            raise InputError(where, f"source is {event.source!r:.60}, must be {must_be}")
+        for name, found, expected in (
+            ("type", event.type, f"slip.{data.state}.v1"),
+            ("id", event.id, f"{data.epoch}-{data.seq}"),
+            ("data.finger", data.finger, parts[3]),
+        ):
+            if found != expected:
+                raise InputError(where, f"{name} is {found!r:.60}, must be {expected!r}")
         return cls(
-            site,
-            rig,
-            finger,
-            epoch,
-            seq,
-            onset=state == "onset",
-            time=data.integer("sample_time_ns", -INT64),
-            probability=data.nullable(data.fraction, "p"),
-            latency=data.nullable(data.number, "latency_ms"),
-            threshold=data.nullable(data.fraction, "threshold"),
-            consecutive=data.nullable(data.integer, "consecutive"),
-            model=model.text("id"),
-            sha256=model.nullable(model.text, "sha256"),
-            degraded=tuple(degraded),
-            session=data.nullable(data.text, "session"),
+            parts[1],
+            parts[2],
+            parts[3],
+            data.epoch,
+            data.seq,
+            onset=data.state == "onset",
+            time=data.sample_time_ns,
+            probability=data.p,
+            latency=data.latency_ms,
+            threshold=data.threshold,
+            consecutive=data.consecutive,
+            model=data.model.id,
+            sha256=data.model.sha256,
+            degraded=data.degraded,
+            session=data.session,
         )
 
 
@@ -242,15 +263,6 @@ def faults(batch: Faults) -> Iterator[tuple[int, Fault, bool]]:
     rows = (batch.time.tolist(), batch.barometer.tolist(), batch.kind.tolist(), batch.active.tolist())
     for time, barometer, kind, active in zip(*rows, strict=True):
         yield time, Fault(barometer, FaultKind(kind).name.lower()), active
-
-
-def _source(event: Fields) -> tuple[str, str, str]:
-    parts = [unquote(part) for part in event.text("source").split("/")]
-    if parts[0] or not all(parts[1:]) or len(parts) != len(("", "site", "rig", "finger")):
-        event.fail("source", "'/<site>/<rig>/<finger>'")
-    if not "".join(parts).isprintable():
-        event.fail("source", "printable text")
-    return parts[1], parts[2], parts[3]
 
 
 def _finite(value: Json) -> Json:

@@ -9,11 +9,11 @@ from secrets import token_hex
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
+from connectors.documents import Document, decode
 from connectors.events import Event
-from connectors.fields import Fields
 from connectors.mqtt.broker import Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
-from connectors.mqtt.position import EPOCH_NAME_MAX, Position, RigId, load, lock_position, read_heads
+from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
 from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_topic
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
@@ -30,6 +30,10 @@ LARGE = 65_536  # bytes of a position, of about 600 epochs, which is not saved w
 SAVE_EVERY = 0.2  # s, between saves of a large position
 REQUESTS_MAX = 100  # requests per check
 MALFORMED_MAX = 20  # malformed messages that are reported per connection
+
+
+class _Reply(Document, frozen=True):
+    specversion: str | None = None  # of an event; a closing answer has none
 
 
 class Consumer(AsyncIterator[Event]):
@@ -172,18 +176,16 @@ class Consumer(AsyncIterator[Event]):
             raise InputError(f"{topic!a:.200}", reason)
         if is_replay(name) and not self._with_replays:
             return rig, None
-        fields, reply = Fields.parse(payload, topic), ["replay", self._reply_name]
+        reply = ["replay", self._reply_name]
         if rest == ["head"]:
-            self._change(self._position.announce(rig, read_heads(fields)))
-        elif rest == reply and "specversion" not in fields.values:
+            self._change(self._position.announce(rig, read_heads(payload, topic)))
+        elif rest == reply and decode(payload, _Reply, topic).specversion is None:
             now = asyncio.get_running_loop().time()
-            self._change(self._position.settle(rig, GapAnswer.read(fields), now))
+            self._change(self._position.settle(rig, decode(payload, GapAnswer, topic), now))
         else:
-            event = Event.read(fields)
+            event = Event.decode(payload, topic)
             if (event.site, event.rig) != rig or rest not in ([event.finger, "event"], reply):
                 raise InputError(topic, f"has an event of {event.site}/{event.rig}/{event.finger}")
-            if len(event.epoch) > EPOCH_NAME_MAX:
-                raise InputError(topic, f"has an epoch of more than {EPOCH_NAME_MAX} characters")
             return rig, None if self._position.has(event) else event
         return rig, None
 

@@ -1,14 +1,14 @@
 """Replay of missed events on request: request, answer, and the queue of requests to a rig."""
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
 from typing import TYPE_CHECKING
 
-from connectors.events import CONTENT_TYPE, encode
-from connectors.fields import Fields
+import msgspec
+
+from connectors.documents import Document, Number, decode
+from connectors.events import CONTENT_TYPE
 from connectors.mqtt.broker import Message
 from operators.errors import InputError
 
@@ -23,18 +23,27 @@ SLICE = 64  # events per answer; the client requests the rest
 PAUSE = 0.05  # s, from one answer to the next, so that no number of requests delays new events
 
 
-@dataclass(frozen=True, slots=True)
-class GapRequest:
-    """Request for events `first` to `last` of an epoch, to be sent to the topic `reply_to`."""
+class _Numbers(Document, frozen=True, rename={"first": "from", "last": "to"}):
+    """Numbers `first` to `last` of an epoch."""
 
     epoch: str
-    first: int
-    last: int
-    reply_to: str
+    first: Number
+    last: Number
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.last < self.first:
+            raise ValueError(f"`to` is {self.last}, must be an integer from {self.first}")
 
     def encode(self) -> bytes:
-        """Return the request as JSON."""
-        return encode({"epoch": self.epoch, "from": self.first, "to": self.last, "reply_to": self.reply_to})
+        """Return the document as JSON."""
+        return msgspec.json.encode(self)
+
+
+class GapRequest(_Numbers, frozen=True, rename={"first": "from", "last": "to"}):
+    """Request for events `first` to `last` of an epoch, to be sent to the topic `reply_to`."""
+
+    reply_to: str
 
     @classmethod
     def decode(cls, payload: bytes, topic: str) -> "GapRequest":
@@ -43,45 +52,28 @@ class GapRequest:
         Raises:
             InputError: naming the field that is missing or wrong.
         """
-        fields = Fields.parse(payload, f"{topic}/replay/request")
-        first = fields.integer("from")
-        request = cls(fields.text("epoch"), first, fields.integer("to", first), fields.text("reply_to"))
+        request = decode(payload, cls, f"{topic}/replay/request")
         name = request.reply_to.removeprefix(f"{topic}/replay/")
         own = request.reply_to == f"{topic}/replay/{name}" and name not in ("", "request", "event")
         if not own or set(name) & set("/+#") or len(request.reply_to) > TOPIC_MAX:
-            fields.fail("reply_to", f"{topic}/replay/<name>")
+            reason = f"reply_to is {request.reply_to!r:.60}, must be {topic}/replay/<name>"
+            raise InputError(f"{topic}/replay/request", reason)
         return request
 
 
-@dataclass(frozen=True, slots=True)
-class GapAnswer:
+class GapAnswer(_Numbers, frozen=True, rename={"first": "from", "last": "to"}):
     """Closing answer: events `first` to `last` were sent, except `missing`, which are no longer kept.
 
     `last` may be less than requested; the client requests the rest again.
     """
 
-    epoch: str
-    first: int
-    last: int
-    missing: Sequence[tuple[int, int]]
+    missing: tuple[tuple[Number, Number], ...]
 
-    def encode(self) -> bytes:
-        """Return the answer as JSON."""
-        missing = [list(each) for each in self.missing]
-        return encode({"epoch": self.epoch, "from": self.first, "to": self.last, "missing": missing})
-
-    @classmethod
-    def read(cls, fields: Fields) -> "GapAnswer":
-        """Read an answer from a JSON object.
-
-        Raises:
-            InputError: naming the field that is missing or wrong.
-        """
-        first = fields.integer("from")
-        last, missing = fields.integer("to", first), fields.ranges("missing")
-        if any(not first <= low <= high <= last for low, high in missing):
-            raise InputError(fields.where, f"missing exceeds the range {first} to {last}")
-        return cls(fields.text("epoch"), first, last, missing)
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        super().__post_init__()
+        if any(not self.first <= low <= high <= self.last for low, high in self.missing):
+            raise ValueError(f"`missing` exceeds the range {self.first} to {self.last}")
 
 
 class GapReplies:
@@ -130,7 +122,7 @@ class GapReplies:
             before = pairwise([request.first - 1, *(entry.seq for entry in found), last + 1])
             missing = [(low + 1, high - 1) for low, high in before if high > low + 1]
             self._earliest = now + PAUSE
-            closing = GapAnswer(request.epoch, request.first, last, missing).encode()
+            closing = GapAnswer(request.epoch, request.first, last, tuple(missing)).encode()
             return [
                 *(
                     Message(request.reply_to, each.payload, retain=False, content_type=CONTENT_TYPE)

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import re
 from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from connectors.events import Event, Fault, encode, faults, finger_name, slips, timestamp
@@ -264,7 +264,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             "refused": self._sender.refused,
         }
         faults: dict[str, Json] = {
-            finger: [asdict(each) for each in self._degraded(finger)] for finger in self._faults
+            finger: [each.values() for each in self._degraded(finger)] for finger in self._faults
         }
         about: dict[str, Json] = {"degraded": faults, "clock": self._clock, "outbox": outbox}
         return self._about_run("health", {**self._health.next(), **about})

@@ -7,23 +7,24 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
-from typing import TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
-from connectors.events import Event, encode
-from connectors.fields import Fields
+import msgspec
+from msgspec import Meta
+
+from connectors.documents import INT64, Count, Document, Number, decode
+from connectors.events import EPOCH_NAME_MAX, Event
 from connectors.mqtt.gap_replay import GapAnswer
 from operators.errors import EndpointError, InputError, os_error_reason
-from operators.ports import Json
 from storage.files import lock_file, read
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
 Range: TypeAlias = tuple[int, int]  # first and last number
 
-FORMAT = 2
+FORMAT: Final = 2
 FILE_MAX = 32 * 2**20  # bytes; more than the longest names need
 SIZE_MAX = 200_000  # numbers of all rigs; an epoch counts as `EPOCH_SIZE`
 EPOCH_SIZE = 20
-EPOCH_NAME_MAX = 64  # characters
 EPOCHS_MAX = 128  # per rig
 AHEAD_MAX = 10_000  # events after a gap; beyond it, the gap is given up
 REQUEST_EVERY = 3.0  # s, before a request is repeated; doubles with each that is not answered
@@ -31,15 +32,25 @@ REQUEST_LAST = 60.0  # s, longest time before a request is repeated
 RETURN_WITHIN = 30.0  # s, for an epoch that the rig no longer announces; then its missed events are lost
 
 
-@dataclass
-class _Epoch:
+class _Head(Document, frozen=True):
+    epoch: Annotated[str, Meta(max_length=EPOCH_NAME_MAX)]
+    last_seq: Count
+
+
+class _Heads(_Head, frozen=True):
+    before: Annotated[tuple[_Head, ...], Meta(max_length=EPOCHS_MAX - 1)] = ()
+
+
+class _Epoch(msgspec.Struct):
     """Numbers of one epoch: all up to `done` are received or lost, and those in `ahead` are received."""
 
-    done: int = 0
-    ahead: set[int] = field(default_factory=set[int])
-    head: int = -1  # newest number announced by the rig; -1: the rig has not announced the epoch yet
+    site: str
+    rig: str
+    epoch: str
+    done: Count = 0
+    head: Annotated[int, Meta(ge=-1, le=INT64)] = -1  # newest announced number; -1: not announced yet
+    ahead: set[Number] = set()
     delivered: bool = False  # an event of it was received
-    denied: float = inf  # time of the first answer that it is no longer kept, since it was announced
 
     @property
     def gap(self) -> Range | None:
@@ -70,12 +81,18 @@ class _Epoch:
         self.done = done
 
 
+class _File(msgspec.Struct):
+    format: Literal[2]
+    rigs: list[_Epoch]
+
+
 @dataclass
 class _Rig:
     """Epochs of one rig, and the request that it may answer."""
 
     epochs: dict[str, _Epoch] = field(default_factory=dict[str, _Epoch])
     announced: frozenset[str] = frozenset()  # epochs of the newest head
+    denied: dict[str, float] = field(default_factory=dict[str, float])  # time, by epoch, see `settle`
     request: tuple[str, int, int] = ("", 0, 0)  # epoch, first and last number
     asked: float = -inf  # time of the request
     wait: float = 0.0  # s after it until the next one
@@ -128,9 +145,11 @@ class Position:
         name = event.site, event.rig
         known = self._rigs.pop(name, None)
         rig = self._rigs[name] = known or _Rig()
-        epoch = rig.epochs.setdefault(event.epoch, _Epoch(0 if known or self._everything else event.seq - 1))
+        start = 0 if known or self._everything else event.seq - 1
+        epoch = rig.epochs.setdefault(event.epoch, _Epoch(*name, event.epoch, start))
         epoch.add(event.seq)
-        epoch.delivered, epoch.denied = True, inf
+        epoch.delivered = True
+        rig.denied.pop(event.epoch, None)
         rig.wait = min(rig.wait, REQUEST_EVERY)
         lost = epoch.give_up(min(epoch.ahead) - 1) if len(epoch.ahead) > AHEAD_MAX else []
         why = "given up after too many gaps without an answer"
@@ -143,9 +162,9 @@ class Position:
         rig.announced = frozenset(heads)
         for each, head in heads.items():
             if each not in rig.epochs:
-                rig.epochs[each] = _Epoch(head if first and not self._everything else 0)
-            epoch = rig.epochs[each]
-            epoch.head, epoch.denied = max(epoch.head, head), inf
+                rig.epochs[each] = _Epoch(*name, each, head if first and not self._everything else 0)
+            rig.epochs[each].head = max(rig.epochs[each].head, head)
+            rig.denied.pop(each, None)
         if rig.delivered:
             rig.wait = min(rig.wait, REQUEST_EVERY)
         return self._forget(rig)
@@ -159,11 +178,7 @@ class Position:
         rig = self._rigs.get(name)
         if rig is None or now < rig.asked + rig.wait:
             return None
-        gaps = [
-            (each, *gap)
-            for each, epoch in rig.epochs.items()
-            if (gap := epoch.gap) and not epoch.denied <= now < epoch.denied + RETURN_WITHIN
-        ]
+        gaps = [(each, *gap) for each, epoch in rig.epochs.items() if (gap := epoch.gap)]
         if not gaps:
             return None
         rig.request = next((gap for gap in gaps if gap[0] != rig.request[0]), gaps[0])
@@ -183,8 +198,8 @@ class Position:
         epoch = rig.epochs[answer.epoch]
         requested, rig.request = rig.request[1:], ("", 0, 0)
         if answer.missing and answer.epoch not in rig.announced:
-            epoch.denied = min(epoch.denied, now)
-            if now < epoch.denied + RETURN_WITHIN:
+            first_time = rig.denied.setdefault(answer.epoch, now)
+            if now < first_time + RETURN_WITHIN:
                 return []
         lost = list[Range]()
         for first, last in answer.missing:
@@ -196,20 +211,8 @@ class Position:
 
     def encode(self) -> bytes:
         """Return the position as JSON."""
-        rigs: list[Json] = [
-            {
-                "site": site,
-                "rig": name,
-                "epoch": epoch,
-                "done": each.done,
-                "head": each.head,
-                "ahead": sorted(each.ahead),
-                "delivered": each.delivered,
-            }
-            for (site, name), rig in self._rigs.items()
-            for epoch, each in rig.epochs.items()
-        ]
-        return encode({"format": FORMAT, "rigs": rigs})
+        epochs = [epoch for rig in self._rigs.values() for epoch in rig.epochs.values()]
+        return msgspec.json.encode(_File(FORMAT, epochs), order="deterministic")
 
     @classmethod
     def decode(cls, payload: bytes, where: str, *, everything: bool = False) -> "Position":
@@ -218,15 +221,9 @@ class Position:
         Raises:
             InputError: naming `where` and the field that is missing or wrong.
         """
-        position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
-        fields.integer("format", FORMAT, FORMAT)
-        for each in fields.objects("rigs"):
-            rig = position._rigs.setdefault((each.text("site"), each.text("rig")), _Rig())
-            delivered = each.values.get("delivered") is not False
-            epoch = _Epoch(each.integer("done", 0), head=each.integer("head", -1), delivered=delivered)
-            for number in each.integers("ahead"):
-                epoch.add(number)
-            rig.epochs[each.text("epoch")] = epoch
+        position = cls(everything=everything)
+        for epoch in decode(payload, _File, where, largest=FILE_MAX).rigs:
+            position._rigs.setdefault((epoch.site, epoch.rig), _Rig()).epochs[epoch.epoch] = epoch
         for rig in list(position._rigs.values()):
             rig.announced = frozenset(name for name, epoch in rig.epochs.items() if epoch.head >= 0)
             position._forget(rig)
@@ -248,22 +245,17 @@ class Position:
         return forgotten
 
 
-def read_heads(fields: Fields) -> dict[str, int]:
+def read_heads(payload: bytes, where: str) -> dict[str, int]:
     """Read the newest number of each epoch from a rig's ``head`` document.
 
-    >>> read_heads(Fields.parse(b'{"epoch":"b","last_seq":2,"before":[{"epoch":"a","last_seq":9}]}', "head"))
+    >>> read_heads(b'{"epoch":"b","last_seq":2,"before":[{"epoch":"a","last_seq":9}]}', "head")
     {'a': 9, 'b': 2}
 
     Raises:
         InputError: naming the field that is missing or wrong.
     """
-    before = fields.objects("before") if "before" in fields.values else []
-    if len(before) >= EPOCHS_MAX:
-        fields.fail("before", f"a list of fewer than {EPOCHS_MAX}")
-    heads = {each.text("epoch"): each.integer("last_seq", 0) for each in (*before, fields)}
-    if max(map(len, heads)) > EPOCH_NAME_MAX:
-        fields.fail("epoch", f"a name of at most {EPOCH_NAME_MAX} characters")
-    return heads
+    newest = decode(payload, _Heads, where)
+    return {each.epoch: each.last_seq for each in (*newest.before, newest)}
 
 
 def lock_position(path: Path) -> int:

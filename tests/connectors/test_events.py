@@ -130,7 +130,7 @@ def test_a_value_that_violates_the_schema_is_rejected_by_name(
     if is_valid(payload):
         Event.decode(payload)
     else:
-        with pytest.raises(InputError, match=r"^here: .*must be") as caught:
+        with pytest.raises(InputError, match=r"^here: ") as caught:
             Event.decode(payload, "here")
         assert str(path[-1] if isinstance(path[-1], str) else "degraded") in str(caught.value)
         assert "\n" not in str(caught.value)
@@ -139,7 +139,7 @@ def test_a_value_that_violates_the_schema_is_rejected_by_name(
 @pytest.mark.parametrize("path", [path for path in READ if path[1:] not in OPTIONAL], ids=str)
 def test_a_missing_field_is_named(path: tuple[str | int, ...]) -> None:
     assert not is_valid(altered(path))
-    with pytest.raises(InputError, match=f"{path[-1]} is missing"):
+    with pytest.raises(InputError, match=f"missing required field `{path[-1]}`"):
         Event.decode(altered(path))
 
 
@@ -182,7 +182,7 @@ def test_any_malformed_payload_raises_an_input_error(payload: bytes) -> None:
     ],
 )
 def test_contradictory_fields_are_rejected(name: str, value: str) -> None:
-    with pytest.raises(InputError, match="must be"):
+    with pytest.raises(InputError, match=name if name != "source" else "source|finger"):
         Event.decode(altered((name,), value))
 
 
