@@ -85,7 +85,7 @@ def save(png: bytes, path: Path) -> None:
 def main(folder: Path) -> None:
     """Write all pictures into a folder."""
     with TemporaryDirectory() as scratch:
-        dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0).out
+        dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0)
         with chromium() as browser:  # no other event loop can run in this thread
             show_picture(browser, dataset, folder)
             with served_demo() as (_, url):

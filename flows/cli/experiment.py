@@ -58,8 +58,7 @@ def experiment(
     """
     from connectors.sim.objects import OBJECTS
     from flows.lab.experiments.experiment_report import experiment_report
-    from flows.lab.experiments.rivals import METHODS, parse_method
-    from flows.lab.experiments.study import Trials, run_study
+    from flows.lab.experiments.study import METHODS, Trials, parse_method, run_study
     from flows.run.executor import workers
 
     methods = [parse_method(text) for text in method or ()] or list(METHODS)

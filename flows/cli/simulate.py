@@ -33,9 +33,18 @@ def simulate(
       slipflow simulate recordings --plan tiny --seed 1
       slipflow simulate recordings --jobs 2
     """
+    from collections import Counter
+
     from flows.lab import simulation
+    from flows.learn.datasets import SPLITS
     from flows.run.executor import workers
 
     with workers(jobs, cluster) as executor, progress_bar(f"simulating {plan}") as update:
-        done = simulation.simulate(out, plan, seed, executor=executor, progress=update)
-    typer.echo(json.dumps(done.json()) if as_json else done.text())
+        simulation.simulate(out, plan, seed, executor=executor, progress=update)
+    counts = Counter(each.split for each in simulation.planned_recordings(plan, seed))
+    splits = {split: counts[split] for split in SPLITS}
+    if as_json:
+        typer.echo(json.dumps({"dataset": str(out), "plan": plan, "seed": seed, "sessions": splits}))
+    else:
+        parts = ", ".join(f"{count} for {split}" for split, count in splits.items())
+        typer.echo(f"{out}: {counts.total()} sessions ({parts})")

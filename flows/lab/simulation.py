@@ -12,7 +12,6 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from time import perf_counter
 from typing import Any, Final, cast
 
 import numpy as np
@@ -65,27 +64,6 @@ class PlannedRecording:
     seed: int  # of the scene, or number of the grasp
     start: int  # ns since 1970-01-01 UTC
     split: str
-
-
-@dataclass(frozen=True, slots=True)
-class SimulatedDataset:
-    """A simulated dataset."""
-
-    out: Path
-    plan: str
-    seed: int
-    sessions: Mapping[str, int]  # by split
-    seconds: float  # to simulate it
-
-    def json(self) -> dict[str, Any]:
-        """Return plan, seed and number of sessions as JSON data."""
-        about = {"dataset": str(self.out), "plan": self.plan, "seed": self.seed, "seconds": self.seconds}
-        return {**about, "sessions": dict(self.sessions)}
-
-    def text(self) -> str:
-        """Return the number of sessions as text."""
-        splits = ", ".join(f"{count} for {split}" for split, count in self.sessions.items())
-        return f"{self.out}: {sum(self.sessions.values())} sessions ({splits}) in {self.seconds:.1f} s"
 
 
 def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
@@ -146,8 +124,8 @@ def simulate(
     *,
     executor: Executor | None = None,
     progress: Callable[[int, int], object] = lambda _done, _total: None,
-) -> SimulatedDataset:
-    """Simulate a plan into a new dataset.
+) -> Path:
+    """Simulate a plan into a new dataset; return its folder.
 
     Args:
         out: Folder of the dataset, new or empty.
@@ -161,7 +139,6 @@ def simulate(
         EndpointError: if the folder is not empty or cannot be written to.
         SlipflowError: if a recording cannot be simulated; the folder is deleted then.
     """
-    began = perf_counter()
     planned = planned_recordings(plan, seed)
     with partial_folder(out.resolve()) as root:
         describe_dataset(root)
@@ -169,7 +146,7 @@ def simulate(
         for _ in map_tasks(work, planned, executor, progress=progress):
             pass
         remove_partial(root, (each.session for each in planned))
-    return SimulatedDataset(out, plan, seed, Counter(each.split for each in planned), perf_counter() - began)
+    return out
 
 
 def _record(root: Path, planned: PlannedRecording) -> None:

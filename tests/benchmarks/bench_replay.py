@@ -145,7 +145,7 @@ def main() -> None:
     """Measure and print the stages."""
     print_head(f"medians of {TURNS} turns")
     with tempfile.TemporaryDirectory() as folder:
-        paper(recordings([simulate(Path(folder) / "paper", "paper", 0).out]))
+        paper(recordings([simulate(Path(folder) / "paper", "paper", 0)]))
 
 
 if __name__ == "__main__":

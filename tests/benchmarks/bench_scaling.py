@@ -234,7 +234,7 @@ def main() -> None:
     print_head(f"medians of {TURNS} turns")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        paths = recordings([simulate(out / "paper", "paper", 0).out])
+        paths = recordings([simulate(out / "paper", "paper", 0)])
         touch = concat(Touch, [batch for path in paths for batch in Session.open(path).read(Touch, 0, BLOCK)])
         points = [*lives(touch), *lengths(touch, paths[0], out / "long")]
         points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"), out)

@@ -21,7 +21,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "tiny"
     with out.with_suffix(".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        return out if out.exists() else simulate(out, "tiny", seed=0).out
+        return out if out.exists() else simulate(out, "tiny", seed=0)
 
 
 @pytest.fixture

@@ -16,8 +16,7 @@ from unittest.mock import patch
 import polars as pl
 
 from connectors.sim.paper_plan import PaperPlan
-from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import Trials, run_study
+from flows.lab.experiments.study import Method, Trials, run_study
 from flows.lab.simulation import simulate
 from flows.learn.evaluation import evaluation_study, stress_study
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
@@ -36,7 +35,7 @@ METHODS = ("tcn", "psd", "logistic")
 
 def every_value(folder: Path) -> Numbers:
     """Run all studies; datasets are written to a folder."""
-    dataset = simulate(folder / "tiny", "tiny", seed=0).out
+    dataset = simulate(folder / "tiny", "tiny", seed=0)
     found = evaluate(dataset, names=METHODS, speed=1e-4)
     return {
         "evaluate": evaluated(found, dataset),

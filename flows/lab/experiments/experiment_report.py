@@ -8,8 +8,7 @@ import polars as pl
 from connectors.sim.objects import named
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
-from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Trials
+from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Method, Trials
 from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
 from flows.learn.event_metrics import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid

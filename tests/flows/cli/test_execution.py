@@ -7,7 +7,7 @@ import typer
 
 from connectors import Replay, Trace
 from flows.cli.event_log import Format
-from flows.cli.execution import execute, report_run, session_name
+from flows.cli.run import execute, report_run
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from operators import Run, Touch, s
@@ -29,10 +29,6 @@ def flow() -> tuple[Flow, TestSink]:
     return made, sink
 
 
-def test_a_session_is_named_after_its_flow_and_start_time() -> None:
-    assert re.fullmatch(r"pressed-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("pressed")))
-
-
 @pytest.mark.parametrize("declared", [False, True])
 def test_a_replay_names_another_destination_at_its_start(
     trace: Trace, *, declared: bool, caplog: pytest.LogCaptureFixture
@@ -49,9 +45,10 @@ def test_a_replay_names_another_destination_at_its_start(
     assert [text for text in caplog.messages if "the replay is written to the attic" in text]
 
 
-def test_a_limit_ends_a_paced_replay(trace: Trace) -> None:
+def test_a_limit_ends_a_paced_replay_and_its_session_is_named_after_flow_and_time(trace: Trace) -> None:
     made, sink = flow()
-    run_virtually(execute(made, limit=s, recording=trace, pace=1.0))
+    run = run_virtually(execute(made, limit=s, recording=trace, pace=1.0))
+    assert re.fullmatch(r"pressed-\d{8}T\d{6}\.\d{6}Z", run.session)
     assert 98 <= len(sink.rows(Touch, 0)) <= 101
 
 

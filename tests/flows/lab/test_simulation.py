@@ -18,7 +18,7 @@ from connectors.sim.drawn_grasp import simulate_grasp
 from flows.graph import Flow
 from flows.graph.testing import run_virtually
 from flows.lab import simulation
-from flows.lab.simulation import SimulatedDataset, planned_recordings, simulate
+from flows.lab.simulation import planned_recordings, simulate
 from flows.learn.datasets import SPLITS
 from flows.record import declare_recording
 from flows.run.clocks import LoopClock
@@ -44,7 +44,7 @@ def sessions(dataset: Path) -> list[Session]:
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> SimulatedDataset:
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The tiny plan, simulated with seed 0."""
     return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0)
 
@@ -56,26 +56,24 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("few")
-def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(
-    tmp_path: Path, tiny: SimulatedDataset
-) -> None:
+def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(tmp_path: Path, tiny: Path) -> None:
     (tmp_path / "empty").mkdir()
     with workers(2) as executor:
-        again = hashes(simulate(tmp_path / "empty", "tiny", 0, executor=executor).out)
-    assert again.items() <= hashes(tiny.out).items()
+        again = hashes(simulate(tmp_path / "empty", "tiny", 0, executor=executor))
+    assert again.items() <= hashes(tiny).items()
     assert len(again) > 15
 
 
 @pytest.mark.usefixtures("few")
-def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: SimulatedDataset) -> None:
-    before, other = hashes(tiny.out), hashes(simulate(tmp_path / "other", "tiny", 1).out)
+def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: Path) -> None:
+    before, other = hashes(tiny), hashes(simulate(tmp_path / "other", "tiny", 1))
     assert {path for path, sha256 in other.items() if before[path] == sha256} == {"dataset.json"}
     assert len(other) > 15
 
 
-def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
+def test_every_session_is_complete_and_readable(tiny: Path) -> None:
     planned = {each.session: each for each in planned_recordings("tiny", 0)}
-    found = sessions(tiny.out)
+    found = sessions(tiny)
     assert {session.name for session in found} == set(planned)
     for session in found:
         about = session.about
@@ -97,7 +95,7 @@ def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
 def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulation, "_GRASPS", 3)
     done = simulate(tmp_path / "grasps", "grasps", 4)
-    sessions = [Session.open(path) for path in sorted((done.out / "sessions").iterdir())]
+    sessions = [Session.open(path) for path in sorted((done / "sessions").iterdir())]
     assert [session.name for session in sessions] == ["grasp-000", "grasp-001", "grasp-002"]
     samples = pl.concat([session.frame("samples") for session in sessions])
     sliding = np.concatenate([simulate_grasp(4, n)[1].sliding for n in range(3)]) > 0.003
@@ -107,25 +105,22 @@ def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest
     assert slip.mean() < 2 * sliding.mean() + 0.02  # sticks within a slide are slip, too
 
 
-def test_six_tenths_of_the_samples_are_static(tiny: SimulatedDataset) -> None:
-    labels = Counter(pl.read_parquet(f"{tiny.out}/sessions/*/samples/*.parquet")["label"].to_list())
+def test_six_tenths_of_the_samples_are_static(tiny: Path) -> None:
+    labels = Counter(pl.read_parquet(f"{tiny}/sessions/*/samples/*.parquet")["label"].to_list())
     assert labels[-1] < 0.01 * labels.total()
     assert 0.5 < labels[0] / (labels[0] + labels[1]) < 0.7
-    assert tiny.sessions.keys() == {*SPLITS}
-    assert sum(tiny.sessions.values()) == len(sessions(tiny.out))
+    assert {session.about["split"] for session in sessions(tiny)} == {*SPLITS}
 
 
-def test_rotations_are_slips_although_the_tcp_stands_still(tiny: SimulatedDataset) -> None:
-    session = Session.open(tiny.out / "sessions" / "sphere-rotation-01")
+def test_rotations_are_slips_although_the_tcp_stands_still(tiny: Path) -> None:
+    session = Session.open(tiny / "sessions" / "sphere-rotation-01")
     samples = session.frame("samples").filter(pl.col("label") == 1)
     assert len(samples) > 100
     assert samples["speed"].max() == 0.0
     assert samples["velocity"].arr.get(5).abs().min() > 0.2  # type: ignore[operator]
 
 
-def test_a_session_is_the_same_as_a_live_recording_of_the_scene(
-    tmp_path: Path, tiny: SimulatedDataset
-) -> None:
+def test_a_session_is_the_same_as_a_live_recording_of_the_scene(tmp_path: Path, tiny: Path) -> None:
     planned = planned_recordings("tiny", 0)[1]
 
     async def live() -> None:
@@ -135,7 +130,7 @@ def test_a_session_is_the_same_as_a_live_recording_of_the_scene(
         await LiveRunner(flow, planned.session, clock=LoopClock(planned.start)).execute()
 
     run_virtually(live())
-    recorded, simulated = Session.open(tmp_path), Session.open(tiny.out / "sessions" / planned.session)
+    recorded, simulated = Session.open(tmp_path), Session.open(tiny / "sessions" / planned.session)
     for table in ("touch", "motion", "samples", "episodes", "truth"):
         assert recorded.frame(table).equals(simulated.frame(table)), table
     sources: Any = simulated.about["sources"]
@@ -164,7 +159,7 @@ def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(se
 @pytest.mark.slow
 def test_the_papers_plan_has_the_papers_size(tmp_path: Path) -> None:
     done = simulate(tmp_path / "paper", "paper", 0)
-    labels = Counter(pl.read_parquet(f"{done.out}/sessions/*/samples/*.parquet")["label"].to_list())
+    labels = Counter(pl.read_parquet(f"{done}/sessions/*/samples/*.parquet")["label"].to_list())
     assert abs(labels.total() - 266_502) < 5_000
     assert abs(labels[0] / (labels[0] + labels[1]) - 0.54) < 0.02
 
@@ -207,15 +202,15 @@ def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: 
         simulate(tmp_path / "out", "tiny", 0)
 
 
-def test_an_existing_dataset_or_file_is_kept(tmp_path: Path, tiny: SimulatedDataset) -> None:
+def test_an_existing_dataset_or_file_is_kept(tmp_path: Path, tiny: Path) -> None:
     (tmp_path / "file").write_text("")
-    before = hashes(tiny.out)
-    for path in (tiny.out, tmp_path / "file"):
+    before = hashes(tiny)
+    for path in (tiny, tmp_path / "file"):
         with pytest.raises(EndpointError, match="exists already: give another name"):
             simulate(path, "tiny", 0)
     with pytest.raises(EndpointError, match="cannot be written: "):
         simulate(tmp_path / "file" / "below", "tiny", 0)
-    assert hashes(tiny.out) == before
+    assert hashes(tiny) == before
 
 
 def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path) -> None:
@@ -226,13 +221,13 @@ def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_prints_the_number_of_sessions(tmp_path: Path, tiny: SimulatedDataset) -> None:
+def test_the_command_prints_the_number_of_sessions(tmp_path: Path, tiny: Path) -> None:
     out = tmp_path / "data"
-    done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1", "--json")
+    done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1")
     assert (done.returncode, done.stderr) == (0, "")
-    found = json.loads(done.stdout)
-    assert found["seconds"] > 0
-    assert {**found, "seconds": 0, "dataset": ""} == {**tiny.json(), "seconds": 0, "dataset": ""}
-    assert hashes(out) == hashes(tiny.out)
+    assert done.stdout == f"{out}: 12 sessions (9 for train, 1 for validation, 2 for test)\n"
+    assert hashes(out) == hashes(tiny)
     assert error("simulate", out, "--plan", "tiny").startswith(f"{out}: exists already: give another name")
-    assert tiny.text().startswith(f"{tiny.out}: 12 sessions (")
+    done = slipflow("simulate", tmp_path / "more", "--plan", "tiny", "--json")
+    found = json.loads(done.stdout)
+    assert (found["plan"], found["seed"], sum(found["sessions"].values())) == ("tiny", 0, 12)

@@ -6,8 +6,7 @@ import polars as pl
 import pytest
 
 from flows.lab.experiments.experiment_report import experiment_report
-from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import NOMINAL, Trials, conditions_of
+from flows.lab.experiments.study import NOMINAL, Method, Trials, conditions_of
 from flows.report.report_page import Report
 from flows.report.results import Metrics, joined, result_rows
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from flows.lab.experiments.rivals import DEFAULT, METHODS, RIVALS, RULES, Method, StepThreshold
+from flows.lab.experiments.study import DEFAULT, METHODS, RIVALS, RULES, Method, StepThreshold
 from operators import Grip, StepGrip
 from storage import load_debounce
 from storage.models import load_card, shipped_path

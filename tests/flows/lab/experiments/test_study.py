@@ -2,8 +2,7 @@ from dataclasses import fields
 
 import pytest
 
-from flows.lab.experiments.rivals import Method
-from flows.lab.experiments.study import NOMINAL, SEED, Trials, conditions_of, run_study
+from flows.lab.experiments.study import NOMINAL, SEED, Method, Trials, conditions_of, run_study
 from flows.lab.experiments.trial import Conditions
 from flows.run.executor import workers
 from operators import ParameterError
