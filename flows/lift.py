@@ -6,7 +6,7 @@ from connectors import Console, Gripper, TakkTile
 from connectors.gripper.robotiq import WEAKEST
 from connectors.sim.grasp import least_force
 from connectors.sim.hand import Hand
-from connectors.sim.objects import OBJECTS, named
+from connectors.sim.objects import OBJECTS
 from flows.graph import Flow, Stream
 from flows.graph.quantity import Force
 from operators import Commands, Debounce, Grip, Score, Scores, Sink, Source, Touch, Zero, ms, s
@@ -57,7 +57,7 @@ def lift(
     else:
         if thing not in OBJECTS:
             raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
-        held = Hand(named(thing), seed)
+        held = Hand(OBJECTS[thing], seed)
         source, hand = held.touch, held
         rule = grip_controller(detector, force or least_force(held.held) / 2, max_force)
     scores, commands = declare_grip(flow, source, load_detector(detector), rule)

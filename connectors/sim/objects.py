@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Final
 
 from connectors.sim.scene import Curvature
-from operators.checks import check_above, check_at_least, check_choice
 
 SMOOTH: Final = 0.6  # factor of the scene's texture; assumed
 ROUGH: Final = 1.2  # assumed
@@ -23,9 +22,6 @@ ROUGH: Final = 1.2  # assumed
 @dataclass(frozen=True, slots=True)
 class Object:
     """A rigid body that stands upright, with its curved side towards the fingertip.
-
-    Raises:
-        ParameterError: if a dimension, the mass, a factor or the texture is out of range.
 
     >>> f"{OBJECTS['ball'].inertia:.2g} kg m2"
     '0.00018 kg m2'
@@ -40,11 +36,6 @@ class Object:
     friction: float = 1.0  # factor of static and kinetic friction, also at the passive fingers
     texture: float = 1.0  # factor of the depth of the friction's modulation
     stiffness: float = 1.0  # factor of the normal contact stiffness; soft objects spread the pressure
-
-    def __post_init__(self) -> None:
-        for name in ("radius", "width", "length", "mass", "friction", "stiffness"):
-            check_above("Object", name, getattr(self, name), 0)
-        check_at_least("Object", "texture", self.texture, 0)
 
     @property
     def inertia(self) -> float:
@@ -120,13 +111,3 @@ _SIX: Final = (
     ),
 )
 OBJECTS: Final[Mapping[str, Object]] = MappingProxyType({each.name: each for each in _SIX})
-
-
-def named(name: str) -> Object:
-    """Return the object with a name.
-
-    Raises:
-        ParameterError: if there is none.
-    """
-    check_choice("named", "name", name, OBJECTS)
-    return OBJECTS[name]

@@ -11,7 +11,6 @@ from typing import Final, Literal, Protocol, TypeAlias
 import numpy as np
 
 from operators.batch import Flags, Reals, Times, s
-from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
@@ -87,9 +86,6 @@ class Timing:
     """Sampling and timestamps of a stream.
 
     A sample taken at t (s) has the timestamp ``t + latency + jitter + offset + drift * t``.
-
-    Raises:
-        ParameterError: if the rate is not above 0, or the dropped fraction is not from 0 to below 1.
     """
 
     rate: float  # Hz
@@ -98,11 +94,6 @@ class Timing:
     offset: float = 0.0  # s, clock offset
     drift: float = 0.0  # s/s, clock rate error
     dropped: float = 0.0  # fraction of samples that are lost
-
-    def __post_init__(self) -> None:
-        check_above("Timing", "rate", self.rate, 0, "Hz")
-        if not 0 <= self.dropped < 1:
-            raise ParameterError("Timing", "dropped", self.dropped, "at least 0 and below 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +125,6 @@ class Parameters:
     nothing; *fit*, all together by `make scene-fit`: the paper's TCN, trained on real recordings, detects
     slip in the simulated signal, and statistics, relaxation and spectrum match real ones. Fitted values are
     effective: they describe the whole finger, not a sample of rubber.
-
-    Raises:
-        ParameterError: if a dimension, stiffness, mass or step is not above 0, or the grid is empty.
 
     >>> Parameters(columns=6, rows=4).columns
     6
@@ -180,12 +168,6 @@ class Parameters:
     # simulation
     step: float = 0.001  # s; convergence
 
-    def __post_init__(self) -> None:
-        for name in ("width", "height", "normal_stiffness", "shear_stiffness", "mass", "stiffness", "step"):
-            check_above("Parameters", name, getattr(self, name), 0)
-        for name in ("columns", "rows"):
-            check_at_least("Parameters", name, getattr(self, name), 1)
-
 
 @dataclass(frozen=True, slots=True)
 class Scene:
@@ -224,9 +206,6 @@ class Scene:
 class Travel:
     """Motion over a distance, from rest to rest, with a trapezoidal velocity profile.
 
-    Raises:
-        ParameterError: if distance, speed or acceleration is not above 0.
-
     >>> Travel(2.0, distance=0.05, speed=0.1, acceleration=0.5).end
     2.7
     """
@@ -235,10 +214,6 @@ class Travel:
     distance: float = 0.05  # m
     speed: float = 0.05  # m/s, maximum
     acceleration: float = 0.5  # m/s2
-
-    def __post_init__(self) -> None:
-        for name in ("distance", "speed", "acceleration"):
-            check_above("Travel", name, getattr(self, name), 0)
 
     @property
     def _ramp(self) -> float:

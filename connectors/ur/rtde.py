@@ -28,11 +28,12 @@ Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.void]]"  # fields are outp
 PORT: Final = 30004
 PROTOCOL: Final = 2  # version
 LARGEST: Final = 8192  # bytes of a package, twice the size of all variables of a controller
+TIMEOUT: Final = 1.0  # s, for the connection and between packages
 TEXTS: Final = 10  # messages that are logged per minute
 BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
 
-NO_ANSWER: Final = "does not answer within {} s: check its address and its power"
-_NO_DATA: Final = "sent nothing for {} s: check that it runs and is connected"
+_NO_ANSWER: Final = f"does not answer within {TIMEOUT:g} s: check its address and its power"
+_NO_DATA: Final = f"sent nothing for {TIMEOUT:g} s: check that it runs and is connected"
 _NUMPY: Final = {"DOUBLE": (">f8", ()), "VECTOR6D": (">f8", 6), "INT32": (">i4", ())}  # element, shape
 _REFUSED: Final = (
     "refuses the connection: check its address, and that RTDE is enabled"
@@ -156,7 +157,6 @@ class RtdeClient:
         port: RTDE port.
         outputs: RTDE types of the requested variables, by name.
         rate: Packages per second, Hz.
-        timeout: Longest wait for the connection and between packages, s.
 
     Attributes:
         endpoint: Address in error messages.
@@ -164,14 +164,12 @@ class RtdeClient:
         texts: Messages that the controller sent.
     """
 
-    def __init__(
-        self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], *, rate: float, timeout: float
-    ) -> None:
+    def __init__(self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], rate: float) -> None:
         self.endpoint = f"rtde://{host}:{port}"
         self.controller: Version | None = None
         self.texts = self._logged = 0  # `_logged` counts those since `_minute`, ns
         self._minute = clock.now()
-        self._address, self._clock, self._timeout = (host, port), clock, timeout
+        self._address, self._clock = (host, port), clock
         self._outputs, self._rate = outputs, rate
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
         self._row = np.dtype([("recipe", "u1"), *fields])
@@ -185,7 +183,7 @@ class RtdeClient:
         Raises:
             EndpointError: if the controller does not accept the connection in time.
         """
-        recipe = await self._in_time(self._shake_hands(), NO_ANSWER)
+        recipe = await self._in_time(self._shake_hands(), _NO_ANSWER)
         reading = BackgroundTask(self.endpoint, "the reading of packages", self._read(recipe), endless=False)
         self._reading = reading
 
@@ -285,12 +283,12 @@ class RtdeClient:
         return unread
 
     async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
-        """Wait at most `timeout`; every failure becomes an EndpointError."""
+        """Wait at most `TIMEOUT`; every failure becomes an EndpointError."""
         try:
-            async with asyncio.timeout(self._timeout):
+            async with asyncio.timeout(TIMEOUT):
                 return await awaited
         except TimeoutError as error:
-            raise EndpointError(self.endpoint, late.format(self._timeout)) from error
+            raise EndpointError(self.endpoint, late) from error
         except ConnectionRefusedError as error:
             raise EndpointError(self.endpoint, _REFUSED) from error
         except EOFError as error:

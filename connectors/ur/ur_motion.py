@@ -10,12 +10,12 @@ import numpy as np
 from connectors.ur.rtde import PORT, Rows, RtdeClient
 from connectors.ur.ur_state import OUTPUTS as STATE_OUTPUTS
 from connectors.ur.ur_state import receive_states
-from operators.batch import Flags, Motion, Times, s
-from operators.checks import check_above
+from operators.batch import Motion, Times, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Finding, Json, Source
 
 OUTPUTS: Final = {"timestamp": "DOUBLE", "actual_TCP_pose": "VECTOR6D", "actual_TCP_speed": "VECTOR6D"}
+LOWEST_RATE: Final = 2.0  # Hz; longer pauses count as a failure
 E_SERIES_RATE: Final = 500.0  # Hz
 CB3_RATE: Final = 125.0  # Hz
 CB3: Final = 3  # highest major version of CB3 software
@@ -37,34 +37,34 @@ class UrMotion(Source[Motion]):
         motion.to(dataset)  # as received
         samples = touch & (motion | DeviceClock()) | Align(within=20 * ms)
 
-    The connection fails if the controller refuses, closes or resets it, if no package arrives within
-    `timeout`, and if the controller's clock goes back (it has restarted). Repeated packages are dropped.
+    The connection fails if the controller refuses, closes or resets it, if no package arrives within 1 s,
+    and if the controller's clock goes back (it has restarted). Repeated packages are dropped.
 
     Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 
     Raises:
-        ParameterError: if the host is empty, no controller has the rate, or the timeout is not longer than
-            the time between two packages.
+        ParameterError: if the host is empty, or no controller has the rate.
     """
 
     host: str
     rate: float = 125.0  # Hz; at most 125 on a CB3 controller, 500 on an e-Series
     port: int = PORT
-    timeout: float = 1.0  # s, for the connection and between packages
     _about: dict[str, Json] = field(default_factory=dict[str, Json], init=False, repr=False)
-    _stamps: "PackageStamps" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not self.host:
             raise ParameterError("UrMotion", "host", self.host, "the address of a controller")
-        if not 0 < self.rate <= E_SERIES_RATE or not _divides(self.rate, E_SERIES_RATE):
+        if not LOWEST_RATE <= self.rate <= E_SERIES_RATE or not _divides(self.rate, E_SERIES_RATE):
             examples = ", ".join(f"{E_SERIES_RATE / part:.6g}" for part in (1, 2, 3, 4))
-            raise ParameterError("UrMotion", "rate", self.rate, f"500 Hz divided by an integer: {examples}")
-        check_above("UrMotion", "timeout", self.timeout, 1 / self.rate, "s")
-        self._stamps = PackageStamps(self.rate)
+            raise ParameterError(
+                "UrMotion",
+                "rate",
+                self.rate,
+                f"500 Hz divided by an integer, from {LOWEST_RATE:g} Hz: {examples}",
+            )
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
-        self._about |= {"controller": None, "connections": 0, "messages": 0, "missed": 0, "repeated": 0}
+        self._about |= {"controller": None, "connections": 0, "messages": 0}
 
     @property
     def kind(self) -> type[Motion]:
@@ -77,21 +77,20 @@ class UrMotion(Source[Motion]):
         Raises:
             EndpointError: if the connection fails.
         """
-        client = RtdeClient(clock, self.host, self.port, OUTPUTS, rate=self.rate, timeout=self.timeout)
-        stamps = self._stamps
-        stamps.newest, stamps.back = None, False
+        client = RtdeClient(clock, self.host, self.port, OUTPUTS, self.rate)
+        newest = -1  # ns, newest timestamp of this connection
         try:
             await client.connect()
             self._check_controller(client)
             while True:
                 motion = _decode(client.endpoint, *await client.receive())
-                new = stamps.new(motion.device_time)
-                self._about.update(messages=client.texts, missed=stamps.missed, repeated=stamps.repeated)
-                if new.all():
-                    yield motion
-                elif new.any():
-                    yield motion[new]
-                if stamps.back:
+                self._about["messages"] = client.texts
+                steps = np.diff(motion.device_time, prepend=newest)
+                back = steps < 0
+                if len(new := motion[(steps > 0) & ~np.logical_or.accumulate(back)]):
+                    newest = new.device_time.item(-1)
+                    yield new
+                if back.any():
                     raise EndpointError(client.endpoint, "its clock went back: the controller restarted")
         finally:
             await client.close()
@@ -103,7 +102,7 @@ class UrMotion(Source[Motion]):
             EndpointError: if the connection fails, or the controller does not have the rate.
         """
         outputs = OUTPUTS | STATE_OUTPUTS
-        client = RtdeClient(clock, self.host, self.port, outputs, rate=self.rate, timeout=self.timeout)
+        client = RtdeClient(clock, self.host, self.port, outputs, self.rate)
         try:
             await client.connect()
             self._check_controller(client)
@@ -153,30 +152,3 @@ def _decode(endpoint: str, arrivals: Times, rows: Rows) -> Motion:
 def _divides(rate: float, highest: float) -> bool:
     """Return True if `highest` is an integer multiple of `rate` (Hz), so that packages are periodic."""
     return isclose(highest / rate, round(highest / rate), abs_tol=1e-9)
-
-
-@dataclass
-class PackageStamps:
-    """Detector of repeated and missing packages from the controller's timestamps."""
-
-    rate: float  # Hz
-    newest: int | None = None  # ns, newest timestamp of this connection
-    missed: int = 0
-    repeated: int = 0
-    back: bool = False  # the controller's clock went back during this connection
-
-    def new(self, stamps: Times) -> Flags:
-        """Mark the new packages, (n,), n >= 1; none from the point where the clock went back."""
-        period = round(s / self.rate)
-        newest = stamps.item(0) - period if self.newest is None else self.newest
-        new = list[bool]()
-        for stamp in stamps.tolist():
-            step = stamp - newest
-            self.back = self.back or step < 0
-            new.append(step > 0 and not self.back)
-            if not self.back:
-                newest = stamp
-                self.repeated += step == 0
-                self.missed += max(round(step / period) - 1, 0)
-        self.newest = newest
-        return np.array(new)

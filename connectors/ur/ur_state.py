@@ -22,7 +22,6 @@ OUTPUTS: Final = {
     "safety_mode": "INT32",
 }
 RATE: Final = 125.0  # Hz; every controller supports it
-TIMEOUT: Final = 1.0  # s, for the connection and between packages
 RUNNING: Final = 7  # robot mode; RTDE guide
 SAFETY: Final = {  # RTDE guide
     1: "",
@@ -118,7 +117,7 @@ def offset_pose(pose: Pose, offset: Point = (0.0, 0.0, 0.0), yaw: float = 0.0) -
 
 def state_client(clock: Clock, host: str) -> RtdeClient:
     """Return a client for `receive_states`."""
-    return RtdeClient(clock, host, PORT, OUTPUTS, rate=RATE, timeout=TIMEOUT)
+    return RtdeClient(clock, host, PORT, OUTPUTS, RATE)
 
 
 async def receive_states(client: RtdeClient) -> list[ArmState]:

@@ -4,7 +4,7 @@ import pytest
 
 from connectors.sim.grasp import GraspState, least_force
 from connectors.sim.hand import Hand
-from connectors.sim.objects import named
+from connectors.sim.objects import OBJECTS
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.lift import declare_grip, grip_controller, lift
@@ -42,7 +42,7 @@ def test_hardware_needs_both_bus_and_gripper() -> None:
 
 @pytest.mark.parametrize("ruled", [True, False])
 def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> None:
-    ball = named("ball")
+    ball = OBJECTS["ball"]
     hand, commands, flow = Hand(ball, seed=3), TestSink(), Flow("lift")
     rule = grip_controller(DETECTOR, least_force(ball) / 2)
     rule = rule if ruled else Grip(force=rule.force, gain=0.0)

@@ -91,12 +91,11 @@ Step: TypeAlias = Line | Turn | Wait
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """Bounding box, duration and end of a path."""
+    """Bounding box and duration of a path."""
 
     seconds: float
     low: Point
     high: Point
-    end: Pose
 
     @classmethod
     def of(cls, steps: Iterable[Step], start: Pose) -> "Extent":
@@ -107,4 +106,4 @@ class Extent:
             pose = step.end(pose)
             points += [each[:3] for each in (step.poses if isinstance(step, Line) else (pose,))]
         low, high = (tuple(map(each, zip(*points, strict=True))) for each in (min, max))
-        return cls(seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2]), pose)
+        return cls(seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2]))

@@ -6,13 +6,13 @@ from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Protocol, Self, cast
+from typing import Final, TypeAlias, cast
 
 import numpy as np
 
 from connectors.sim.scene import Moves, Scene, Vibration
 from connectors.sim.simulated_arm import SimulatedArm
-from connectors.ur.ur_state import ArmState, Pose
+from connectors.ur.ur_arm import UrArm
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.arm_path import Line, Step, Turn, Wait
@@ -41,27 +41,7 @@ from storage.background_task import BackgroundTask
 
 FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingertip
 _POLL: Final = 0.05  # s
-
-
-class Arm(Protocol):
-    """Arm that makes one move at a time: `UrArm` or `SimulatedArm`, which document the moves.
-
-    Entering its context opens it, leaving stops it. The moves raise EndpointError if it had to be stopped.
-    """
-
-    fault: str  # reason why it was stopped; empty if it was not
-
-    @property
-    def state(self) -> ArmState: ...  # noqa: D102
-    async def line(  # noqa: D102
-        self, poses: Sequence[Pose], speed: float, acceleration: float, seconds: float
-    ) -> None: ...
-    async def turn(self, spin: float, seconds: float, acceleration: float) -> None: ...  # noqa: D102
-    async def wait(self, seconds: float) -> None: ...  # noqa: D102
-    async def stop(self) -> None: ...  # noqa: D102
-    def fail(self, reason: str) -> None: ...  # noqa: D102
-    async def __aenter__(self) -> Self: ...
-    async def __aexit__(self, *_: object) -> None: ...
+Arm: TypeAlias = UrArm | SimulatedArm  # with the same moves
 
 
 class Collector(Source[Episodes]):

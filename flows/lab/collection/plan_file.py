@@ -10,7 +10,6 @@ from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_arg
 
 from flows.graph.quantity import parse_quantity
 from flows.lab.collection.stroke_plan import CollectionPlan
-from operators.checks import check_choice
 from operators.errors import InputError, ParameterError
 from storage.toml_text import parse_toml, read_text
 
@@ -79,8 +78,7 @@ class _Reader:
             return self._quantity(value, arguments[1], key)
         if origin is tuple:
             return tuple(self._items(arguments, value, key))
-        if origin is Literal:
-            check_choice(self._file, key, value, arguments)
+        if origin is Literal:  # checked by the dataclass
             return value
         if is_dataclass(kind):
             if not isinstance(value, dict):

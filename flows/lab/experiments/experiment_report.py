@@ -5,7 +5,7 @@ from typing import Final
 
 import polars as pl
 
-from connectors.sim.objects import named
+from connectors.sim.objects import OBJECTS
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Method, Trials
@@ -138,7 +138,7 @@ def _breaking_points(results: pl.DataFrame) -> Section:
 
 def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     """Draw the first trial of a method with the ball, or else with the first object."""
-    held = named(EXAMPLE if EXAMPLE in trials.objects else trials.objects[0])
+    held = OBJECTS[EXAMPLE if EXAMPLE in trials.objects else trials.objects[0]]
     trial, setup = Trial.draw(held, trials.seed, Conditions()), method.load()
     [(trace, outcome)] = EXPERIMENTS[experiment](trial, [setup])
     least = trial.least_force

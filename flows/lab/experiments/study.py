@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from connectors.sim.objects import OBJECTS, named
+from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.lift_trial import lift
 from flows.lab.experiments.tap_trial import tap
 from flows.lab.experiments.trial import Conditions, Outcome, Trace, Trial
@@ -209,7 +209,7 @@ def _run(
     task: tuple[str, str, int],
 ) -> list[Outcome]:
     condition, name, seed = task
-    trial = Trial.draw(named(name), seed, conditions[condition])
+    trial = Trial.draw(OBJECTS[name], seed, conditions[condition])
     return [outcome for _, outcome in EXPERIMENTS[experiment](trial, setups)]
 
 

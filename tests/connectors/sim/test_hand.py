@@ -3,12 +3,12 @@ import pytest
 
 from connectors.sim.grasp import GraspState
 from connectors.sim.hand import Hand
-from connectors.sim.objects import named
+from connectors.sim.objects import OBJECTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
 from operators import Commands, Run, Touch, concat, s
 
-BOX = named("box")
+BOX = OBJECTS["box"]
 START = 1_700_000_000 * s
 
 

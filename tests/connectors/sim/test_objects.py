@@ -1,11 +1,7 @@
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pytest
 
 from connectors.sim.objects import OBJECTS
-from operators.errors import ParameterError
 
 
 @pytest.mark.parametrize("name", OBJECTS)
@@ -19,10 +15,3 @@ def test_the_inertia_is_that_of_the_filled_shape(name: str) -> None:
         "cylinder_y": x**2 + z**2 < thing.radius**2,
     }[thing.curvature]
     assert thing.inertia == pytest.approx(thing.mass * (x**2 + y**2)[filled].mean(), rel=1e-3)
-
-
-@pytest.mark.parametrize("field", ["radius", "width", "length", "mass", "friction", "stiffness", "texture"])
-def test_a_value_that_no_body_has_is_refused(field: str) -> None:
-    changed: dict[str, Any] = {field: -0.1}
-    with pytest.raises(ParameterError, match=field):
-        replace(OBJECTS["box"], **changed)

@@ -36,7 +36,7 @@ def fed(pieces: list[bytes]) -> tuple[bytes, str, RtdeClient]:
 
     async def main() -> tuple[bytes, str, RtdeClient]:
         reader, received = asyncio.StreamReader(), b""
-        client = RtdeClient(LoopClock(), "127.0.0.1", 1, OUTPUTS, rate=125.0, timeout=1.0)
+        client = RtdeClient(LoopClock(), "127.0.0.1", 1, OUTPUTS, 125.0)
 
         async def feed() -> None:
             for piece in pieces:

@@ -4,7 +4,7 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 
-from connectors.sim.objects import named
+from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.lift_trial import LIFT, judge_lift, lift
 from flows.lab.experiments.trial import BASELINE, Conditions, NullDetector, Outcome, Trace, Trial
 from operators import Grip
@@ -16,7 +16,7 @@ During: TypeAlias = Callable[..., Reals]
 
 UP = {"gripper_height": np.full(700, 0.05), "height": np.full(700, 0.048)}
 DOWN = {"gripper_height": np.full(700, 0.05), "height": np.zeros(700), "on_table": np.ones(700, np.bool_)}
-BALL = named("ball")
+BALL = OBJECTS["ball"]
 
 
 def _judge(trace: Trace, least: float = 0.9) -> Outcome:

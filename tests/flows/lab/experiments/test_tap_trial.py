@@ -5,7 +5,7 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 
-from connectors.sim.objects import OBJECTS, named
+from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.tap_trial import BLOWS, END, judge_tap, tap, tap_trace
 from flows.lab.experiments.trial import MOVED, STILL, Conditions, NullDetector, Trace, Trial
 from operators import Grip
@@ -83,7 +83,7 @@ def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trac
 def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_nothing(
     name: str, seed: int
 ) -> None:
-    trace = tap_trace(Trial.draw(named(name), seed, Conditions()))
+    trace = tap_trace(Trial.draw(OBJECTS[name], seed, Conditions()))
     soft, *moved = (
         trace.travel(trace.between(*span)) for span in ((SOFT, FIRST), (FIRST, SECOND), (SECOND, END))
     )
@@ -94,7 +94,7 @@ def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_no
 
 
 def test_methods_share_one_simulation_and_draws_depend_on_the_seed_only() -> None:
-    trial = Trial.draw(named("ball"), 3, Conditions())
+    trial = Trial.draw(OBJECTS["ball"], 3, Conditions())
     (first, outcome), (second, _) = tap(trial, [(NullDetector(), Grip()), (NullDetector(), RULE)])
     assert first.counts is second.counts
     assert (first.counts == tap_trace(trial).counts).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.grasp import Grasp, least_force
-from connectors.sim.objects import named
+from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.trial import (
     FINGERTIP,
     FIRM,
@@ -27,7 +27,7 @@ from operators import Commands, Grip, ParameterError, StepGrip, s
 from operators.batch import Reals
 from operators.detectors import Psd
 
-BALL = named("ball")
+BALL = OBJECTS["ball"]
 
 
 @pytest.mark.parametrize("name", ["rate", "friction", "mass", "stiffness", "tilt"])
@@ -100,7 +100,7 @@ def test_each_slip_has_one_onset(make_trace: Callable[..., Trace], during: Calla
 
 def press(*commands: Commands, delay: float = 0.0, at: float = 3.0) -> float:
     """Return the force (N) of the gripper at an instant (s)."""
-    grasp = Grasp(named("box"))
+    grasp = Grasp(OBJECTS["box"])
     gripper = Actuator(grasp, delay)
     for each in commands:
         gripper.execute(each)
