@@ -35,8 +35,8 @@ class Dataset(Sink[Recordable]):
     the dataset has taken, or a larger batch that is being written; a power cut loses the rows of at most
     0.3 s on a disk that syncs within 50 ms. `storage.recover` turns the journal into parts.
 
-    A replay can be repeated, so its rows have no journal: a kill loses the rows since the last commit, a
-    power cut before the end of the session may lose any of them. Such a session is never marked complete.
+    A replay can be repeated, so its rows have no journal and are not made durable. `slipflow` writes it under
+    another name and renames it when it is complete and durable.
 
     Several processes may record sessions into one dataset. Disk work runs in threads. After a failed write
     (disk full) the same batch may be written again.

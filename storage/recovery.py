@@ -123,8 +123,11 @@ class Repair:
             self.done += [f"{path.relative_to(folder)}: is not in the manifest" for path in self._strays]
         if not self._rows and (folder / JOURNAL).is_dir():
             self.done.append("its journal was deleted: all its rows are in parts")
-        if "end_ns" not in about:
-            self._note_missing_end()
+        if "end_ns" not in about and not self._logs:
+            if self._all_parts() or not self._covered:
+                self.lost.append("was not closed and lacks its journal: rows after its last part are missing")
+            else:
+                self.done.append("was not closed, and has no rows")
         known = self._before.get("lost", [])
         self.lost, self.cut = ([each for each in of if each not in known] for of in (self.lost, self.cut))
 
@@ -202,14 +205,6 @@ class Repair:
                 self.cut += self.lost[-1:] if damage.torn and number == max(self._logs) else []
                 self._damaged += [] if damage.torn else [path]
         yield from sorted(single, key=attrgetter("first"))
-
-    def _note_missing_end(self) -> None:
-        """Note what is missing in a session that was not closed."""
-        if not self._all_parts() and not self._rows and not self.lost and self._covered:
-            self.done.append("was not closed, and has no rows")
-        elif not self._logs:
-            self.lost.append("was not closed and lacks its journal: rows after its last part are missing")
-            self.cut += [] if (self._folder / JOURNAL).is_dir() else self.lost[-1:]  # a killed replay
 
     def _clean_up(self) -> None:
         """Delete temporary files, strays and the journal; keep damaged files."""

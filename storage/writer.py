@@ -5,7 +5,6 @@ import weakref
 from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from errno import EIO
 from pathlib import Path
 from shutil import rmtree
 
@@ -26,8 +25,8 @@ class SessionWriter:
 
     Only `full`, `add` and `begin_commit` do not wait for the disk. `append`, `sync` and `commit` may run in
     other threads, each once at a time. All tables are committed together, so that their parts cover the same
-    time. The rows of a live run are in a journal until then. A replay can be repeated: its files are made
-    durable together before the session ends.
+    time. The rows of a live run are in a journal until then. A replay can be repeated, so nothing
+    of it is made durable.
 
     Args:
         root: Folder of the dataset.
@@ -56,7 +55,6 @@ class SessionWriter:
         self._numbers = Counter[str]()  # of parts, by table
         self._journal: Journal | None = None
         self._put = files.put if run.live else files.replace
-        self._unsynced = False  # an fsync of the files of a replay failed
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
@@ -227,30 +225,18 @@ class SessionWriter:
             self.commit()
         self.commit(final=True)
         with self._reporting():
-            if not self._run.live:
-                self._sync_replay()
             self._describe(ended=True)
             if self._journal:
                 self._journal.remove()
         self._release()
 
     def _describe(self, *, ended: bool = False) -> None:
-        put = files.put if ended else self._put
-        describe_session(self.folder, self._run, str(self._root), host=self._host, ended=ended, put=put)
+        where = str(self._root)
+        describe_session(self.folder, self._run, where, host=self._host, ended=ended, put=self._put)
 
     def _write_manifest(self) -> None:
         about: Description = {"session": self._run.session, "start_ns": self._run.start}
         write_manifest(self.folder, self._parts, self._put, about)
-
-    def _sync_replay(self) -> None:
-        """Make the files of a replay durable; after a failed fsync, a second one would prove nothing."""
-        if self._unsynced:
-            raise OSError(EIO, "the disk has lost what was written; run the replay again")
-        self._unsynced = True
-        files.sync_tree(self.folder)
-        for folder in (self.folder.parent, self._root):
-            files.sync(folder)
-        self._unsynced = False
 
     def _buffer(self, batch: Batch) -> Buffer:
         table = TABLE_OF[type(batch)].name

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +19,7 @@ from connectors.files.interpretation import Part, speeds_of
 from connectors.files.trace import interpreted
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
+from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Labelled, Motion, Touch, s
 from operators.errors import InputError, ParameterError
@@ -87,9 +89,9 @@ class TraceImport:
         delay = f", {self.label.delay / ms:g} ms after the sample" if self.label.delay else ""
         return f"arm speed, slip above {1000 * self.label.speed:g} mm/s{delay}"
 
-    def flow(self) -> Flow:
-        """Return the flow that writes the dataset."""
-        flow, dataset, part = Flow("import"), Dataset(self.out), self.trace.part
+    def flow(self, out: Path) -> Flow:
+        """Return the flow that writes the dataset `out`."""
+        flow, dataset, part = Flow("import"), Dataset(out), self.trace.part
         touch = flow.source(Replay(self.trace, Touch), "touch")
         touch.to(dataset)
         attach = AttachLabels(tuple(part.labels.tolist()))
@@ -106,12 +108,16 @@ class TraceImport:
         """Write the session.
 
         Raises:
-            EndpointError: if the dataset cannot be written, or has a session of that name.
+            EndpointError: if the dataset cannot be written.
             ParameterError: if the session's name is not a valid file name.
-            InputError: if the folder has files but is not a valid dataset.
+            InputError: if the dataset has another session of that name, or the folder has files but is not a
+                valid dataset.
         """
-        runner = ReplayRunner(self.flow(), self.trace, self.session)
-        with ThreadPoolExecutor(1) as thread:  # a notebook has an event loop in this one
+        with ExitStack() as stack:
+            stack.callback(remove_partial, self.out, [self.session])
+            out = stack.enter_context(new_session(self.out, self.session))
+            runner = ReplayRunner(self.flow(out), self.trace, self.session)
+            thread = stack.enter_context(ThreadPoolExecutor(1))  # a notebook has an event loop in this one
             thread.submit(lambda: asyncio.run(runner.execute())).result()
         self.state = "written"
 
@@ -205,7 +211,8 @@ def import_frame(
     Raises:
         InputError: that lists all problems of the data, with a map that solves them.
         ParameterError: on an invalid map or name of the session.
-        EndpointError: if the dataset cannot be written, or has a session of that name.
+        EndpointError: if the dataset cannot be written.
+        InputError: if it has another session of that name.
     """
     stated = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
     found = TraceImport(Trace(frame, stated, name=session, group=group, about=about), Path(out), session)
@@ -287,21 +294,17 @@ def _resolutions(out: Path) -> dict[str, float]:
 
 
 def _is_present(out: Path, session: str, sha256: str) -> bool:
-    """Return True if a dataset has a complete session of the same file.
+    """Return True if a dataset has a session of the same file.
 
     Raises:
-        InputError: if it has a session of that name of another file, or an incomplete one.
+        InputError: if it has a session of that name of another file.
     """
     folder = session_folder(out, session)
     if not may_exist(folder / SESSION):
         return False
     about = read_session(folder)
-    same = f'"sha256": "{sha256}"' in json.dumps(about.get("sources"))
-    if not (same and about.get("complete")):
-        reason = (
-            "of the same file that is incomplete: delete it" if same else "of another file: rename the file"
-        )
-        raise InputError(str(out), f"already has a session {session!r} {reason}")
+    if f'"sha256": "{sha256}"' not in json.dumps(about.get("sources")):
+        raise InputError(str(out), f"already has a session {session!r} of another file: rename the file")
     return True
 
 

@@ -35,7 +35,6 @@ from operators.checks import check_at_least, check_choice
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Description, SomeBatch
 from storage import Dataset
-from storage.description import describe_dataset
 from storage.files import partial_folder
 
 PLANS: Final[Mapping[str, PaperPlan]] = {
@@ -141,7 +140,6 @@ def simulate(
     """
     planned = planned_recordings(plan, seed)
     with partial_folder(out.resolve()) as root:
-        describe_dataset(root)
         work = partial(_record, root)
         for _ in map_tasks(work, planned, executor, progress=progress):
             pass

@@ -9,7 +9,8 @@ from typing import Final
 from uuid import uuid4
 
 from operators.errors import EndpointError, InputError, os_error_reason
-from storage.files import make_folder, sync
+from storage.description import describe_dataset
+from storage.files import make_folder, sync, sync_tree
 from storage.layout import MANIFEST, SESSIONS, session_folder
 
 _PARTIAL: Final = ".partial"  # folder in a dataset: sessions that are being written
@@ -17,23 +18,26 @@ _PARTIAL: Final = ".partial"  # folder in a dataset: sessions that are being wri
 
 @contextmanager
 def new_session(root: Path, session: str) -> Generator[Path]:
-    """Yield a temporary dataset; if the block succeeds, move its session to the dataset `root`.
+    """Yield a temporary dataset; if the block succeeds, move its session durably to the dataset `root`.
 
-    If `root` has a session with the same data, nothing changes.
+    `root` is created if absent. If it has a session with the same data, nothing changes.
 
     Raises:
-        InputError: if it has another session of that name.
+        InputError: if it has another session of that name, or has files but is not a valid dataset.
         EndpointError: if it cannot be written to.
     """
     scratch, target = root / _PARTIAL / session / uuid4().hex, session_folder(root, session)
     with write_errors(root):
-        scratch.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(root, parents=True)
+        describe_dataset(root)
         make_folder(root / SESSIONS)
+        scratch.parent.mkdir(parents=True, exist_ok=True)
     try:
         yield scratch
         complete = session_folder(scratch, session)
         with write_errors(root):
             if not target.exists():
+                sync_tree(complete)
                 os.rename(complete, target)  # noqa: PTH104 - unlike Path.replace, never replaces files
                 sync(root / SESSIONS)
             elif (target / MANIFEST).read_bytes() != (complete / MANIFEST).read_bytes():

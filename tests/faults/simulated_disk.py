@@ -245,7 +245,12 @@ class SimulatedDisk:
     def _named(self, name: str) -> Callable[..., Any]:
         def operate(path: Any, *args: Any, **options: Any) -> Any:
             self._step(_text(path), grows=name in ("mkdir", "link"))
-            return self._real[name](path, *args, **options)
+            done = self._real[name](path, *args, **options)
+            if name == "rename" and (folder := _text(path)):
+                moved = [each for each in self._names if f"{each}/".startswith(f"{folder}/")]
+                for each in moved:  # what is durable in a folder stays so under its new name
+                    self._names[f"{_text(args[0])}{each.removeprefix(folder)}"] = self._names.pop(each)
+            return done
 
         return operate
 

@@ -19,7 +19,7 @@ from tests.storage.made import new_episodes
 ROWS = 45  # of each stream
 SYNC_EVERY = 7  # rows
 KINDS = {".parquet": "part", ".wal": "segment"}
-CHANGES = ("pwrite", "fsync", "ftruncate", "replace", "unlink", "mkdir", "rmdir", "open")
+CHANGES = ("pwrite", "fsync", "ftruncate", "replace", "rename", "unlink", "mkdir", "rmdir", "open")
 
 
 class Ended(BaseException):

@@ -5,10 +5,14 @@ from pathlib import Path
 from shutil import copytree
 from typing import Any
 
+import pytest
+
+from flows.run.session_output import new_session
 from operators.batch import EVERY, Batch, Episodes, Motion, Slips, Touch, ms
+from operators.errors import EndpointError
 from storage import Session, recover, verify
-from tests.storage.disk_steps import ROWS, each_kind, end_at, record, steps_of
-from tests.storage.made import leave, new_run, rows, side_by_side
+from tests.storage.disk_steps import ROWS, each_kind, end_at, observed, record, steps_of
+from tests.storage.made import leave, new_run, rows, session_names, side_by_side
 
 BATCHES = side_by_side(5)
 STREAMS: list[tuple[type[Batch], int]] = [(Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY)]
@@ -18,24 +22,35 @@ def numbers(session: Session, kind: type[Batch], finger: int) -> list[int]:
     return [time // (10 * ms) for batch in session.read(kind, finger) for time in batch.time.tolist()]
 
 
-def test_a_replay_killed_at_any_step_is_whole_or_says_that_it_is_not(tmp_path: Path) -> None:
-    replay = new_run(live=False)
-    steps = steps_of(partial(record, tmp_path / "whole", replay, []))
-    for number in each_kind(steps):
+def replay(root: Path) -> None:
+    with new_session(root, "one") as scratch:
+        record(scratch, new_run(live=False), [])
+
+
+def test_a_replay_killed_at_any_step_is_whole_or_absent(tmp_path: Path) -> None:
+    steps, complete = steps_of(partial(replay, tmp_path / "whole")), 0
+    assert {"fsync part", "fsync manifest", "fsync session", "rename one"} <= set(steps)
+    for number in [*each_kind(steps, every=20), steps.index("rename one") + 1]:
         place = tmp_path / str(number)
-        end_at(number, partial(record, place, replay, []))
-        folder = place / "sessions/one"
-        if not (folder / "session.json").exists():
+        end_at(number, partial(replay, place))
+        if not (place / "sessions/one").exists():
             continue
-        before = Session.open(place).about["complete"]
-        assert verify(place).code == (0 if before else 3), steps[number]
-        assert bool(recover(folder).lost) != (before or not list(folder.glob("*/*.parquet"))), steps[number]
+        complete += 1
         session = Session.open(place)
-        assert session.about["complete"] is before
+        assert (session.about["complete"], verify(place).code) == (True, 0), steps[number]
         for kind, finger in STREAMS:
-            found = numbers(session, kind, finger)
-            assert found == list(range(len(found))), steps[number]
-            assert len(found) == ROWS or not before, steps[number]
+            assert numbers(session, kind, finger) == list(range(ROWS)), steps[number]
+    assert complete
+
+
+def test_a_replay_whose_fsync_failed_is_absent(tmp_path: Path) -> None:
+    def fail(step: str) -> None:
+        if step == "fsync part":
+            raise OSError(5, "Input/output error")
+
+    with observed(fail), pytest.raises(EndpointError, match="Input/output error"):
+        replay(tmp_path)
+    assert session_names(tmp_path) == []
 
 
 def test_a_killed_recovery_is_carried_out_by_the_next(tmp_path: Path) -> None:
