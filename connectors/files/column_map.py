@@ -170,16 +170,11 @@ class ColumnMap:
             ParameterError: as for the class, or if the text has another form.
         """
         found: dict[str, list[str]] = {}
-        name = ""
-        for item in text.split(",") if text.strip() else ():
-            left, equals, right = item.partition("=")
-            if equals:
-                name = left.strip()
-                found[name] = []
-            elif not name:
+        for item in re.split(r",(?=[^,=]*=)", text) if text.strip() else ():
+            name, equals, values = item.partition("=")
+            if not equals:
                 raise ParameterError("import", "--map", text, f"written as {_EXAMPLE}")
-            value = (right if equals else left).strip()
-            found[name] += [value] if value else []
+            found[name.strip()] = [each.strip() for each in values.split(",") if each.strip()]
         return cls._of(found)
 
     @classmethod

@@ -96,21 +96,15 @@ def _read(path: Path) -> bytes:
 
 def _unzipped(where: str, content: bytes) -> bytes:
     """Return the content of a gzip file; one that unpacks to very much is refused early."""
-    parts, size = list[bytes](), 0
+    limit = min(LIMIT, max(_CHUNK, _RATIO * len(content)))
     try:
         with gzip.open(io.BytesIO(content)) as file:
-            while part := file.read(min(_CHUNK, LIMIT + 1)):
-                parts.append(part)
-                size += len(part)
-                if size > LIMIT:
-                    return _limited(where, b"".join(parts))
-                if size > max(_CHUNK, _RATIO * len(content)):
-                    raise InputError(
-                        where, f"unpacks to more than {_RATIO} times its size: no recording does"
-                    )
+            found = file.read(limit + 1)
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
-    return b"".join(parts)
+    if limit < LIMIT and len(found) > limit:
+        raise InputError(where, f"unpacks to more than {_RATIO} times its size: no recording does")
+    return _limited(where, found)
 
 
 def _limited(where: str, content: bytes) -> bytes:

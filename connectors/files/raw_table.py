@@ -20,37 +20,21 @@ _SHOWN: Final = 8  # problems in an error
 
 @dataclass
 class RawTable:
-    """Columns of a recording, and what was found in them. A missing value is null, NaN or an empty text.
+    """Columns of a recording, and what was found in them. A missing value is null, NaN or an empty text."""
 
-    Args:
-        columns: Columns (n,), by name.
-        file: Name of the file, or of a table in memory.
-        place: Word for a row in messages.
-        numbers: (n,) of the rows in messages.
-        units: Units by column, of a row below the names.
-        separator: Name of the separator of a CSV file.
-        left_out: Reasons for columns that cannot be used, by name.
-        notes: Conclusions on how the file is read.
-        warnings: Doubts about implausible values.
-        sha256: Checksum of the file, hex.
-        suggested: Items of a map that has the table's columns.
-        fixes: Items of a map that solve problems; an empty one: those of the columns do.
-        problems: Place and reason of each problem, by its subject.
-    """
-
-    columns: Mapping[str, pl.Series]
-    file: str
-    place: str
-    numbers: NDArray[np.int64]
-    units: Mapping[str, str] = field(default_factory=dict[str, str])
-    separator: str | None = None
-    left_out: Mapping[str, str] = field(default_factory=dict[str, str])
-    notes: list[str] = field(default_factory=list[str])
-    warnings: list[str] = field(default_factory=list[str])
-    sha256: str = ""
-    suggested: list[str] = field(default_factory=list[str])
-    fixes: list[str] = field(default_factory=list[str])
-    problems: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])
+    columns: Mapping[str, pl.Series]  # (n,) each
+    file: str  # name, also of a table in memory
+    place: str  # word for a row in messages
+    numbers: NDArray[np.int64]  # (n,) of the rows in messages
+    units: Mapping[str, str] = field(default_factory=dict[str, str])  # by column, of a row below the names
+    separator: str | None = None  # name, of a CSV file
+    left_out: Mapping[str, str] = field(default_factory=dict[str, str])  # reasons by names
+    sha256: str = ""  # of the file, hex
+    notes: list[str] = field(default_factory=list[str])  # conclusions on how the file is read
+    warnings: list[str] = field(default_factory=list[str])  # doubts about implausible values
+    problems: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])  # place, reason
+    fixes: list[str] = field(default_factory=list[str])  # items of a map that solve problems
+    suggested: list[str] = field(default_factory=list[str])  # items of a map that has the table's columns
 
     @classmethod
     def of(

@@ -90,32 +90,21 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
 
     A time is required unless the map has a rate.
     """
-    given = {key: _matched(key, names, table) for key, names in stated.columns.items()}
-    groups, found = cell_groups(list(table.columns)), dict(given)
-    for name in (TIME, DATE, VELOCITY, SPEED, LABEL):
-        redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
-        redundant |= name == LABEL and stated.labelled is not None
-        if name not in given:
-            found[name] = () if redundant else _usual(name, table)
-    if not any(_quantity(key) == COUNTS for key in given):
-        found[COUNTS] = _cells(groups, table)
-    if (
-        not found[TIME]
-        and stated.rate is None
-        and not stated.columns.get(TIME)
-        and TIME not in table.problems
-    ):
-        table.add_problem(
-            "no column is recognised as time; state time=..., or rate=... if it has none", about=TIME
-        )
+    groups, found = cell_groups(list(table.columns)), dict[str, tuple[str, ...]]()
+    for quantity in SIZES:
+        keys = [key for key in stated.columns if _quantity(key) == quantity]
+        found |= {key: _matched(key, stated.columns[key], table) for key in keys}
+        moves = quantity in MOTIONS and any(stated.columns.get(key) or found.get(key) for key in MOTIONS)
+        if quantity == COUNTS and not keys:
+            found[COUNTS] = _cells(groups, table)
+        elif not (keys or moves or (quantity == LABEL and stated.labelled)):
+            found[quantity] = _usual(quantity, table)
     if not found[TIME]:
         del found[DATE]
-    order = [*SIZES]
-    found = {
-        name: found[name]
-        for name in sorted(found, key=lambda key: order.index(_quantity(key)))
-        if found[name]
-    }
+        if stated.rate is None and not stated.columns.get(TIME):
+            reason = "no column is recognised as time; state time=..., or rate=... if it has none"
+            table.add_problem(reason, about=TIME)
+    found = {key: names for key, names in found.items() if names}
     units = _units(found, stated, table)
     columns = replace(stated, columns=found, units=units)
     table.fixes += [""] if table.problems else []
@@ -294,26 +283,23 @@ def _units(
     for key, names in found.items():
         if (quantity := _quantity(key)) not in UNITS or quantity in units:
             continue
+        below = [table.units.get(name, "") for name in names]
         known = {
-            split_unit(quantity, name)[1] or split_unit(quantity, f"x [{table.units.get(name, '')}]")[1]
-            for name in names
+            split_unit(quantity, name)[1] or split_unit(quantity, f"x [{unit}]")[1]
+            for name, unit in zip(names, below, strict=True)
         }
-        unit = next(iter(known)) if len(known) == 1 else ""
-        if quantity == TIME and not unit:
-            unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
+        unit = known.pop() if len(known) == 1 else ""
+        if quantity == TIME and not (unit := unit or unit_in(_word(names[0]).removeprefix("time"), (TIME,))):
+            continue
         like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
+        endings = [_suffix(split_unit(COUNTS, name)[0]) for name in names]
         if like and unit not in like:
             table.add_problem(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")
-        elif quantity == COUNTS and any(
-            is_temperature(_suffix(split_unit(COUNTS, name)[0])) for name in names
-        ):
-            table.add_problem(
-                f"column {names[0]} is a temperature, not a cell (or state units.counts=...)", about=COUNTS
-            )
+        elif quantity == COUNTS and any(map(is_temperature, endings)):
+            reason = f"column {names[0]} is a temperature, not a cell (or state units.counts=...)"
+            table.add_problem(reason, about=COUNTS)
         else:
             units[quantity] = unit or next(iter(UNITS[quantity]))
-        if quantity == TIME and not unit:
-            del units[TIME]
     return units
 
 

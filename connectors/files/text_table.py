@@ -277,7 +277,7 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     }
     left_out = {name: "it occurs twice" for name in names if often[name] > 1}
     units = dict(zip(names, shape.units, strict=False))
-    return RawTable(columns, where, "line", numbers, units, _NAMES[sign], left_out, notes, sha256=sha256)
+    return RawTable(columns, where, "line", numbers, units, _NAMES[sign], left_out, sha256, notes)
 
 
 def _ends(body: bytes) -> tuple[bytes, bytes]:

@@ -61,17 +61,17 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     """
     unknown: Times = np.zeros(len(table), np.int64)
     if TIME not in columns.columns:
-        if columns.rate is None:
-            return columns, unknown, ((0, len(table)),)
+        if columns.rate is None:  # which is a problem
+            return columns, unknown, ()
         table.notes.append("times by the rate")
         time = np.rint(np.arange(len(table)) * (s / columns.rate)).astype(np.int64)
-        return replace(columns, dates="ymd"), time, _episodes(table)
+        return replace(columns, dates="ymd"), time, _parts(table, "", time, split=split)
     name, dates, column = columns.columns[TIME][0], columns.columns.get(DATE), time_column(table, columns)
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
     stated = "s" if textual else columns.units.get(TIME, "")
-    epoch = "" if stated else epoch_unit(reals(column, columns.decimal_sign).drop_nans())
+    epoch = "" if stated else _epoch_unit(reals(column, columns.decimal_sign).drop_nans())
     table.notes += [f"time in {epoch} since 1970, by its digits"] if epoch else []
     unit = stated or epoch or "s"
     columns = replace(columns, units={**columns.units, TIME: unit}, dates=order)
@@ -79,7 +79,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     what = "a whole number of ns" if unit == "ns" else "a date and time" if textual else f"a time in {unit}"
     table.check(name, raw.is_not_null().to_numpy(), what)
     if raw.null_count():
-        return columns, unknown, _episodes(table)
+        return columns, unknown, ()
     time = continued(raw.to_numpy(), table.notes)
     parts = _parts(table, name, time, split=split)
     rate = _rate(table, name, time, parts)
@@ -102,16 +102,11 @@ def time_column(table: RawTable, columns: ColumnMap) -> pl.Series:
     return column
 
 
-def continued(time: Times, notes: list[str], usual: float | None = None) -> Times:
-    """Return times (n,) whose clock goes on where it wrapped, such as micros() of an Arduino, and note it.
-
-    The step over a wrap is near the usual interval (ns; default: the median).
-    """
+def continued(time: Times, notes: list[str]) -> Times:
+    """Return times (n,) whose clock goes on where it wrapped, such as micros() of an Arduino, and note it."""
     steps = np.diff(time)
-    if not (back := np.flatnonzero(steps < 0)).size:
-        return time
-    usual = usual or float(np.median(steps[steps > 0])) if np.any(steps > 0) else usual or 0.0
-    for row in back[:_MOST]:
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0
+    for row in np.flatnonzero(steps < 0)[:_MOST]:
         for span, clock in _WRAPS.items():
             if 0 <= steps[row] + span <= _NEAR * usual:
                 steps[row] += span
@@ -131,20 +126,11 @@ def _add_unit_problem(table: RawTable, name: str, rate: float) -> None:
         table.add_problem(f"{reason}; state {' or '.join(likely)}, or units.time=s", fix=fix)
 
 
-def _episodes(table: RawTable) -> Parts:
-    """Return the parts of a table with episodes of LeRobot; else one part."""
-    column = table.columns.get(EPISODE)
-    starts = (
-        [0]
-        if column is None
-        else [0, *(np.flatnonzero(np.diff(column.cast(pl.String).rle_id().to_numpy())) + 1)]
-    )
-    return tuple((int(a), int(b)) for a, b in pairwise([*starts, len(table)]))
-
-
 def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
-    """Return the parts, each with a clock that never goes back; without `split` only episodes are parts."""
-    starts = {start for start, _stop in _episodes(table)}
+    """Return the parts, each with a clock that never goes back; without `split`, the episodes of LeRobot."""
+    starts, episodes = {0}, table.columns.get(EPISODE)
+    if episodes is not None:
+        starts |= {*(np.flatnonzero(np.diff(episodes.cast(pl.String).rle_id().to_numpy())) + 1).tolist()}
     back = [int(row) + 1 for row in np.flatnonzero(np.diff(time) < 0) if int(row) + 1 not in starts]
     parts = tuple(pairwise([*sorted(starts | {*back}), len(time)]))
     if back and not split:
@@ -176,19 +162,14 @@ def _rate(table: RawTable, name: str, time: Times, parts: Parts) -> float | None
     return rows_per_second(part)
 
 
-def epoch_unit(values: pl.Series) -> str:
-    """Return the unit in which numbers are times since 1970, by their digits; empty: in none.
-
-    >>> epoch_unit(pl.Series([1742999346123.0])), epoch_unit(pl.Series([5.0]))
-    ('ms', '')
-    """
+def _epoch_unit(values: pl.Series) -> str:
+    """Return the unit in which numbers are times since 1970, by their digits; empty: in none."""
     low, high = values.min(), values.max()
     if not isinstance(low, float) or not isinstance(high, float):
         return ""
-    for unit in _DIGITS:
-        if all(_EPOCHS[0] <= each * UNITS[TIME][unit] / 1e9 <= _EPOCHS[1] for each in (low, high)):
-            return unit
-    return ""
+    scales = {unit: UNITS[TIME][unit] / UNITS[TIME]["s"] for unit in _DIGITS}
+    fits = (unit for unit, each in scales.items() if _EPOCHS[0] <= low * each and high * each <= _EPOCHS[1])
+    return next(fits, "")
 
 
 def is_text_of_time(column: pl.Series) -> bool:
