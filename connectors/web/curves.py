@@ -8,16 +8,10 @@ from numpy.typing import NDArray
 
 from connectors.events import Fault, Slip, finger_name, quality
 from operators.batch import Motion, Reals, Scores, Times, Touch, ms
-from operators.ports import Json, Run
+from operators.ports import Json
 
 Real = TypeVar("Real", bound=np.floating[Any])
 GAP: Final = 250 * ms  # ns; a longer pause is drawn as a gap, as in rows.js
-
-
-def page_fingertip(run: Run, destination: str) -> Json:
-    """Return the description of the fingertips of a page, by its destination; None: unknown."""
-    known = run.fingertips.get(destination, {})
-    return next((fingertip.describe() for fingertip in known.values()), None)
 
 
 def plotted(batch: Touch | Motion | Scores) -> tuple[str, Reals]:

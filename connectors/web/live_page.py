@@ -27,7 +27,6 @@ from connectors.web.curves import (
     curve_json,
     event_json,
     faults_json,
-    page_fingertip,
     plotted,
     thin_curve,
 )
@@ -180,6 +179,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
     def _about(self) -> dict[str, Json]:
         run = self._run
+        known = run.fingertips.get(self.destination, {}).values()
         return {
             "version": software_version(),
             "session": run.session,
@@ -187,7 +187,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             "recording": run.recording,
             "start": run.start / ms,
             "threshold": self.threshold,
-            "fingertip": page_fingertip(run, self.destination),
+            "fingertip": next((each.describe() for each in known), None),
             "zeroed": self._zeroed,
         }
 

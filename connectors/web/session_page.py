@@ -22,7 +22,6 @@ from connectors.web.curves import (
     curve_json,
     event_json,
     faults_json,
-    page_fingertip,
     plotted,
     thin_curve,
 )
@@ -39,6 +38,7 @@ from operators.batch import (
     Scores,
     Slips,
     Times,
+    Touch,
     Truth,
     Zeroed,
     concat,
@@ -60,12 +60,13 @@ _LABELS_USAGE: Final = (
 )
 
 
-class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
-    """Sink that keeps the curves, events and labels of a replay in memory.
+class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
+    """Page of a recorded session: keeps a replay of it in memory, and answers requests.
 
     Labelled touch and truth become the bands ``label`` and ``truth``; touch without labels becomes curves.
 
     Args:
+        session: Session; its labels by hand are shown and written.
         rule: Rule of `detected`; the page marks its threshold.
         about: Text for the page.
 
@@ -74,8 +75,8 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         bands: Runs of equal labels, as [begin, end, code] with times in ms since the start, once closed.
     """
 
-    def __init__(self, rule: Debounce, about: str) -> None:
-        self.rule, self.about = rule, about
+    def __init__(self, session: Session, rule: Debounce, about: str) -> None:
+        self.session, self.rule, self.about = session, rule, about
         self.start = self.end = 0  # ns, start of the run and newest row
         self._arriving = defaultdict[str, list[tuple[Times, Values]]](list)  # joined in `close`
         self.curves: dict[str, tuple[Times, Values]] = {}
@@ -91,9 +92,8 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         return "memory"
 
     async def open(self, run: Run) -> None:
-        """Set the session and the start of `run`."""
-        self._session, self.start = run.session, run.start
-        self._fingertip = page_fingertip(run, self.destination)
+        """Set the start of `run`."""
+        self.start = run.start
 
     def take(self, batch: Zeroed | Motion | Scores | Slips | Faults | Truth) -> bool:
         """Keep the rows of a batch.
@@ -102,26 +102,28 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             InputError: if the session has too many rows.
         """
         finger = finger_name(batch.finger)
-        if isinstance(batch, Slips):
-            self._events.extend((finger, slip) for slip in slips(batch))
-        elif isinstance(batch, Faults):
-            known = self._faults[finger]
-            for time, fault, begins in faults(batch):
-                active = known[-1][1] if known else frozenset[Fault]()
-                known.append((time, active | {fault} if begins else active - {fault}))
-        elif isinstance(batch, Truth):
-            self._truth[finger].append(batch)
-        elif isinstance(batch, Labelled):
-            self._arriving[f"label {finger}"].append((batch.time, batch.label))
-        else:
-            name, values = plotted(batch)  # scores stay exact, as they are detected again
-            kept = values if isinstance(batch, Scores) else values.astype(np.float32)
-            self._arriving[name].append((batch.time, kept))
+        match batch:
+            case Slips():
+                self._events.extend((finger, slip) for slip in slips(batch))
+            case Faults():
+                known = self._faults[finger]
+                for time, fault, begins in faults(batch):
+                    active = known[-1][1] if known else frozenset[Fault]()
+                    known.append((time, active | {fault} if begins else active - {fault}))
+            case Truth():
+                self._truth[finger].append(batch)
+            case Labelled():
+                self._arriving[f"label {finger}"].append((batch.time, batch.label))
+            case Scores():  # exact, as they are detected again
+                self._arriving[f"scores {finger}"].append((batch.time, batch.probability))
+            case _:
+                name, values = plotted(batch)
+                self._arriving[name].append((batch.time, values.astype(np.float32)))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
         if self._rows > ROWS_MAX:
             text = f"is too long for a page, which shows at most {ROWS_MAX:,} rows"
-            raise InputError(self._session, text)
+            raise InputError(self.session.name, text)
         return True
 
     async def close(self) -> None:
@@ -141,18 +143,32 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         self._arriving.clear()
         self._truth.clear()
 
+    @property
+    def routes(self) -> tuple[web.AbstractRouteDef, ...]:
+        """Requests of the page; a POST request stores the next version of the labels by hand."""
+        return (
+            *PAGE_FILES,
+            web.get("/about.json", _handler(lambda *_: self.contents())),
+            web.get("/window", _handler(self._window)),
+            web.get("/events", _handler(lambda request, _: self.detected(_number(request, "threshold")))),
+            web.post("/labels", _handler(self._write_labels)),
+        )
+
     def contents(self) -> dict[str, Json]:
         """Return the first document of the page; times are in ms since `start`."""
+        fingertip = self.session.fingertip(Touch)
         return {
-            "session": self._session,
-            "fingertip": self._fingertip,
+            "mode": "recorded",
+            "session": self.session.name,
+            "fingertip": fingertip.describe() if fingertip else None,
             "about": self.about,
             "start": self.start / ms,
             "length": (self.end - self.start) / ms,
             "threshold": self.rule.threshold,
-            "scored": bool(self._scores()),
+            "scored": any(name.startswith("scores ") for name in self.curves),
             "events": self._events_json(self._events),
             "bands": self.bands,
+            "labels": self._labels_json(self.session.hand_labels()),
         }
 
     def detected(self, threshold: float) -> list[Json]:
@@ -162,8 +178,10 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             ParameterError: if the threshold is not above 0 and at most 1.
         """
         rule, events = replace(self.rule, threshold=threshold), list[_Event]()
-        for finger, curve in self._scores().items():
-            events.extend((finger, slip) for slip in slips(rule.reset_copy().push(Scores(*curve))))
+        for name, curve in self.curves.items():
+            if name.startswith("scores "):
+                found = rule.reset_copy().push(Scores(*curve))
+                events.extend((name.removeprefix("scores "), slip) for slip in slips(found))
         return self._events_json(events)
 
     def window(self, begin: float, end: float, columns: int | None) -> dict[str, Json]:
@@ -189,11 +207,6 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         current = {finger: self._faults_at(finger, last) for finger in self._faults}
         return {"rows": rows, "faults": faults_json(current), "quality": qualities}
 
-    def _scores(self) -> dict[str, tuple[Times, Values]]:
-        """Return times and probabilities by fingertip."""
-        names = [name for name in self.curves if name.startswith("scores ")]
-        return {name.removeprefix("scores "): self.curves[name] for name in names}
-
     def _faults_at(self, finger: str, time: int) -> frozenset[Fault]:
         known = self._faults.get(finger, [])
         row = bisect_right(known, time, key=itemgetter(0))
@@ -216,42 +229,12 @@ class SessionCurves(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         begin, end = (((each - self.start) / ms).round(3).tolist() for each in (time[first], ends))
         return [list(run) for run in zip(begin, end, code[first].tolist(), strict=True)]
 
-
-class SessionPage:
-    """Answers to the requests of the page of a recorded session.
-
-    Args:
-        curves: Curves and events.
-        session: Session whose labels by hand the page shows and writes.
-    """
-
-    def __init__(self, curves: SessionCurves, session: Session) -> None:
-        self.curves, self.session = curves, session
-
-    @property
-    def routes(self) -> tuple[web.AbstractRouteDef, ...]:
-        """Requests of the page; a POST request stores the next version of the labels by hand."""
-        return (
-            *PAGE_FILES,
-            web.get("/about.json", _handler(self._about)),
-            web.get("/window", _handler(self._window)),
-            web.get("/events", _handler(self._events)),
-            web.post("/labels", _handler(self._write_labels)),
-        )
-
-    def _about(self, _: web.Request, __: bytes) -> Json:
-        labels = self._labels_json(self.session.hand_labels())
-        return {"mode": "recorded", "labels": labels, **self.curves.contents()}
-
     def _window(self, request: web.Request, _: bytes) -> Json:
         begin, end, at, columns = (_number(request, name) for name in ("begin", "end", "at", "columns"))
         if not (begin <= end and 1 <= columns <= _COLUMNS_MAX):
             raise InputError(request.path, f"must have begin <= end, and 1 to {_COLUMNS_MAX} columns")
-        shown = self.curves.window(begin, end, int(columns))
-        return {"rows": shown["rows"], "at": self.curves.window(at - _VALID_FOR, at, None)}
-
-    def _events(self, request: web.Request, _: bytes) -> Json:
-        return self.curves.detected(_number(request, "threshold"))
+        shown = self.window(begin, end, int(columns))
+        return {"rows": shown["rows"], "at": self.window(at - _VALID_FOR, at, None)}
 
     def _write_labels(self, _: web.Request, body: bytes) -> Json:
         based_on, spans = self._spans(body)
@@ -270,8 +253,8 @@ class SessionPage:
             based_on: int = content["based_on"]
             spans = [
                 LabelSpan(
-                    self.curves.start + round(each["begin"] * ms),
-                    self.curves.start + round(each["end"] * ms),
+                    self.start + round(each["begin"] * ms),
+                    self.start + round(each["end"] * ms),
                     EVERY if each["finger"] == finger_name(EVERY) else int(each["finger"]),
                     value=str(each["value"]),
                     author=str(each["author"]),
@@ -291,8 +274,8 @@ class SessionPage:
         spans: list[Json] = [
             {
                 **asdict(span),
-                "begin": (span.begin - self.curves.start) / ms,
-                "end": (span.end - self.curves.start) / ms,
+                "begin": (span.begin - self.start) / ms,
+                "end": (span.end - self.start) / ms,
                 "finger": finger_name(span.finger),
                 "created": str(span.created),
             }

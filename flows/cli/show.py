@@ -105,7 +105,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         InputError: if the session has no touch, is damaged or too long, or the detector is unknown.
     """
     from connectors import Replay
-    from connectors.web.session_page import SessionCurves, SessionPage
+    from connectors.web.session_page import SessionPage
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
     from operators import Debounce, Faults, Labelled, Motion, Score, Slips, Touch, Truth, Zero
@@ -120,20 +120,20 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         probability, found = "none, as there is no detector", "none"
     events = "recorded" if has_slips else f"{found}, as none were recorded"
     about = f"Slip probability: {probability}. Slip events: {events}."
-    curves = SessionCurves(debounce, about)
+    page = SessionPage(session, debounce, about)
     flow = Flow("show")
     zeroed = flow.source(Replay(session, Touch)) | Zero()
-    zeroed.to(curves)
+    zeroed.to(page)
     if scored:
         scores = zeroed | Score(load_detector(detector))
-        scores.to(curves)
+        scores.to(page)
         if not has_slips:
-            (scores | debounce).to(curves)
+            (scores | debounce).to(page)
     if not session.fingers(Faults) and (faults := watch_cells(flow)):
-        flow.add_sink(curves, faults)
+        flow.add_sink(page, faults)
     kinds: tuple[type[Any], ...] = (Slips, Faults, Motion, Labelled, Truth)
     for kind in kinds:
         if session.fingers(kind):
-            flow.source(Replay(session, kind)).to(curves)
+            flow.source(Replay(session, kind)).to(page)
     await ReplayRunner(flow, session, session.name).execute()
-    return SessionPage(curves, session)
+    return page

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import ViewportSize, expect
 
-from connectors.web.session_page import SessionCurves, SessionPage
+from connectors.web.session_page import SessionPage
 from flows.cli.show import load
 from operators import Debounce
 from operators.batch import Labelled, Motion, Scores, Slips, Touch, Truth, Zeroed, concat, ms, s
@@ -119,7 +119,7 @@ def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
     tab.goto(served.url)
     for threshold in (0.005, 0.5, 1.0):
         tab.get_by_role("slider", name="Threshold").evaluate(SET, threshold)
-        found: list[Any] = served.page.curves.detected(threshold)
+        found: list[Any] = served.page.detected(threshold)
         onsets = sum(event["onset"] for event in found)
         expect(tab.locator("#threshold-text")).to_have_text(f"{threshold:g}")
         expect(tab.locator("#events-count")).to_have_text(f"{onsets} {'slip' if onsets == 1 else 'slips'}")
@@ -221,13 +221,13 @@ def test_thinned_curves_keep_the_figures_of_the_recording(
     state = (1 - np.arange(3000) % 2).astype(np.int8)
 
     async def fill() -> SessionPage:
-        recorded = SessionCurves(Debounce(0.78), "")
-        await recorded.open(run)
-        await recorded.write(Zeroed(time, counts, counts, counts < 0, finger=0))
-        await recorded.write(Scores(time, probability, finger=0))
-        await recorded.write(Slips(time[onsets], state, time[onsets], np.full(3000, 0.9), finger=0))
-        await recorded.close()
-        return SessionPage(recorded, session)
+        page = SessionPage(session, Debounce(0.78), "")
+        await page.open(run)
+        await page.write(Zeroed(time, counts, counts, counts < 0, finger=0))
+        await page.write(Scores(time, probability, finger=0))
+        await page.write(Slips(time[onsets], state, time[onsets], np.full(3000, 0.9), finger=0))
+        await page.close()
+        return page
 
     with ServedRecording(fill()) as served:
         tab.goto(served.url)

@@ -43,7 +43,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
 
 def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session) -> None:
-    recorded = asyncio.run(load(session)).curves
+    recorded = asyncio.run(load(session))
     contents: dict[str, Any] = {**recorded.contents()}
     assert contents["session"] == "test"
     assert contents["length"] == pytest.approx(12_000, abs=200)
