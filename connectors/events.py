@@ -5,14 +5,15 @@ This module does no I/O and reads no clock. Source: https://github.com/cloudeven
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from itertools import starmap
 from math import isfinite
 from typing import Annotated, Final, Literal, NamedTuple
 from urllib.parse import quote, unquote
 
+import msgspec
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, field
+from msgspec.structs import replace
 
 from connectors.documents import INT64, Document, Fraction, Number, decode
 from operators.batch import EVERY, SLIP, Faults, Slips
@@ -41,39 +42,18 @@ class Fault(Document, frozen=True):
         return self.kind == _LIMIT
 
 
-class _Model(Document, frozen=True):
-    id: str
-    sha256: str | None
+class Model(Document, frozen=True):
+    """Detector of an event."""
+
+    id: str = "unknown"
+    sha256: str | None = None  # of its weights; None: unknown
 
 
-class _Data(Document, frozen=True):
-    seq: Number
-    epoch: Annotated[str, Meta(max_length=EPOCH_NAME_MAX)]
-    finger: str
-    state: Literal["onset", "end"]
-    p: Fraction | None
-    threshold: Fraction | None
-    consecutive: Number | None
-    sample_time_ns: Annotated[int, Meta(ge=-INT64, le=INT64)]
-    latency_ms: float | None
-    model: _Model
-    degraded: tuple[Fault, ...]
-    session: str | None
+class Event(Document, frozen=True, kw_only=True):
+    """One onset or end of slip. None: unknown.
 
-
-class _CloudEvent(Document, frozen=True):
-    specversion: Literal["1.0"]
-    type: str
-    source: str
-    id: str
-    data: _Data
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """One onset or end of slip.
-
-    >>> event = Event("lab", "ur10", "0", "s1", 7, onset=True, time=1_500_000_000, probability=0.9, latency=8)
+    >>> about = {"site": "lab", "rig": "ur10", "finger": "0", "epoch": "s1", "seq": 7, "latency": 8.0}
+    >>> event = Event(**about, state="onset", time=1_500_000_000, probability=0.9)
     >>> Event.decode(event.encode()) == event
     True
     >>> import json
@@ -85,30 +65,25 @@ class Event:
     (0.9, 'good', None)
     """
 
-    site: str
-    rig: str
+    site: str = ""
+    rig: str = ""
     finger: str
-    epoch: str  # name of the number series of one run
-    seq: int  # counts from 1 in each epoch; a gap is a late or lost event
-    onset: bool = field(kw_only=True)  # False: the end of a slip
-    time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, of the deciding sample
-    probability: float | None = field(kw_only=True)  # probability of slip, 0..1; None: unknown
-    latency: float | None = field(kw_only=True)  # ms from the sample to the event; None: replay
-    threshold: float | None = field(
-        default=None, kw_only=True
-    )  # probability from which a sample counts as slip; None: unknown
-    consecutive: int | None = field(
-        default=None, kw_only=True
-    )  # samples required for an onset; None: unknown
-    model: str = field(default="unknown", kw_only=True)  # identifier of the detector
-    sha256: str | None = field(default=None, kw_only=True)  # SHA-256 of the detector's weights; None: unknown
-    degraded: tuple[Fault, ...] = field(default=(), kw_only=True)
-    session: str | None = field(default=None, kw_only=True)  # run that raised the event; None: unknown
+    epoch: Annotated[str, Meta(max_length=EPOCH_NAME_MAX)]  # name of the number series of one run
+    seq: Number  # counts from 1 in each epoch; a gap is a late or lost event
+    state: Literal["onset", "end"]
+    time: Annotated[int, Meta(ge=-INT64, le=INT64)] = field(name="sample_time_ns")  # of the deciding sample
+    probability: Fraction | None = field(name="p")  # of slip
+    latency: float | None = field(name="latency_ms")  # from the sample to the event; None: replay
+    threshold: Fraction | None = None  # probability from which a sample counts as slip
+    consecutive: Number | None = None  # samples required for an onset
+    model: Model = Model()
+    degraded: tuple[Fault, ...] = ()
+    session: str | None = None  # run that raised the event
 
     @property
-    def state(self) -> str:
-        """``onset`` or ``end``."""
-        return "onset" if self.onset else "end"
+    def onset(self) -> bool:
+        """False: the end of a slip."""
+        return self.state == "onset"
 
     @property
     def quality(self) -> str:
@@ -127,30 +102,14 @@ class Event:
 
     def encode(self) -> bytes:
         """Return the event as a CloudEvent in JSON."""
+        data: dict[str, Json] = msgspec.to_builtins(self)
+        del data["site"], data["rig"]
         return encode(
             {
-                "specversion": "1.0",
-                "type": f"slip.{self.state}.v1",
-                "source": "/" + "/".join(quote(part, safe="") for part in (self.site, self.rig, self.finger)),
-                "id": self.identifier,
+                **self.envelope(),
                 "time": timestamp(self.time),
                 "datacontenttype": "application/json",
-                "data": {
-                    "seq": self.seq,
-                    "epoch": self.epoch,
-                    "finger": self.finger,
-                    "state": self.state,
-                    "p": self.probability,
-                    "threshold": self.threshold,
-                    "consecutive": self.consecutive,
-                    "sample_time_ns": self.time,
-                    "latency_ms": self.latency,
-                    "model": {"id": self.model, "sha256": self.sha256},
-                    "quality": self.quality,
-                    "reason": self.reason,
-                    "degraded": [fault.values() for fault in self.degraded],
-                    "session": self.session,
-                },
+                "data": {**data, "quality": self.quality, "reason": self.reason},
             }
         )
 
@@ -161,36 +120,34 @@ class Event:
         Raises:
             InputError: naming `where` and the field that is missing or wrong, or if it is larger than 64 KiB.
         """
-        event = decode(payload, _CloudEvent, where)
-        data, parts = event.data, [unquote(part) for part in event.source.split("/")]
-        whole = len(parts) == len(("", "site", "rig", "finger")) and not parts[0] and all(parts[1:])
-        if not whole or not "".join(parts).isprintable():
+        document = decode(payload, _CloudEvent, where)
+        parts = document.source.split("/")
+        whole = len(parts) == len(("", "site", "rig", "finger")) and all(parts[1:])
+        if not whole or not unquote(document.source).isprintable():
             must_be = "'/<site>/<rig>/<finger>' in printable text"
-            raise InputError(where, f"source is {event.source!r:.60}, must be {must_be}")
-        for name, found, expected in (
-            ("type", event.type, f"slip.{data.state}.v1"),
-            ("id", event.id, f"{data.epoch}-{data.seq}"),
-            ("data.finger", data.finger, parts[3]),
-        ):
-            if found != expected:
+            raise InputError(where, f"source is {document.source!r:.60}, must be {must_be}")
+        event = replace(document.data, site=unquote(parts[1]), rig=unquote(parts[2]))
+        for name, expected in event.envelope().items():
+            if (found := document.values()[name]) != expected:
                 raise InputError(where, f"{name} is {found!r:.60}, must be {expected!r}")
-        return cls(
-            parts[1],
-            parts[2],
-            parts[3],
-            data.epoch,
-            data.seq,
-            onset=data.state == "onset",
-            time=data.sample_time_ns,
-            probability=data.p,
-            latency=data.latency_ms,
-            threshold=data.threshold,
-            consecutive=data.consecutive,
-            model=data.model.id,
-            sha256=data.model.sha256,
-            degraded=data.degraded,
-            session=data.session,
-        )
+        return event
+
+    def envelope(self) -> dict[str, str]:
+        """Return the attributes of the CloudEvent that follow from the data."""
+        return {
+            "specversion": "1.0",
+            "type": f"slip.{self.state}.v1",
+            "source": "/" + "/".join(quote(part, safe="") for part in (self.site, self.rig, self.finger)),
+            "id": self.identifier,
+        }
+
+
+class _CloudEvent(Document, frozen=True):
+    specversion: str
+    type: str
+    source: str
+    id: str
+    data: Event
 
 
 def quality(probability: float | None, faults: Iterable[Fault]) -> tuple[str, str | None]:

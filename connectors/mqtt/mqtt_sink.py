@@ -7,7 +7,7 @@ from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from connectors.events import Event, Fault, encode, faults, finger_name, slips, timestamp
+from connectors.events import Event, Fault, Model, encode, faults, finger_name, slips, timestamp
 from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
@@ -66,11 +66,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def __post_init__(self) -> None:
         self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
         self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
-        self._model, self._sha256 = self.model.get("id", "unknown"), self.model.get("sha256")
-        valid = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}
-        if not valid or (self._sha256 is not None and not re.fullmatch("[0-9a-f]{64}", self._sha256)):
+        name = self.model.get("id", "unknown")
+        valid = name and name.isprintable() and not set(self.model) - {"id", "sha256"}
+        if not valid or not re.fullmatch("[0-9a-f]{64}", self.model.get("sha256", "0" * 64)):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be)
+        self._model = Model(**self.model)
         if self.threshold is not None:
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
         if self.consecutive is not None:
@@ -188,19 +189,18 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         for slip in slips(batch):
             latency = self._run.latency(slip.time)
             yield Event(
-                self.site,
-                self._name,
-                finger,
-                "",
-                0,
-                onset=slip.onset,
+                site=self.site,
+                rig=self._name,
+                finger=finger,
+                epoch="",
+                seq=0,
+                state="onset" if slip.onset else "end",
                 time=slip.time,
                 probability=slip.probability,
                 latency=None if latency is None else latency / ms,
                 threshold=self.threshold,
                 consecutive=self.consecutive,
                 model=self._model,
-                sha256=self._sha256,
                 degraded=self._degraded(finger),
                 session=self._run.session,
             )
@@ -243,7 +243,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                 "flow": self._run.flow,
                 "recording": self._run.recording,
                 "sources": {name: dict(description) for name, description in self._run.describe.items()},
-                "model": {"id": self._model, "sha256": self._sha256},
+                "model": self._model.values(),
                 "threshold": self.threshold,
                 "consecutive": self.consecutive,
                 "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},

@@ -4,10 +4,11 @@ import asyncio
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 from secrets import token_hex
+
+from msgspec.structs import replace
 
 from connectors.events import Event
 from connectors.mqtt.outbox_log import Entry, OutboxLog

@@ -1,5 +1,4 @@
 import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,8 +6,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
+from msgspec.structs import replace
 
-from connectors.events import Event, Fault, encode, faults
+from connectors.events import Event, Fault, Model, encode, faults
 from operators.batch import Faults
 from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
@@ -23,19 +23,18 @@ parts = st.text(letters.filter(lambda letter: letter not in "/+#"), min_size=1, 
 shares = st.none() | st.floats(0, 1)
 events = st.builds(
     Event,
-    parts,
-    parts,
-    parts,
-    names,
-    st.integers(1, 2**63 - 1),
-    onset=st.booleans(),
+    site=parts,
+    rig=parts,
+    finger=parts,
+    epoch=names,
+    seq=st.integers(1, 2**63 - 1),
+    state=st.sampled_from(["onset", "end"]),
     time=st.integers(1 - 2**63, 2**63 - 1),
     probability=shares,
     latency=st.none() | st.floats(-1e12, 1e12),
     threshold=shares,
     consecutive=st.none() | st.integers(1, 1000),
-    model=names,
-    sha256=st.none() | st.text("0123456789abcdef", min_size=64, max_size=64),
+    model=st.builds(Model, names, st.none() | st.text("0123456789abcdef", min_size=64, max_size=64)),
     degraded=st.lists(
         st.builds(Fault, st.integers(0, CELL_LIMIT - 1), names | st.just("saturated")), max_size=3
     ).map(tuple),
@@ -43,12 +42,12 @@ events = st.builds(
 )
 
 EVENT = Event(
-    "lab",
-    "ur10",
-    "0",
-    "run1",
-    1,
-    onset=True,
+    site="lab",
+    rig="ur10",
+    finger="0",
+    epoch="run1",
+    seq=1,
+    state="onset",
     time=1,
     probability=0.9,
     latency=3.5,
@@ -65,7 +64,8 @@ READ: list[tuple[str | int, ...]] = [
 ]
 
 
-OPTIONAL = {("degraded", 0)}
+KNOWN_DEFAULTS = ("threshold", "consecutive", "model", "degraded", "session")
+OPTIONAL = {*((name,) for name in KNOWN_DEFAULTS), ("degraded", 0), ("model", "id"), ("model", "sha256")}
 
 
 def altered(path: tuple[str | int, ...], *value: Json) -> bytes:

@@ -3,13 +3,13 @@ import shutil
 import textwrap
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
@@ -27,7 +27,9 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 UR10 = "slip/v1/lab/ur10"
 REFUSED = "cannot connect: Connection refused; check that the broker runs and that this is its port"
-EVENT = Event("lab", "ur10", "0", "ab", 1, onset=True, time=1, probability=0.9, latency=1.0)
+EVENT = Event(
+    site="lab", rig="ur10", finger="0", epoch="ab", seq=1, state="onset", time=1, probability=0.9, latency=1.0
+)
 
 
 def event(seq: int, rig: str = "ur10") -> Event:

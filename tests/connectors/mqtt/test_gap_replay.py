@@ -21,7 +21,9 @@ from tests.waiting import until
 
 RIG = "slip/v1/lab/ur10"
 REQUEST = GapRequest("ab", 3, 9, f"{RIG}/replay/me")
-DRAFT = Event("lab", "ur10", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+DRAFT = Event(
+    site="lab", rig="ur10", finger="0", epoch="", seq=0, state="onset", time=1, probability=0.9, latency=1.0
+)
 TIMES = count()  # s, longer apart than two answers
 
 

@@ -3,16 +3,16 @@ import json
 import signal
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from jsonschema import Draft202012Validator, validate
+from msgspec.structs import replace
 
 from connectors import Event, Mqtt
-from connectors.events import CONTENT_TYPE, Fault
+from connectors.events import CONTENT_TYPE, Fault, Model
 from connectors.mqtt import broker_link as link
 from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
@@ -77,22 +77,21 @@ async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker,
         await sink.write(slips(1, finger=2, probability=float("nan")))
     found = [event(listener), event(listener), event(listener, "2")]
     first = Event(
-        "lab",
-        "rig",
-        "0",
-        found[0].epoch,
-        1,
-        onset=True,
+        site="lab",
+        rig="rig",
+        finger="0",
+        epoch=found[0].epoch,
+        seq=1,
+        state="onset",
         time=NOW - 30 * ms,
         probability=0.9,
         latency=30,
         threshold=0.5,
         consecutive=2,
-        model="tcn",
-        sha256="0f" * 32,
+        model=Model(id="tcn", sha256="0f" * 32),
         session="run1",
     )
-    second = replace(first, seq=2, onset=False, time=NOW - 20 * ms, latency=20)
+    second = replace(first, seq=2, state="end", time=NOW - 20 * ms, latency=20)
     third = replace(first, seq=3, finger="2", probability=None)
     assert found == [first, second, third]
 

@@ -16,7 +16,9 @@ from storage.append_log import AppendLog, LogReader
 from tests.inside import inside
 from tests.waiting import PATIENCE, until
 
-DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+DRAFT = Event(
+    site="lab", rig="rig", finger="0", epoch="", seq=0, state="onset", time=1, probability=0.9, latency=1.0
+)
 
 
 @pytest.fixture(autouse=True)

@@ -1,11 +1,11 @@
 import os
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from connectors import Event
 from connectors.mqtt import position
@@ -14,7 +14,9 @@ from connectors.mqtt.position import FILE_MAX, SIZE_MAX, Position, RigId, load, 
 from operators.errors import EndpointError, InputError, SlipflowError
 
 UR10 = ("lab", "ur10")
-EVENT = Event("lab", "ur10", "0", "ab", 1, onset=True, time=1, probability=0.9, latency=1.0)
+EVENT = Event(
+    site="lab", rig="ur10", finger="0", epoch="ab", seq=1, state="onset", time=1, probability=0.9, latency=1.0
+)
 
 
 def event(seq: int, epoch: str = "ab") -> Event:

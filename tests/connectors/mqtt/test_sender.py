@@ -22,7 +22,9 @@ from tests.waiting import until
 RIG = "slip/v1/lab/rig"
 WILL = Message(f"{RIG}/status", b"offline")
 ONLINE = Message(f"{RIG}/status", b"online")
-DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+DRAFT = Event(
+    site="lab", rig="rig", finger="0", epoch="", seq=0, state="onset", time=1, probability=0.9, latency=1.0
+)
 
 
 class Peer:
@@ -141,7 +143,17 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> Peer:
 
 
 def draft(finger: str) -> Event:
-    return Event("lab", "rig", finger, "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+    return Event(
+        site="lab",
+        rig="rig",
+        finger=finger,
+        epoch="",
+        seq=0,
+        state="onset",
+        time=1,
+        probability=0.9,
+        latency=1.0,
+    )
 
 
 async def test_events_are_sent_once_in_order_and_documents_after_their_acknowledgement(

@@ -19,7 +19,17 @@ def started(*arguments: str) -> subprocess.Popen[str]:
 
 
 def test_an_event_is_printed_as_received_in_json(broker: TestBroker) -> None:
-    event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=time_ns(), probability=0.93, latency=8.5)
+    event = Event(
+        site="lab",
+        rig="ur10",
+        finger="0",
+        epoch="ab",
+        seq=7,
+        state="onset",
+        time=time_ns(),
+        probability=0.93,
+        latency=8.5,
+    )
     broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
     watch = started("watch", broker.url, "--json")
     assert watch.stdout
@@ -40,7 +50,17 @@ def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
     broker: TestBroker, rig: str, age: int, latency: float | None, end: str
 ) -> None:
     time = time_ns() - age * s
-    event = Event("lab", rig, "0", "ab", 7, onset=True, time=time, probability=0.93, latency=latency)
+    event = Event(
+        site="lab",
+        rig=rig,
+        finger="0",
+        epoch="ab",
+        seq=7,
+        state="onset",
+        time=time,
+        probability=0.93,
+        latency=latency,
+    )
     broker.publish(f"slip/v1/lab/{rig}/0/event", event.encode().decode(), "-r")
     broker.publish(f"slip/v1/lab/{rig}/1/event", "{}", "-r")
     watch = started("watch", broker.url, "--rig", rig)
