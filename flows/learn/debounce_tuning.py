@@ -8,7 +8,6 @@ import numpy as np
 
 from flows.learn.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.batch import Reals
 from operators.detectors import Detector
@@ -24,7 +23,7 @@ _MENU: Final = tuple(Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE
 
 def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector) -> Debounce:
     """Tune the debounce of a detector on recordings; see `tuned`."""
-    scores = [probabilities(detector, recording) for recording in recordings]
+    scores = [recording.probabilities(detector) for recording in recordings]
     return tuned(scores, [Slips.labelled(recording) for recording in recordings])
 
 

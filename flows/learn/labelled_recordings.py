@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from math import isclose
 from pathlib import Path
-from typing import Final, Self, cast
+from typing import Final, Self
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from connectors.sim.paper_plan import PaperPlan
@@ -15,7 +15,7 @@ from connectors.sim.simulated_rig import SLIDING, episode
 from flows.learn.datasets import SPLITS, TURNS
 from flows.learn.sampling import Sampling
 from flows.report.table import counted
-from operators import Align, Label, Resample, SlidingMotion, Zero, ms
+from operators import Align, Label, Score, SlidingMotion, Zero, ms
 from operators.batch import (
     EVERY,
     MOTIONS,
@@ -28,6 +28,7 @@ from operators.batch import (
     Flags,
     Labelled,
     Motion,
+    Reals,
     Sample,
     Times,
     Touch,
@@ -35,8 +36,9 @@ from operators.batch import (
     Zeroed,
     concat,
 )
+from operators.detectors import Detector
 from operators.errors import InputError
-from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.score import forward_fill
 from storage import HandLabels, Session
 from storage.layout import session_folders
@@ -101,6 +103,35 @@ class LabelledRecording:
         known: NDArray[np.intp] = at[self.label[at] != UNKNOWN]
         return known
 
+    def windows(self, length: int, hop: int) -> Counts:
+        """Return the windows (k, length, cells) that end at the `known` samples."""
+        ends = self.known(hop)
+        if not len(ends):  # the recording may be shorter than a window
+            return np.empty((0, length, self.counts.shape[1]), self.counts.dtype)
+        view = sliding_window_view(self.counts, length, axis=0)  # (n - length + 1, cells, length)
+        windows: Counts = view[ends + 1 - length].transpose(0, 2, 1)
+        return windows
+
+    def probabilities(self, detector: Detector) -> Reals:
+        """Return the probability of slip at each sample, as `Score` computes it in a live run.
+
+        Returns:
+            (n,) NaN during the warm-up or before the first full window, and where `Score` returns NaN.
+
+        Raises:
+            FingertipError: if the detector was made for another fingertip.
+        """
+        score = Score(detector)
+        score.output_fingertip(self.fingertip)
+        probability, counts = np.full(len(self), np.nan), self.counts
+        if len(self):
+            valid = np.ones(counts.shape, np.bool_) if self.valid is None else self.valid
+            touch = Zeroed(self.sampling.times(len(self)), counts, np.zeros_like(counts), valid)
+            scores = score.push(touch).probability
+            probability[len(self) - len(scores) :] = scores
+            probability[: self.sampling.warm_up] = np.nan
+        return probability
+
 
 def simulated_recordings(
     plan: PaperPlan, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
@@ -135,7 +166,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledReco
     )
 
 
-def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
+def load(dataset: Path) -> list[LabelledRecording]:
     """Read every fingertip of a session, or of all of a dataset, that has samples or labels by hand.
 
     A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
@@ -144,7 +175,6 @@ def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
 
     Args:
         dataset: Folder of the dataset, or of one of its sessions.
-        rate: Rate to which samples of another rate are converted by `Resample`, Hz; None: as recorded.
 
     Raises:
         InputError: if the dataset does not exist, is damaged or has no labelled samples.
@@ -160,7 +190,7 @@ def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
         if marked:
             marked &= {*session.fingers(Touch)}  # verifies all touch, so only if needed
         for finger in sorted(marked | {*session.fingers(Labelled)}):
-            recordings.append(_of_session(session, finger, rate, hand))
+            recordings.append(_of_session(session, finger, hand))
     if not recordings:
         raise InputError(
             str(dataset), f"holds no labelled samples; {make}, or label by hand with `slipflow show`"
@@ -198,7 +228,7 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
     return first.fingertip
 
 
-def _of_session(session: Session, finger: int, rate: float | None, hand: HandLabels) -> LabelledRecording:
+def _of_session(session: Session, finger: int, hand: HandLabels) -> LabelledRecording:
     kind: type[Touch] = Labelled if finger in session.fingers(Labelled) else Touch
     fingertip = session.fingertip(kind)
     if fingertip is None:
@@ -210,12 +240,6 @@ def _of_session(session: Session, finger: int, rate: float | None, hand: HandLab
         zero = Zero()
         samples = concat(Zeroed, [*map(zero.push, session.read(Touch, finger)), zero.flush()])
     label = samples.label if isinstance(samples, Labelled) else np.full(len(samples), UNKNOWN, np.int8)
-    if rate is not None and not isclose(fingertip.rate, rate, rel_tol=RATE_TOLERANCE):
-        time, resample = samples.time, Resample(rate)
-        touch = Zeroed(time, samples.counts, samples.temperature, samples.valid)
-        samples = concat(Zeroed, [cast("Zeroed", each) for each in (resample.push(touch), resample.flush())])
-        label = label[time.searchsorted(samples.time)]  # of the first sample that was taken at or after it
-        fingertip = replace(fingertip, rate=rate)
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
     label, rows = hand.replace(label, samples.time, finger)

@@ -16,7 +16,6 @@ from connectors.sim.scene import Parameters, Scene
 from flows.learn.evaluation.published import SURFACES, TABLE_3, TABLE_3_ANY
 from flows.learn.labelled_recordings import LabelledRecording, scene_seed, simulated_recordings
 from flows.learn.measures import confusion, f1
-from flows.learn.scoring import windows
 from operators import Health
 from operators.batch import UNKNOWN, Faults, Flags, Reals, concat
 from operators.detectors import Detector
@@ -97,7 +96,7 @@ def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
 def confusions(recording: LabelledRecording, network: Detector) -> Iterator[tuple[MotionKind, Reals]]:
     """Yield the predictions by kind of motion, counted as `confusion` does; none if strokes are unknown."""
     at = np.arange(recording.sampling.warm_up, len(recording), HOP)
-    slip = network.score(windows(recording, network.length, HOP)) > 1 / 2
+    slip = network.score(recording.windows(network.length, HOP)) > 1 / 2
     if (strokes := recording.strokes) is not None:
         oblique = strokes.oblique[at]
         kinds = (("primary", ~oblique), ("oblique", oblique))

@@ -13,7 +13,6 @@ from flows.learn.datasets import learned_from
 from flows.learn.debounce_tuning import debounce_settings
 from flows.learn.evaluation.folds import repeated
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import provenance
 from flows.report.table import counted
 from operators.errors import InputError, ParameterError
@@ -95,7 +94,7 @@ def calibrate_model(
     if twice := repeated(recordings, [f"recording {number}" for number in range(1, len(recordings) + 1)]):
         raise InputError("calibrate", f"{twice[0]}: give each recording once")
     log(f"scoring {counted(len(recordings), 'recording')}")
-    trials = try_settings(recordings, [probabilities(detector, one) for one in recordings])
+    trials = try_settings(recordings, [one.probabilities(detector) for one in recordings])
     found = calibrated(trials, rate, confidence)
     entry = _entry(found, [provenance(*each) for each in used])
     entries = {float(each["false_alarms_per_min"]): each for each in (*card.get(ALARMS, ()), entry)}

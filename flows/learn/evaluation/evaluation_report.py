@@ -1,5 +1,6 @@
 """Report of an evaluation: tables and figures that are group-bys of its results."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -122,10 +123,8 @@ def _samples(of: Evaluation) -> Section:
     """Return the section with Table I."""
     shown = {name: each for name, each in {**SHARES, **SAMPLES}.items() if name not in BALANCED}
     table = estimate_table(estimates(of.results, shown, draws=0), DECIMALS)
-    paper = [TABLE_1.get(PAPER_ROWS.get(str(name), "")) for name, *_ in table.rows]
-    rows = [[*row[:2], theirs, *row[2:]] for row, theirs in zip(table.rows, paper, strict=True)]
-    head = [*table.head[:2], "paper's %", *table.head[2:]]
-    tables = [Table(head, rows, decimals=table.decimals)]
+    paper = {name: TABLE_1.get(PAPER_ROWS.get(name, "")) for name in of.methods}
+    tables = [_with_column(table, 2, "paper's %", paper)]
     return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables, folded=True)
 
 
@@ -155,30 +154,18 @@ def _speed(of: Evaluation) -> Section:
     found = pl.concat([speeds, estimates(of.results, {"accuracy %": SHARES["accuracy %"]}, draws=0)])
     points = found.pivot("statistic", index="method", values="value").sort("us/sample")
     front = figures.pareto_front(points)
+    order = points["method"].to_list()
     table = estimate_table(found, SPEED_DECIMALS)
-    cells = {str(row[0]): [*row, "yes" if row[0] in front else None] for row in table.rows}
-    rows = [cells[name] for name in points["method"]]
-    return Section(
-        "chart",
-        "Speed against accuracy",
-        SPEED_TEXT,
-        [Table([*table.head, "front"], rows, decimals=table.decimals)],
-        lambda: figures.chart(points, front),
-    )
+    table = replace(table, rows=sorted(table.rows, key=lambda row: order.index(row[0])))
+    tables = [_with_column(table, len(table.head), "front", dict.fromkeys(front, "yes"))]
+    title = "Speed against accuracy"
+    return Section("chart", title, SPEED_TEXT, tables, lambda: figures.chart(points, front))
 
 
 def _sliding(of: Evaluation) -> Section:
-    found = estimates(pl.concat([of.label, of.results]), AGAINST_SLIDING, draws=0)
-    table = estimate_table(found, DECIMALS)
-    head = [name.removeprefix(SLIDING) for name in table.head]
-    decimals = {name.removeprefix(SLIDING): digits for name, digits in table.decimals.items()}
-    return Section(
-        "sliding",
-        "True sliding",
-        SLIDING_TEXT,
-        [Table(head, table.rows, decimals=decimals)],
-        folded=True,
-    )
+    statistics = {name.removeprefix(SLIDING): each for name, each in AGAINST_SLIDING.items()}
+    table = estimate_table(estimates(pl.concat([of.label, of.results]), statistics, draws=0), DECIMALS)
+    return Section("sliding", "True sliding", SLIDING_TEXT, [table], folded=True)
 
 
 def _motions(of: Evaluation) -> list[Section]:
@@ -197,6 +184,12 @@ def _motions(of: Evaluation) -> list[Section]:
     paper = Table(head, [*rows, ["any", *TABLE_3_ANY, None]], "the paper's TCN, real recordings")
     title = "Motions and surfaces: Table III"
     return [Section("motions", title, MOTIONS_TEXT, [ours, paper], folded=True)]
+
+
+def _with_column(table: Table, place: int, name: str, values: Mapping[str, Value]) -> Table:
+    """Return a table of methods with one more column, whose values are known for some of them."""
+    rows = [[*row[:place], values.get(str(row[0])), *row[place:]] for row in table.rows]
+    return Table([*table.head[:place], name, *table.head[place:]], rows, decimals=table.decimals)
 
 
 def _by_level(found: pl.DataFrame, columns: str) -> Table:

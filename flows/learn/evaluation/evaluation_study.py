@@ -22,7 +22,6 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.measures import SHARES, judged
-from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 from flows.run.executor import map_tasks, one_thread
 from operators import Debounce
@@ -31,7 +30,6 @@ from operators.errors import InputError, SlipflowError
 
 LABEL: Final = "the label"  # as a method, against true sliding
 DEFAULT: Final = "tcn"
-_RATE: Final = 100.0  # Hz, of recordings that are judged by groups
 _LEARNED: Final = ("train", "validation")  # splits that training uses
 
 Log: TypeAlias = Callable[[str], object]
@@ -71,7 +69,7 @@ def evaluate(
     """Judge methods on a split of a dataset, or on groups of its recordings that are held out.
 
     On a split, baselines are fitted to the train split, and the validation split tunes the debounce of
-    methods without a card. With `hold_out`, recordings are converted to 100 Hz.
+    methods without a card.
 
     Args:
         dataset: Folder of the dataset.
@@ -90,7 +88,7 @@ def evaluate(
     """
     trained = trained_methods(names)
     log(f"reading {dataset.name}")
-    recordings = _distinct(load(dataset, rate=_RATE if hold_out else None))
+    recordings = _distinct(load(dataset))
     common_fingertip(recordings)
     if hold_out:
         folds = group_folds(recordings, hold_out, str(dataset))
@@ -180,7 +178,7 @@ def method_results(
     assert method.debounce is not None, "it was chosen"
     key = {"method": method.name, "condition": condition, "fold": fold}
     return joined(
-        judged(each, probabilities(method.detector, each), method.debounce, **key) for each in recordings
+        judged(each, each.probabilities(method.detector), method.debounce, **key) for each in recordings
     )
 
 

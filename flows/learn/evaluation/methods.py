@@ -12,7 +12,6 @@ from flows.learn.debounce_tuning import tuned_on
 from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, STROKES, Baseline, Features
 from flows.learn.evaluation.folds import Fold
 from flows.learn.sampling import Sampling
-from flows.learn.scoring import labels, windows
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts
@@ -138,12 +137,12 @@ def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, 
     training = fold.train
     sampling = training[0].sampling if training else Sampling()
     every = sampling.scaled(hop)
-    slip = labels(training, every) if training else np.empty(0, np.bool_)
+    slip = np.concatenate([np.empty(0, np.bool_), *(each.slip[each.known(every)] for each in training)])
     if slip.all() or not slip.any():
         raise InputError(name, "no training with slip and static is left to fit it to")
 
     def seen(length: int) -> Counts:
-        return np.concatenate([windows(recording, length, every) for recording in training])
+        return np.concatenate([recording.windows(length, every) for recording in training])
 
     if name in _PSD:
         fingertip = training[0].fingertip

@@ -7,7 +7,7 @@ samples and those without a label are masked. Slip and static have the same tota
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, cast
+from typing import Final
 
 import numpy as np
 import torch
@@ -93,6 +93,7 @@ class _DenseTask(TrainingTask):
             for recording in validation
         ]
         set_seed(recipe.seed)
+        self._generator = torch.Generator(self._device).manual_seed(recipe.seed)
         self._fingertip = train[0].fingertip
         cells = self._crops.counts.shape[1]
         self.network = DenseTcn(recipe, cells) if start is None else DenseTcn.of_detector(start)
@@ -101,12 +102,8 @@ class _DenseTask(TrainingTask):
         self.optimiser = torch.optim.AdamW(learned, recipe.rate, weight_decay=recipe.decay)
 
     def loss(self, step: int) -> Tensor:
-        """Return the weighted loss of random crops; they depend only on the seed and the step."""
-        recipe = self._recipe
-        own = int(np.random.SeedSequence([recipe.seed, step]).generate_state(1, np.uint64)[0] >> 1)
-        generator = torch.Generator(self._device)
-        cast("Any", generator).manual_seed(own)
-        set_seed(own)  # dropout
+        """Return the weighted loss of random crops."""
+        recipe, generator = self._recipe, self._generator
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.rate * _relative_rate(step, recipe)
         chosen = torch.randint(len(self._first), (recipe.batch,), generator=generator, device=self._device)

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.special import expit, logit
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.scoring import probabilities
 from flows.learn.training.trained_model import Arrays
 from operators.batch import SLIP, UNKNOWN, Flags, Reals
 from operators.detectors import Detector
@@ -67,7 +66,7 @@ class Calibration:
 
 def calibration_of(detector: Detector, validation: Sequence[LabelledRecording]) -> Calibration:
     """Fit the calibration of a detector to all labelled samples that have a probability."""
-    probability = np.concatenate([probabilities(detector, each) for each in validation])
+    probability = np.concatenate([each.probabilities(detector) for each in validation])
     label = np.concatenate([each.label for each in validation])
     known = (label != UNKNOWN) & ~np.isnan(probability)
     return Calibration.fitted(probability[known], label[known] == SLIP)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from flows.learn.datasets import dataset_digest
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import BALANCED, SHARES, judged
-from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 from operators import Debounce
 from operators.detectors import Detector
@@ -68,7 +67,7 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
     results = [
         judged(
             replace(each, name=str(number), strokes=None),
-            probabilities(detector, each),
+            each.probabilities(detector),
             Debounce(),
             method="",
         )

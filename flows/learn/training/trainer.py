@@ -77,7 +77,9 @@ def train(
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
     if not out.parent.is_dir():
         raise InputError(str(out.parent), "is not a folder: create it, or write the model elsewhere")
-    parent = None if start is None else _tcn(start)
+    parent = None if start is None else load_detector(start)
+    if not isinstance(parent, Tcn | None):
+        raise InputError(str(start), "is not a tcn: only a tcn can be trained further")
     by_dataset = {path: load(path) for path in datasets}
     recordings = list(chain.from_iterable(by_dataset.values()))
     if by_hand := hand_label_summary(recordings):
@@ -129,7 +131,11 @@ def _from_random(
         if not parts[split]:
             raise _unusable(datasets, f"five recordings or more, or some with a {split} split")
     judged = {split: parts[split] for split in ("validation", "test") if parts[split]}
-    _check_judged(datasets, judged)
+    for split, recordings in judged.items():  # without labels there is no accuracy
+        if not any(len(recording.known(1)) for recording in recordings):
+            sampling = recordings[0].sampling
+            warm_up = sampling.warm_up * sampling.period / s
+            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:g} s")
     fingertip = parts["train"][0].fingertip
     if isinstance(recipe, Recipe):
         trained = train_dense(parts["train"], judged["validation"], recipe, progress)
@@ -174,24 +180,8 @@ def _from_model(
     }
 
 
-def _check_judged(datasets: Sequence[Path], parts: Parts) -> None:
-    """Check that the splits that judge a model have labels after the warm-up: else there is no accuracy."""
-    for split, recordings in parts.items():
-        if not any(len(recording.known(1)) for recording in recordings):
-            sampling = recordings[0].sampling
-            warm_up = sampling.warm_up * sampling.period / s
-            raise _unusable(datasets, f"{split} recordings with labels after their warm-up of {warm_up:g} s")
-
-
 def _unusable(datasets: Sequence[Path], needed: str) -> ParameterError:
     return ParameterError("train", "datasets", ", ".join(map(str, datasets)), needed)
-
-
-def _tcn(model: str) -> Tcn:
-    detector = load_detector(model)
-    if not isinstance(detector, Tcn):
-        raise InputError(model, "is not a tcn: only a tcn can be trained further")
-    return detector
 
 
 def _detector(name: str, arrays: Arrays, fingertip: Fingertip) -> Detector:

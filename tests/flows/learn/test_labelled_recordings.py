@@ -187,17 +187,6 @@ def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> N
     assert all(each.split == split for split, found in parts.items() for each in found)
 
 
-def test_recordings_can_be_read_at_another_rate_with_their_labels(tiny: Path) -> None:
-    recorded, slower = load(tiny), load(tiny, 25.0)
-    for one, other in zip(recorded, slower, strict=True):
-        assert other.fingertip.rate == 25
-        assert len(other) == pytest.approx(len(one) / 4, abs=2)
-        assert other.slip.mean() == pytest.approx(one.slip.mean(), abs=0.02)
-        last, before = other.counts[len(other) // 2], one.counts[4 * (len(other) // 2)]
-        assert np.abs(last.astype(int) - before).max() < 200  # the same instant of the recording
-    assert load(tiny, 104.0)[0].counts.tolist() == recorded[0].counts.tolist()  # within the tolerance
-
-
 def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:
     whole = load(tiny)[0]
     piece = whole.piece(slice(100, 300))

@@ -11,7 +11,6 @@ from flows.learn.debounce_tuning import tuned_on
 from flows.learn.evaluation.folds import Fold
 from flows.learn.evaluation.methods import PAPER_RULE, Method, baselines, trained_methods
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.detectors import Detector, Psd
 from operators.detectors.paper_tcn import shapes
@@ -63,9 +62,9 @@ def test_baselines_are_fitted_at_the_rate_and_in_the_unit_of_their_data(
     found = fitted(fast, "psd", "psd_1s", "logistic")
     assert {name: each.length for name, each in found.items()} == {"logistic": 81, "psd": 50, "psd_1s": 200}
     for detector in found.values():
-        assert np.isfinite(probabilities(detector, fast[0])[-1])
+        assert np.isfinite(fast[0].probabilities(detector)[-1])
     with pytest.raises(FingertipError, match=r"psd needs steps of 0\.01 kPa, 200 Hz; the data has count"):
-        probabilities(found["psd"], training[0])
+        training[0].probabilities(found["psd"])
 
 
 def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(

@@ -19,7 +19,6 @@ from flows.learn.evaluation.stress_study import (
 )
 from flows.learn.labelled_recordings import simulated_recordings
 from flows.learn.measures import BALANCED, judged
-from flows.learn.scoring import probabilities
 from flows.report.results import estimates, joined
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
@@ -68,7 +67,7 @@ def test_the_numbers_are_those_of_the_stressed_recordings(found: Evaluation) -> 
     psd = found.methods["psd"]
     assert psd.debounce
     expected = joined(
-        judged(each, probabilities(psd.detector, each), psd.debounce, method="psd", condition="friction 0.3")
+        judged(each, each.probabilities(psd.detector), psd.debounce, method="psd", condition="friction 0.3")
         for each in recordings
     )
     assert under(found, "friction", 0.3).equals(expected)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.scoring import probabilities
 from flows.learn.training import trainer
 from flows.learn.training.recipe import PaperRecipe, Recipe
 from operators import Score, Zeroed, ms
@@ -58,7 +57,7 @@ def test_a_model_of_16_cells_states_its_fingertip_and_streams_as_it_scores_windo
     windows = np.lib.stride_tricks.sliding_window_view(counts, detector.length, 0).transpose(0, 2, 1)
     assert scores.probability == pytest.approx(detector.score(windows), abs=1e-5)
     with pytest.raises(FingertipError, match=r"pad\S* needs 16 cells, .*; the data has 6 cells"):
-        probabilities(detector, recordings(TAKKTILE)[3])
+        recordings(TAKKTILE)[3].probabilities(detector)
 
 
 def test_recordings_of_different_rates_are_not_trained_on_together(

@@ -5,7 +5,6 @@ import pytest
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP
-from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
 from operators.detectors import Detector, Psd
 from operators.score import forward_fill
@@ -21,7 +20,7 @@ def recording(
 
 @pytest.mark.parametrize("samples", [0, 1, WARM_UP])
 def test_a_recording_that_is_too_short_has_no_score(samples: int) -> None:
-    assert np.isnan(probabilities(Psd(), recording(samples))).all()
+    assert np.isnan(recording(samples).probabilities(Psd())).all()
 
 
 @pytest.mark.parametrize("detector", [Psd(), Psd(130), load_detector("tcn")], ids=["psd", "longer", "tcn"])
@@ -29,7 +28,7 @@ def test_a_probability_is_that_of_a_live_run(detector: Detector) -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
     one = recording(700, valid)
     scores = Score(detector).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
-    found = probabilities(detector, replace(one, counts=forward_fill(one.counts, valid)))
+    found = replace(one, counts=forward_fill(one.counts, valid)).probabilities(detector)
     begin = max(WARM_UP, detector.length - 1)
     assert np.isnan(found[:begin]).all()
     later = scores.probability[begin - 700 :]
@@ -40,19 +39,19 @@ def test_a_probability_is_that_of_a_live_run(detector: Detector) -> None:
 def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
     one = LabelledRecording(counts, np.zeros(150, np.int8))
-    assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[99::10, 0].tolist()
-    assert windows(one, 100, 10)[0].tolist() == counts[:100].tolist()
-    assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))
+    assert one.windows(25, 10)[:, -1, 0].tolist() == counts[99::10, 0].tolist()
+    assert one.windows(100, 10)[0].tolist() == counts[:100].tolist()
+    assert len(one.known(10)) == len(one.windows(25, 10))
 
 
 @pytest.mark.parametrize("samples", [0, 3, WARM_UP])
 def test_a_recording_within_the_warm_up_has_no_windows(samples: int) -> None:
-    assert windows(recording(samples), 51, 2).shape == (0, 51, 6)
+    assert recording(samples).windows(51, 2).shape == (0, 51, 6)
 
 
 def test_samples_with_an_unknown_label_are_not_fitted_to() -> None:
     counts = np.arange(1800, dtype=np.int16).reshape(300, 6)
     label = np.where(np.arange(300) < 200, -1, 1).astype(np.int8)
     recording = LabelledRecording(counts, label)
-    assert labels([recording], 10).tolist() == [True] * 10
-    assert windows(recording, 25, 10)[:, -1, 0].tolist() == counts[recording.known(10), 0].tolist()
+    assert recording.slip[recording.known(10)].tolist() == [True] * 10
+    assert recording.windows(25, 10)[:, -1, 0].tolist() == counts[recording.known(10), 0].tolist()
