@@ -7,10 +7,9 @@ Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual", 4.3 to 4.
 below are the manual's.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 from typing import Final, NamedTuple, Self
 
 PORT: Final = 502
@@ -22,20 +21,17 @@ STRONGEST: Final = 60.0  # N, maximum grip force
 PACE: Final = 0.005  # s between requests: the gripper reads its registers at 200 Hz
 SETTLE: Final = 0.010  # s until the status shows a request
 
-FAULTS: Final[Mapping[int, str]] = MappingProxyType(
-    {
-        0x05: "cannot act before its activation is complete",
-        0x06: "cannot act before its change of mode is complete",
-        0x07: "cannot act before it is activated",
-        0x09: "is not ready to communicate: it may be booting",
-        0x0A: "is changing its mode, and the scissor is obstructed",
-        0x0B: "is releasing automatically",
-        0x0D: "could not be activated: something obstructs it",
-        0x0E: "could not change its mode: the scissor is obstructed",
-        0x0F: "has released automatically, and must be reset",
-    }
-)
-
+FAULTS: Final = {
+    0x05: "cannot act before its activation is complete",
+    0x06: "cannot act before its change of mode is complete",
+    0x07: "cannot act before it is activated",
+    0x09: "is not ready to communicate: it may be booting",
+    0x0A: "is changing its mode, and the scissor is obstructed",
+    0x0B: "is releasing automatically",
+    0x0D: "could not be activated: something obstructs it",
+    0x0E: "could not change its mode: the scissor is obstructed",
+    0x0F: "has released automatically, and must be reset",
+}
 _RELEASING: Final = 0x0B  # lowest code of the faults that need a reset
 
 

@@ -3,12 +3,11 @@
 import math
 from collections.abc import AsyncIterator
 from dataclasses import replace
-from itertools import count
 from typing import TYPE_CHECKING, Final
 
 from connectors.sim.objects import Object
 from connectors.sim.scene import Travel
-from connectors.sim.simulated_rig import SENSOR, SimulatedSource
+from connectors.sim.simulated_rig import SENSOR, SimulatedSource, ticks
 from operators.batch import Commands, Touch, s
 from operators.ports import Clock, Description, Run, Sink
 
@@ -61,9 +60,8 @@ class Hand(Sink[Commands]):
         """Yield a sample every 10 ms."""
         origin = self._origin = clock.now()
         grasp = self.grasp = self._open()
-        for number in count():
-            await clock.sleep_until(origin + number * PERIOD)
-            touch, _ = grasp.sense(number * PERIOD / s)
+        async for time in ticks(clock, origin, PERIOD):
+            touch, _ = grasp.sense((time - origin) / s)
             yield replace(touch, time=touch.time + origin)
 
     def _open(self) -> "Grasp":

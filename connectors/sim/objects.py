@@ -8,9 +8,7 @@ tables: foam and leather above plastic, plastic above metal, paint and paper.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final
 
 from connectors.sim.scene import Curvature
@@ -110,4 +108,4 @@ _SIX: Final = (
         "metal_can", "cylinder_y", 0.033, width=0.066, length=0.101, mass=0.349, friction=0.9, texture=ROUGH
     ),
 )
-OBJECTS: Final[Mapping[str, Object]] = MappingProxyType({each.name: each for each in _SIX})
+OBJECTS: Final = {each.name: each for each in _SIX}

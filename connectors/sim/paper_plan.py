@@ -63,11 +63,6 @@ class PaperStrokes:
                 return
 
 
-def _unvaried(scene: Scene, random: np.random.Generator) -> Scene:
-    del random
-    return scene
-
-
 @dataclass(frozen=True, slots=True)
 class PaperPlan:
     """Recordings over surfaces, speeds and repeats.
@@ -89,7 +84,7 @@ class PaperPlan:
     latency: float = 0.08653  # s, delay of the arm's velocity after the barometers; fit
     acceleration: float = 0.6478  # m/s2 at the ends of a stroke; fit
     parameters: Parameters = field(default_factory=Parameters)
-    vary: Variation = _unvaried  # applied to the scene of each recording
+    vary: Variation | None = None  # applied to the scene of each recording
 
     def scenes(self, seed: int) -> Iterator[Scene]:
         """Yield the scene of each recording, alternating between surfaces; deterministic for a seed."""
@@ -113,7 +108,7 @@ class PaperPlan:
             motion=Timing(125.0, latency=self.latency),
             parameters=self.parameters,
         )
-        return self.vary(scene, random)
+        return self.vary(scene, random) if self.vary else scene
 
 
 SLOWEST, FASTEST = 0.005, 0.15  # m/s, varied speeds of strokes

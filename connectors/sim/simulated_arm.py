@@ -12,13 +12,12 @@ import logging
 from bisect import bisect_right
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 from typing import Final, Self
 
 import numpy as np
 
 from connectors.sim.scene import Scene, Travel, surface_drop
-from connectors.sim.simulated_rig import SENSOR, SimulatedSource
+from connectors.sim.simulated_rig import SENSOR, SimulatedSource, ticks
 from connectors.ur.ur_state import ArmState, Bounds, Pose, offset_pose
 from operators.batch import Motion, Reals, Touch, s
 from operators.errors import EndpointError
@@ -259,10 +258,3 @@ class SimulatedArm:
 def start_pose(surface: Pose) -> Pose:
     """Return the pose in which the arm starts, above a surface."""
     return offset_pose(surface, (0.0, 0.0, -HEIGHT))
-
-
-async def ticks(clock: Clock, origin: int, period: int) -> AsyncIterator[int]:
-    """Yield the times (ns) of a schedule from now on, each when the clock reaches it."""
-    for number in count(max(0, -((origin - clock.now()) // period))):
-        await clock.sleep_until(origin + number * period)
-        yield origin + number * period

@@ -184,6 +184,13 @@ class SimulatedRig:
             yield truth
 
 
+async def ticks(clock: Clock, origin: int, period: int) -> AsyncIterator[int]:
+    """Yield the times (ns) of a schedule from now on, each when the clock reaches it."""
+    for number in count(max(0, -((origin - clock.now()) // period))):
+        await clock.sleep_until(origin + number * period)
+        yield origin + number * period
+
+
 def episode(move: Move, start: float, origin: int, scene: Scene) -> Episodes:
     """Return a move that begins at `start` (s since `origin`, ns) as a row of episodes."""
     speed, angular_speed = (0.0, move.speed) if move.motion == "rotation" else (move.speed, 0.0)

@@ -9,13 +9,14 @@ where W is the length of the polyline and s' the previous s: the arm is steered 
 comes to rest at its end.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import accumulate, pairwise
 from math import dist, sqrt
 from typing import Final
 
+import numpy as np
+
 from connectors.ur.ur_state import Point
+from operators.batch import Reals
 from operators.errors import ParameterError
 
 DELAY: Final = 0.04  # s, including half the time between commands
@@ -42,59 +43,45 @@ class PathFollower:
     """
 
     def __init__(self, points: Sequence[Point], speed: float, acceleration: float) -> None:
-        self._points = [points[0]] + [b for a, b in pairwise(points) if a != b]
-        lengths = (dist(a, b) for a, b in pairwise(self._points))
-        self._distances = [0.0, *accumulate(lengths)]  # m, to each point
-        if len(self._points) == 1:
+        corners = np.array(points)
+        corners = corners[np.append(True, (np.diff(corners, axis=0) != 0).any(axis=1))]
+        legs = np.diff(corners, axis=0)
+        if not len(legs):
             raise ParameterError("PathFollower", "points", len(points), "two or more that differ")
+        lengths = np.linalg.norm(legs, axis=1)
+        self._corners, self._directions = corners, legs / lengths[:, None]
+        self._distances = np.append(0.0, np.cumsum(lengths))  # m, to each corner
         self._speed, self._acceleration = speed, acceleration
         self._previous = 0.0  # m/s, along the polyline
         self.travelled = 0.0
 
     def velocity(self, position: Point) -> Point | None:
         """Return the velocity (m/s) for an arm at a position (m); None if it must come to rest."""
-        self._advance(position)
-        left = self._distances[-1] - self.travelled
+        error = self._point(position) - position
+        left = self._distances.item(-1) - self.travelled
         braking = sqrt(2 * self._acceleration * max(0.0, left - self._previous * DELAY))  # m/s
         if braking <= min(self._speed, self._acceleration * DELAY):
             return None
         speed = self._previous = min(self._speed, braking)
-        a, b = self._segment(self.travelled + speed * DELAY)
-        share, target = speed / dist(a, b), self._point(self.travelled)
-        x, y, z = (
-            share * (end - begin) + GAIN * (wanted - actual)
-            for begin, end, wanted, actual in zip(a, b, target, position, strict=True)
-        )
+        onward = self._directions[self._leg(self.travelled + speed * DELAY)]
+        x, y, z = (speed * onward + GAIN * error).tolist()
         return x, y, z
 
     def deviation(self, position: Point) -> float:
         """Return the distance (m) of a position from the polyline or, past its end, from its end point."""
-        self._advance(position)
-        return dist(position, self._point(self.travelled))
+        return dist(position, self._point(position))
 
-    def _advance(self, position: Point) -> None:
-        """Advance to the point of the polyline nearest to the position, never backwards."""
+    def _point(self, position: Point) -> Reals:
+        """Advance to the point of the polyline nearest to the position, never backwards; return it."""
         while True:
-            a, b = self._segment(self.travelled)
-            begin = self._distances[self._index(self.travelled)]
-            length = dist(a, b)
-            along = sum((h - p) * (q - p) for h, p, q in zip(position, a, b, strict=True)) / length
-            if along < length or begin + length >= self._distances[-1]:
-                self.travelled = max(self.travelled, begin + min(along, length))
-                return
-            self.travelled = max(self.travelled, begin + length)
+            leg = self._leg(self.travelled)
+            begin, end = self._distances[leg], self._distances[leg + 1]
+            along = begin + (position - self._corners[leg]) @ self._directions[leg]
+            self.travelled = max(self.travelled, float(min(along, end)))
+            if along < end or end >= self._distances[-1]:
+                point: Reals = self._corners[leg] + (self.travelled - begin) * self._directions[leg]
+                return point
 
-    def _index(self, distance: float) -> int:
-        """Return the index of the segment at a distance along the polyline."""
-        return min(bisect_right(self._distances, distance), len(self._distances) - 1) - 1
-
-    def _segment(self, distance: float) -> tuple[Point, Point]:
-        index = self._index(distance)
-        return self._points[index], self._points[index + 1]
-
-    def _point(self, distance: float) -> Point:
-        index = self._index(distance)
-        (a, b), (begin, end) = self._segment(distance), self._distances[index : index + 2]
-        share = (distance - begin) / (end - begin)
-        x, y, z = (p + share * (q - p) for p, q in zip(a, b, strict=True))
-        return x, y, z
+    def _leg(self, distance: float) -> int:
+        """Return the number of the leg at a distance along the polyline."""
+        return min(int(self._distances.searchsorted(distance, "right")), len(self._directions)) - 1

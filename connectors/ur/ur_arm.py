@@ -14,8 +14,7 @@ from contextlib import asynccontextmanager, suppress
 from math import hypot, inf, isfinite, isnan
 from typing import Any, Final, Self
 
-from connectors.ur.control_client import START_TIMEOUT, ControlClient
-from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Signal
+from connectors.ur.control_process import START_TIMEOUT, WATCHDOG, ControlClient, Move, MoveTo, Signal
 from connectors.ur.path_follower import PathFollower
 from connectors.ur.ur_state import ArmState, Bounds, Point, Pose, receive_states, state_client
 from operators.errors import EndpointError, os_error_reason
@@ -34,7 +33,7 @@ _REST: Final[Pose] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class UrArm:
-    """Arm that can be moved between `open` and `close`, or as an async context manager; `close` stops it.
+    """Arm that can be moved while its context is open; leaving the context stops it.
 
     Args:
         host: Address of the controller.
@@ -60,7 +59,7 @@ class UrArm:
     ) -> None:
         self.host, self.bounds, self.fault = host, bounds, ""
         self.state = ArmState(_REST, _REST)
-        self.control = ControlClient(host, watchdog, self._notify, self.fail)
+        self.control = ControlClient(host, watchdog, self.fail)
         self._endpoint, self._path_tolerance = f"ur://{host}", path_tolerance
         self._client = state_client(clock, host)
         self._state_known = True  # the controller sends the state
@@ -69,7 +68,7 @@ class UrArm:
         self._moved = 0.0  # loop time (s) at which the arm last moved
         self._tasks = list[BackgroundTask]()
 
-    async def open(self) -> None:
+    async def __aenter__(self) -> Self:
         """Connect to the controller, and start the process that commands the arm.
 
         Raises:
@@ -87,8 +86,18 @@ class UrArm:
             self._spawn("the keep-alive of its control process", self.control.keep_alive())
             await self._until(lambda: self.control.ready, START_TIMEOUT, "to start")
         except BaseException:
-            await self.close()
+            await self.__aexit__()
             raise
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        """Stop the arm, and end the process and the connections."""
+        if self.control.process and self.control.ready:
+            await self.stop()
+        await self.control.close()
+        for task in self._tasks:
+            await task.end()
+        await self._client.close()
 
     async def line(self, poses: Sequence[Pose], speed: float, acceleration: float, seconds: float) -> None:
         """Move along straight lines through poses, and stop at the last; `seconds` is the planned duration.
@@ -178,22 +187,6 @@ class UrArm:
                 return
         self.control.send(Signal.RELEASE)
 
-    async def close(self) -> None:
-        """Stop the arm, and end the process and the connections."""
-        if self.control.process and self.control.ready:
-            await self.stop()
-        await self.control.close()
-        for task in self._tasks:
-            await task.end()
-        await self._client.close()
-
-    async def __aenter__(self) -> Self:
-        await self.open()
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
-
     @asynccontextmanager
     async def _velocity_control(
         self, speed: float, acceleration: float, guard: Callable[[ArmState], str] | None = None
@@ -234,9 +227,6 @@ class UrArm:
         except EndpointError as error:
             self._state_known = False
             self.fail(f"its state is unknown: {error.reason}")
-
-    def _notify(self) -> None:
-        self._changed.set()
 
     def _check(self) -> None:
         if self.fault:

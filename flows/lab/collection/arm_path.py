@@ -1,4 +1,4 @@
-"""Path of an arm: steps whose end poses and durations are known before it moves. No I/O.
+"""Surfaces and the path of an arm over them, in steps that are known before it moves. No I/O.
 
 Poses are those of the TCP in the base frame. The fingertip's frame is the TCP's: x right, y up, z into the
 surface that it touches.
@@ -8,10 +8,81 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Final, TypeAlias, get_args
 
+from connectors.sim.scene import Curvature, Scene, surface_drop
 from connectors.ur.ur_state import Point, Pose, offset_pose
+from flows.graph.quantity import Length
+from operators.checks import check_between, check_choice
+from operators.errors import ParameterError
 from operators.rotation import rotation_difference
+
+RADIUS: Final = Scene().radius  # m, of curved surfaces, as in the simulated rig
+MIN_RADIUS: Final = 0.001  # m
+MAX_RADIUS: Final = 1.0  # m; a flatter surface is a plane
+STEEPEST: Final = math.radians(45)  # slope at the end of a stroke
+_FLAT: Final = 1e-6  # rad, slope below which a path is straight
+_SPACING: Final = 0.002  # m, between the points along an arc
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A surface; a table [[surfaces]] of a plan file.
+
+    In its pose the fingertip just touches the middle of the surface, its highest point.
+
+    Raises:
+        ParameterError: on an unknown shape, or a radius out of range.
+    """
+
+    shape: Curvature = "plane"  # cylinder_x and cylinder_y: axis along the fingertip's x or y
+    radius: Length = RADIUS  # of a curved surface
+    pose: Pose | None = None  # of the TCP; None: the arm's pose at the start
+
+    def __post_init__(self) -> None:
+        check_choice("Surface", "shape", self.shape, get_args(Curvature))
+        check_between("Surface", "radius", self.radius, MIN_RADIUS, MAX_RADIUS, unit="m")
+
+    @property
+    def middle(self) -> Pose:
+        """Pose of a surface that has one."""
+        assert self.pose, "a series gives it to the surface"
+        return self.pose
+
+    @property
+    def curvatures(self) -> tuple[float, float]:
+        """Curvatures along the fingertip's x and y, 1/m."""
+        return Scene(curvature=self.shape, radius=self.radius).curvatures
+
+    def at(self, x: float, y: float, depth: float = 0.0) -> Pose:
+        """Return the pose of the fingertip pressed by a depth (m) at an offset (m) from the middle.
+
+        >>> round(Surface("sphere", 0.05, (0.4, 0, 0.1, math.pi, 0, 0)).at(0.03, 0.0)[2], 6)
+        0.09
+        """
+        return offset_pose(self.middle, (x, y, surface_drop(self.curvatures, x, y) + depth))
+
+    def waypoints(self, x: float, y: float) -> list[float]:
+        """Return the waypoints from (-x, -y) to (x, y) (m) over the surface, as multiples of (x, y).
+
+        The last one is 1, the end; on a straight path it is the only one.
+
+        Raises:
+            ParameterError: if the surface is too steep at the end.
+
+        >>> Surface("plane").waypoints(0.03, 0.0)
+        [1.0]
+        """
+        kx, ky = self.curvatures
+        slope, half = math.hypot(kx * x, ky * y), math.hypot(x, y)  # the sine of its angle; m
+        if slope > math.sin(STEEPEST):
+            least = slope * self.radius / math.sin(STEEPEST)
+            must_be = f"at least {least:.4f} m for strokes of {half:.4f} m to each side of the middle"
+            raise ParameterError("Surface", "radius", self.radius, must_be)
+        if slope < _FLAT:
+            return [1.0]
+        steps = math.ceil(2 * half / _SPACING)
+        return [2 * number / steps - 1 for number in range(1, steps + 1)]
 
 
 @dataclass(frozen=True, slots=True)

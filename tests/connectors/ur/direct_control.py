@@ -12,22 +12,14 @@ from tests.emulators.ur_control_box import ControlBox, SafetyMode
 class DirectControl:
     """Stand-in for `ControlClient`: commands reach the drive of a control box at once."""
 
-    def __init__(
-        self,
-        box: ControlBox,
-        host: str,
-        watchdog: float,
-        changed: Callable[[], None],
-        failed: Callable[[str], None],
-    ) -> None:
+    def __init__(self, box: ControlBox, host: str, watchdog: float, failed: Callable[[str], None]) -> None:
         del host, watchdog, failed
         self.process: object | None = None
         self.ready, self.ended = False, asyncio.Event()
-        self._box, self._changed = box, changed
+        self._box = box
 
     def start(self) -> None:
         self.process, self.ready = self, True
-        self._changed()
 
     def send(self, command: Command) -> None:
         drive = self._box.drive

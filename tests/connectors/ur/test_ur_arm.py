@@ -157,7 +157,7 @@ def test_it_is_stopped_off_its_path() -> None:
     poses = [(0.4, 0.02, 0.1, *BEGIN[3:]), (0.4, 0.04, 0.1, *BEGIN[3:])]
 
     def push(here: Lab) -> None:
-        cast("Any", here.arm)._path_tolerance = 0.0
+        cast("Any", here.arm)._path_tolerance = -1.0
 
     here = refused(push, lambda arm: arm.line(poses, 0.02, 0.5, 2.0))
     assert re.fullmatch(r"it is \d\.\d mm off its path", here.arm.fault)

@@ -20,6 +20,7 @@ from connectors.ur.ur_state import Pose
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import run_virtually
+from flows.lab.collection.arm_path import Surface
 from flows.lab.collection.collector import Collector, virtual_arm
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
@@ -28,7 +29,6 @@ from flows.lab.collection.stroke_plan import (
     PlannedPath,
     StrokeSeries,
 )
-from flows.lab.collection.surfaces import Surface
 from flows.run.clocks import LoopClock
 from operators import (
     EVERY,

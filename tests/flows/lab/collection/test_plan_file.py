@@ -2,9 +2,9 @@ from pathlib import Path
 
 import pytest
 
+from flows.lab.collection.arm_path import Surface
 from flows.lab.collection.plan_file import SHIPPED, load_plan
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings
-from flows.lab.collection.surfaces import Surface
 from operators import InputError, ParameterError
 from operators.errors import SlipflowError
 

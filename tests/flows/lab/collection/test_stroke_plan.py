@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Extent, Line, Turn
+from flows.lab.collection.arm_path import Extent, Line, Surface, Turn
 from flows.lab.collection.plan_file import load_plan
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
     PlannedPath,
     StrokeSeries,
 )
-from flows.lab.collection.surfaces import Surface
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 

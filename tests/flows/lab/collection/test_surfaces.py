@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose
-from flows.lab.collection.surfaces import STEEPEST, Surface
+from flows.lab.collection.arm_path import STEEPEST, Surface
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
