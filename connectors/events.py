@@ -45,7 +45,7 @@ class Fault(Document, frozen=True):
 class Model(Document, frozen=True):
     """Detector of an event."""
 
-    id: str = "unknown"
+    id: str
     sha256: str | None = None  # of its weights; None: unknown
 
 
@@ -76,7 +76,7 @@ class Event(Document, frozen=True, kw_only=True):
     latency: float | None = field(name="latency_ms")  # from the sample to the event; None: replay
     threshold: Fraction | None = None  # probability from which a sample counts as slip
     consecutive: Number | None = None  # samples required for an onset
-    model: Model = Model()
+    model: Model = Model("unknown")
     degraded: tuple[Fault, ...] = ()
     session: str | None = None  # run that raised the event
 

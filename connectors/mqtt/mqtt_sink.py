@@ -71,7 +71,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         if not valid or not re.fullmatch("[0-9a-f]{64}", self.model.get("sha256", "0" * 64)):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be)
-        self._model = Model(**self.model)
+        self._model = Model(name, self.model.get("sha256"))
         if self.threshold is not None:
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
         if self.consecutive is not None:

@@ -65,7 +65,7 @@ READ: list[tuple[str | int, ...]] = [
 
 
 KNOWN_DEFAULTS = ("threshold", "consecutive", "model", "degraded", "session")
-OPTIONAL = {*((name,) for name in KNOWN_DEFAULTS), ("degraded", 0), ("model", "id"), ("model", "sha256")}
+OPTIONAL = {*((name,) for name in KNOWN_DEFAULTS), ("degraded", 0), ("model", "sha256")}
 
 
 def altered(path: tuple[str | int, ...], *value: Json) -> bytes:
