@@ -53,25 +53,19 @@ def lift(
         raise InputError("lift", "needs both bus and gripper, or neither: set bus=1 and gripper=10.0.0.3")
     if bus is not None and gripper is not None:
         source, hand = TakkTile(bus=bus), Gripper(gripper, limits=(WEAKEST, max(max_force, WEAKEST)))
-        rule = grip_controller(detector, force or WEAKEST, max_force, REAL_SETTLE)
+        force, settle = force or WEAKEST, REAL_SETTLE
     else:
         if thing not in OBJECTS:
             raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
         held = Hand(OBJECTS[thing], seed)
         source, hand = held.touch, held
-        rule = grip_controller(detector, force or least_force(held.held) / 2, max_force)
+        force, settle = force or least_force(held.held) / 2, SIMULATED_SETTLE
+    debounce = load_debounce(detector) or Debounce()
+    rule = Grip(force=force, max_force=max(max_force, force), threshold=debounce.threshold, settle=settle)
     scores, commands = declare_grip(flow, source, load_detector(detector), rule)
-    (scores | (load_debounce(detector) or Debounce())).to(Console())
+    (scores | debounce).to(Console())
     commands.to(hand)
     return flow
-
-
-def grip_controller(
-    detector: str, force: float, max_force: float = 10.0, settle: int = SIMULATED_SETTLE
-) -> Grip:
-    """Return a controller with the threshold of the detector's card; the hand closes within `settle` ns."""
-    card = load_debounce(detector) or Debounce()
-    return Grip(force=force, max_force=max(max_force, force), threshold=card.threshold, settle=settle)
 
 
 def declare_grip(

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 from textwrap import indent
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -229,40 +229,35 @@ def replay_all(
             note("interrupted: repeat the command to continue with the missing sessions")
             raise
     seconds = perf_counter() - began
+    summaries, failed = (
+        [each.summary for each in done if each.summary],
+        sum(bool(each.error) for each in done),
+    )
     if as_json:
-        sessions = [_as_dict(each) for each in done]
+        sessions = [
+            {"recording": each.recording, "error": each.error or None}
+            | (each.summary.as_dict() if each.summary else {})
+            for each in done
+        ]
         typer.echo(json.dumps({"sessions": sessions, "existing": existing, "wall_seconds": seconds}))
     else:
-        typer.echo(_total(done, seconds))
-    if any(each.error or (each.summary and each.summary.lost) for each in done):
+        rows = counted(sum(each.rows_in for each in summaries), "row")
+        failures = f"; {failed} failed" if failed else ""
+        typer.echo(f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}")
+    if failed or any(each.lost for each in summaries):
         raise typer.Exit(1)
 
 
 def _print(done: "Replayed", *, as_json: bool) -> None:
     """Print the output of a replay, on stderr if stdout is for JSON."""
+    line, error = f"{done.recording}:", done.error
+    if found := done.summary:
+        sources = ", ".join(f"{source.rows:,} {name}" for name, source in found.sources.items())
+        sinks = ", ".join(f"{sink.rows:,} to {name}" for name, sink in found.sinks.items())
+        line = f"{done.recording} -> {found.session}: {found.seconds:.1f} s, {sources}; {sinks}"
+        error = error or found.error
     if done.printed or not (done.error or as_json):
-        typer.echo(_line(done), err=as_json)
+        typer.echo(line, err=as_json)
     typer.echo(indent(done.printed, "  "), nl=False, err=as_json)
-    if error := done.error or (done.summary.error if done.summary else ""):
+    if error:
         note(f"error: {done.recording}: {error.removeprefix(f'{done.recording}: ')}")
-
-
-def _line(done: "Replayed") -> str:
-    if not done.summary:
-        return f"{done.recording}:"
-    sources = ", ".join(f"{source.rows:,} {name}" for name, source in done.summary.sources.items())
-    sinks = ", ".join(f"{sink.rows:,} to {name}" for name, sink in done.summary.sinks.items())
-    return f"{done.recording} -> {done.summary.session}: {done.summary.seconds:.1f} s, {sources}; {sinks}"
-
-
-def _total(done: "Sequence[Replayed]", seconds: float) -> str:
-    found = [each.summary for each in done if each.summary]
-    rows = counted(sum(each.rows_in for each in found), "row")
-    failed = sum(1 for each in done if each.error)
-    failures = f"; {failed} failed" if failed else ""
-    return f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}"
-
-
-def _as_dict(done: "Replayed") -> dict[str, Any]:
-    summary = done.summary.as_dict() if done.summary else {}
-    return {"recording": done.recording, "error": done.error or None, **summary}

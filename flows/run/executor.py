@@ -22,7 +22,6 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, Final, Never, TypeVar
 
-from operators.checks import check_at_least
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.extras import require_extra
 
@@ -128,15 +127,13 @@ def workers(jobs: int | None = None, cluster: str | None = None) -> Generator[Ex
         cluster: URL of a Dask scheduler, such as ``tcp://127.0.0.1:8786``; None: local processes.
 
     Raises:
-        ParameterError: if `jobs` is below 1, or given with `cluster`.
+        ParameterError: if `jobs` is given with `cluster`.
         InputError: if Dask is not installed.
         EndpointError: if the scheduler cannot be reached.
     """
-    if jobs is not None:
-        check_at_least("workers", "jobs", jobs, 1)
-        if cluster is not None:
-            raise ParameterError("workers", "jobs", jobs, "omitted with a cluster, which has its own workers")
     if cluster is not None:
+        if jobs is not None:
+            raise ParameterError("workers", "jobs", jobs, "omitted with a cluster, which has its own workers")
         with _cluster(cluster) as executor:
             yield executor
     elif (count := jobs or os.cpu_count() or 1) == 1:

@@ -99,14 +99,7 @@ class ReplayRunner:
         InputError: if the recording lacks a stream.
     """
 
-    def __init__(
-        self,
-        flow: Flow,
-        recording: Recording,
-        session: str,
-        *,
-        rows: int = 1000,
-    ) -> None:
+    def __init__(self, flow: Flow, recording: Recording, session: str, *, rows: int = 1000) -> None:
         self._flow = replayed(flow, recording, paced=False)
         self.compiled = CompiledFlow(self._flow)
         check_extras(self._flow.sinks())
@@ -217,17 +210,20 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
         yield slices
 
 
-def first_time(recording: Recording) -> int:
-    """Return the first stamp of a recording, ns.
+def first_time(recording: Recording, flow: Flow | None = None) -> int:
+    """Return the first stamp of a recording, ns; given a flow that replays it, of the streams that it reads.
 
     Raises:
-        InputError: if the recording is empty.
+        InputError: if there is no row.
     """
     kinds: tuple[type[Batch], ...] = Touch, Motion, Labelled, Scores, Slips, Faults, Clocks, *ANNOTATIONS
+    read = [(kind, recording.fingers(kind)) for kind in kinds]
+    if flow is not None:
+        read = [(source.kind, source.fingers) for source in flow.sources().values()]
     times = (
         int(batch.time[0])
-        for kind in kinds
-        for finger in recording.fingers(kind)
+        for kind, fingers in read
+        for finger in fingers
         for batch in islice(recording.read(kind, finger, 1), 1)
     )
     if (first := min(times, default=None)) is None:

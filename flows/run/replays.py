@@ -8,14 +8,13 @@ import asyncio
 import logging
 import sys
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, chdir, redirect_stdout
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib import invalidate_caches
 from io import StringIO
-from itertools import islice
 from pathlib import Path
 from re import sub
 from tempfile import TemporaryDirectory
@@ -25,11 +24,11 @@ from typing import Final
 from flows.graph import Flow
 from flows.graph.drawing import streams
 from flows.graph.loading import SHIPPED, load, loaded_modules
-from flows.graph.node import Node, Part
+from flows.graph.node import Node
 from flows.graph.validation import validate
 from flows.run.executor import LocalProcesses, map_tasks
 from flows.run.log_events import reason_of
-from flows.run.replay_runner import ReplayRunner, log_replay_destinations, replayed
+from flows.run.replay_runner import ReplayRunner, first_time, log_replay_destinations, replayed
 from flows.run.run_summary import Summary
 from flows.run.session_output import new_session, remove_partial, write_errors
 from operators.errors import FlowError, InputError, SlipflowError
@@ -180,29 +179,25 @@ class Replays:
                     make_folder(root, parents=True)
                     describe_dataset(root)
                 stack.callback(remove_partial, root, names)
-            yield from map_tasks(partial(replay, source), paths, executor, progress=progress, lost=_lost)
+            yield from map_tasks(
+                partial(replay, source),
+                paths,
+                executor,
+                progress=progress,
+                lost=lambda path, reason: Replayed(path, None, error=reason),
+            )
 
     def _exists(self, path: Path) -> bool:
         """Return True if all datasets have the session that this flow derives from a recording."""
         folders = [session_folder(root, session_of(path)) for root in self._roots]
         written = [folder for folder in folders if (folder / SESSION).exists()]
         for folder in written:
-            about = Session.open(folder).about
-            if (about["start_ns"], about["declaration"]) != (self._start(path), streams(self.flow.nodes)):
+            about, recording = Session.open(folder).about, open_recording(path, log.warning)
+            start = first_time(recording, replayed(self.flow, recording, paced=False))
+            if (about["start_ns"], about["declaration"]) != (start, streams(self.flow.nodes)):
                 reason = "is of another recording or flow: write to another dataset, or remove it"
                 raise InputError(str(folder), reason)
         return bool(folders) and written == folders
-
-    def _start(self, path: Path) -> int:
-        """Return the time (ns) of the first row of a recording that the flow reads."""
-        recording = open_recording(path, log.warning)
-        first = (
-            int(batch.time[0])
-            for source in replayed(self.flow, recording, paced=False).sources().values()
-            for finger in source.fingers
-            for batch in islice(recording.read(source.kind, finger, 1), 1)
-        )
-        return min(first, default=0)
 
 
 def replay(source: FlowSource, path: str) -> Replayed:
@@ -222,7 +217,11 @@ def replay(source: FlowSource, path: str) -> Replayed:
                     for node, root in _roots(flow).items()
                 }
                 recording = open_recording(Path(path), log.warning)
-                flow = flow.replaced(partial(_written_to, scratch))
+                flow = flow.replaced(
+                    lambda node: (
+                        node.part.with_path(scratch[node]) if isinstance(node.part, Dataset) else node.part
+                    )
+                )
                 runner = ReplayRunner(flow, recording, session)
                 asyncio.run(runner.execute())
         except (SlipflowError, OSError) as failure:
@@ -307,17 +306,9 @@ def _roots(flow: Flow) -> dict[Node, Path]:
     return {node: Path(sink.destination) for node, sink in flow.sinks().items() if isinstance(sink, Dataset)}
 
 
-def _written_to(scratch: Mapping[Node, Path], node: Node) -> Part:
-    return node.part.with_path(scratch[node]) if isinstance(node.part, Dataset) else node.part
-
-
 def _check_names(paths: Sequence[Path]) -> None:
     """Require that each recording has a name of its own, which becomes that of its session."""
     often = Counter(map(session_of, paths))
     same = [str(path) for path in paths if often[session_of(path)] > 1]
     if same:
         raise InputError(same[1], f"has the same name as {same[0]}: replay it into another dataset")
-
-
-def _lost(path: str, reason: str) -> Replayed:
-    return Replayed(path, None, error=reason)

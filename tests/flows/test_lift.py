@@ -7,11 +7,11 @@ from connectors.sim.hand import Hand
 from connectors.sim.objects import OBJECTS
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
-from flows.lift import declare_grip, grip_controller, lift
+from flows.lift import SIMULATED_SETTLE, declare_grip, lift
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Commands, Grip, InputError, ParameterError, Run, s
-from storage import load_detector
+from operators import Commands, Debounce, Grip, InputError, ParameterError, Run, s
+from storage import load_debounce, load_detector
 
 DETECTOR = "tcn_grasp"
 
@@ -44,8 +44,9 @@ def test_hardware_needs_both_bus_and_gripper() -> None:
 def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> None:
     ball = OBJECTS["ball"]
     hand, commands, flow = Hand(ball, seed=3), TestSink(), Flow("lift")
-    rule = grip_controller(DETECTOR, least_force(ball) / 2)
-    rule = rule if ruled else Grip(force=rule.force, gain=0.0)
+    debounce, force = load_debounce(DETECTOR) or Debounce(), least_force(ball) / 2
+    rule = Grip(force=force, threshold=debounce.threshold, settle=SIMULATED_SETTLE)
+    rule = rule if ruled else Grip(force=force, gain=0.0)
     _, given = declare_grip(flow, hand.touch, load_detector(DETECTOR), rule)
     given.to(hand)
     given.to(commands)

@@ -17,7 +17,6 @@ from flows.graph.testing import TestSink, TestSource
 from flows.lift import declare_grip
 from operators import Score
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, Zeroed, s
-from operators.checks import check_above, check_at_least
 from operators.detectors import Detector
 from operators.grip import GripController, StepGrip
 
@@ -45,11 +44,7 @@ SPAN: Final = 10.0  # N, for the 255 steps of its register; assumed
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """Settings shared by all trials of an experiment; factors are relative to nominal.
-
-    Raises:
-        ParameterError: on a rate or factor that is not above 0, or a negative delay.
-    """
+    """Settings shared by all trials of an experiment; factors are relative to nominal."""
 
     delay: float = 0.0  # s, added to the latency of the gripper
     rate: float = 100.0  # Hz, of the samples
@@ -57,11 +52,6 @@ class Conditions:
     mass: float = 1.0  # factor
     stiffness: float = 1.0  # factor of the normal contact stiffness
     tilt: float = 1.0  # factor of the tilt stiffness of the pad
-
-    def __post_init__(self) -> None:
-        for name in ("rate", "friction", "mass", "stiffness", "tilt"):
-            check_above("Conditions", name, getattr(self, name), 0)
-        check_at_least("Conditions", "delay", self.delay, 0, "s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +78,7 @@ class Trial:
     conditions: Conditions
 
     @classmethod
-    def draw(cls, held: Object, seed: int, conditions: Conditions, fingertip: Parameters = FINGERTIP) -> Self:
+    def draw(cls, held: Object, seed: int, conditions: Conditions) -> Self:
         """Draw the trial of a seed; it is the same for every detector and rule."""
         random = np.random.default_rng([seed, 7])
         friction, mass = (
@@ -98,7 +88,7 @@ class Trial:
         x, y = (random.uniform(-1, 1, 2) * np.minimum(OFFSET, (held.width / 4, held.reach / 2))).tolist()
         vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
         held = replace(held, stiffness=held.stiffness * conditions.stiffness)
-        fingertip = replace(fingertip, tilt_stiffness=fingertip.tilt_stiffness * conditions.tilt)
+        fingertip = replace(FINGERTIP, tilt_stiffness=FINGERTIP.tilt_stiffness * conditions.tilt)
         firm = float(random.uniform(*FIRM))
         return cls(held, fingertip, seed, friction, mass, (x, y), firm, vibration, conditions)
 

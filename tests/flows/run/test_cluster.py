@@ -109,7 +109,7 @@ def test_a_killed_worker_and_a_later_one_change_nothing(
     out = tmp_path / "out"
     arguments = [*SLIPFLOW, *command(lab, out), "--cluster", cluster.url]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        until(lambda: out.exists() and len(session_names(out)) > 1)
+        until(lambda: (out / "dataset.json").exists() and len(session_names(out)) > 1)
         for pid in children(cluster.workers[0]):
             os.kill(pid, signal.SIGKILL)
         kill(cluster.workers[1])
@@ -125,7 +125,7 @@ def test_after_a_killed_scheduler_the_same_command_continues(
     out = tmp_path / "out"
     arguments = [*command(lab, out), "--cluster", cluster.url]
     with subprocess.Popen([*SLIPFLOW, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
-        until(lambda: out.exists() and len(session_names(out)) > 1)
+        until(lambda: (out / "dataset.json").exists() and len(session_names(out)) > 1)
         kill(cluster.scheduler)
         _, errors = running.communicate(timeout=PATIENCE)
     assert running.returncode == 2
