@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.event_log import begin_log
 from flows.cli.options import Recordings, Rows, parse_rows
-from flows.cli.terminal import note
+from flows.cli.terminal import begin_log, note
 
 if TYPE_CHECKING:
     from connectors.ur.ur_state import Point, Pose

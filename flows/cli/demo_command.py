@@ -6,10 +6,10 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.event_log import Format, begin_log
 from flows.cli.live_view import add_page
 from flows.cli.options import NoBrowser, Recordings
 from flows.cli.run import execute, report_run
+from flows.cli.terminal import Format, begin_log
 
 
 def demo(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.event_log import Format
+from flows.cli.terminal import Format
 
 if TYPE_CHECKING:
     from flows.graph import Flow

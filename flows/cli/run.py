@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.event_log import Format, begin_log, logged
 from flows.cli.live_view import add_metrics, add_page, print_json
 from flows.cli.options import (
     AsJson,
@@ -26,7 +25,7 @@ from flows.cli.options import (
     load_flow,
     parse_settings,
 )
-from flows.cli.terminal import note, progress_bar
+from flows.cli.terminal import Format, begin_log, logged, note, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:

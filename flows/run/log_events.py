@@ -13,7 +13,7 @@ log = logging.getLogger("slipflow")
 
 
 def event(name: str, **about: Json) -> dict[str, Any]:
-    """Return the structured data of a log record, for `extra`; `flows.cli.event_log` writes it as JSON.
+    """Return the structured data of a log record, for `extra`; `flows.cli.terminal` writes it as JSON.
 
     >>> event("source_failed", source="touch")
     {'event': 'source_failed', 'about': {'source': 'touch'}}

@@ -6,8 +6,8 @@ import pytest
 import typer
 
 from connectors import Replay, Trace
-from flows.cli.event_log import Format
 from flows.cli.run import execute, report_run
+from flows.cli.terminal import Format
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from operators import Run, Touch, s

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from connectors import Console
-from flows.cli.event_log import (
+from flows.cli.live_view import print_json
+from flows.cli.main import main
+from flows.cli.terminal import (
     Format,
     PipeHandler,
     begin_log,
     logged,
+    note,
 )
-from flows.cli.live_view import print_json
-from flows.cli.main import main
-from flows.cli.terminal import note
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.graph.validation import problems
@@ -29,12 +29,14 @@ from tests.command import slipflow
 
 
 @pytest.fixture
-def log_text() -> Iterator[StringIO]:
+def log_text(monkeypatch: pytest.MonkeyPatch) -> Iterator[StringIO]:
     """The JSON log as text."""
     root, ours, stream = logging.getLogger(), logging.getLogger("slipflow"), StringIO()
     handlers, level = root.handlers[:], ours.level
     root.handlers[:] = []
-    begin_log(Format.JSON, stream)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        begin_log(Format.JSON)
     yield stream
     root.handlers[:] = handlers
     ours.setLevel(level)
