@@ -97,8 +97,7 @@ class LineSource(Source[Touch]):
         self.extra = "serial" if self._serial else ""
         self._counted = {"lines": 0, "damaged": 0, "restarts": 0}
         self._damage = ""  # reason of the newest damaged line
-        self._position: int | None = None  # in the file, bytes; None: at its end
-        self._file_number = 0  # inode
+        self._read: tuple[int, int] | None = None  # inode of the file, and bytes; None: begin at its end
 
     @property
     def kind(self) -> type[Touch]:
@@ -209,45 +208,33 @@ class LineSource(Source[Touch]):
             EndpointError: if it cannot be opened or read.
         """
         while True:
-            with self._open_file(decoder) as file:
+            try:
+                file = FileIO(self.where)
+            except OSError as error:
+                self._read = self._read or (0, 0)  # a new file is read from its start
+                raise EndpointError(self.where, _reason(error)) from error
+            with file:
+                status = os.fstat(file.fileno())
+                number, position = self._read or (status.st_ino, _end_of_lines(file, status.st_size))
+                if status.st_ino != number or status.st_size < position:
+                    position = 0
+                file.seek(0)
+                decoder.skip((file.read(min(HEAD, position)) or b"").rpartition(b"\n")[0])
+                file.seek(position)
+                self._read = status.st_ino, position
                 while (data := file.read(READ)) or not self._is_replaced():
-                    self._position = file.tell()
                     if data:
+                        self._read = status.st_ino, file.tell()
                         yield data
                     await asyncio.sleep(0 if data else POLL)
             decoder.start_again()
-            self._position = 0
-
-    def _open_file(self, decoder: "LineDecoder") -> FileIO:
-        """Open the file where it was left, read the names, and log if it was replaced.
-
-        Raises:
-            EndpointError: if it cannot be opened or read.
-        """
-        try:
-            file = FileIO(self.where)
-            status = os.fstat(file.fileno())
-        except OSError as error:
-            self._position = (
-                0 if self._position is None else self._position
-            )  # a new file is read from its start
-            raise EndpointError(self.where, _reason(error)) from error
-        if self._position is None:
-            self._position = _end_of_lines(file, status.st_size)
-        elif status.st_ino != self._file_number or status.st_size < self._position:
-            self._position = 0
-        self._file_number = status.st_ino
-        if self._position:
-            file.seek(0)
-            decoder.skip((file.read(min(HEAD, self._position)) or b"").rpartition(b"\n")[0])
-        file.seek(self._position)
-        return file
 
     def _is_replaced(self) -> bool:
         """Return True if the path has another file now, or the file has become shorter."""
         with suppress(OSError):  # a logger may rename the file before it creates the next one
             status = os.stat(self.where)  # noqa: PTH116 - once per poll
-            return status.st_ino != self._file_number or status.st_size < (self._position or 0)
+            number, position = self._read or (0, 0)
+            return status.st_ino != number or status.st_size < position
         return False
 
 

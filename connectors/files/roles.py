@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from math import prod
 from typing import Final
 
 import polars as pl
@@ -130,16 +131,12 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
     groups = list[CellGroup]()
     for (before, _, after, _unit), members in found.items():
         numbered = sorted(members)
-        axes = [
-            sorted({key[axis] for key in numbered if len(key) > axis}) for axis in range(len(numbered[0]))
-        ]
-        whole = all(each[0] <= 1 and each == [*range(each[0], each[-1] + 1)] for each in axes)
-        size = len(axes[0]) * len(axes[-1]) if len(axes) > 1 else len(axes[0])
-        if whole and len({len(key) for key in numbered}) == 1 and size == len(numbered) <= CELL_LIMIT:
+        axes = [sorted({*numbers}) for numbers in zip(*numbered, strict=True)]
+        whole = all(axis[0] <= 1 and axis == [*range(axis[0], axis[-1] + 1)] for axis in axes)
+        if whole and prod(map(len, axes)) == len(numbered) <= CELL_LIMIT:
+            names, rows = tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0
             sure = bool(_CELL.fullmatch(_word(before)) and _READING.fullmatch(_word(after)))
-            groups.append(
-                CellGroup(tuple(members[key] for key in numbered), len(axes[0]) if len(axes) > 1 else 0, sure)
-            )
+            groups.append(CellGroup(names, rows, sure))
     return [group for group in groups if not _word(group.names[0]).startswith("temp")]
 
 
@@ -235,15 +232,11 @@ def _usual(quantity: str, table: RawTable) -> tuple[str, ...]:
         axes = {_word(each): each for each in table.columns}
         size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
         return tuple(axes[axis] for axis in _AXES[:size])
-    names = [
-        each for each in table.columns if re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, each)[0]))
-    ]
+    usual = re.compile(_NAMES[quantity])
+    names = [name for name in table.columns if usual.fullmatch(_word(split_unit(quantity, name)[0]))]
     if quantity == LABEL:
-        names = [
-            each
-            for each in names
-            if _word(each) not in _UNSURE_LABELS or _has_usual_words(table.columns[each])
-        ]
+        unsure = {name for name in names if _word(name) in _UNSURE_LABELS}
+        names = [name for name in names if name not in unsure or _has_usual_words(table.columns[name])]
     names = ["t"] if "t" in names else names  # T may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"

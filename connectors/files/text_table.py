@@ -157,10 +157,6 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     if len(above) > 1 and _are_units(lowest := _fields(lines[above[-1]], sign), width):
         above, units = above[:-1], tuple(lowest)
     names = _fields(lines[above[-1]], sign) if above else []
-    if above and lines[above[-1]].count('"') % 2:
-        raise InputError(
-            f"{where}, line {above[-1] + 1}", 'has a quoted name that is not closed: write "" for a "'
-        )
     if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):
         return _Shape(sign, ("",) * width, units, first, 0)
     return _Shape(sign, tuple(names), units, first, above[-1] + 1)

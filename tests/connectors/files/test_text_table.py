@@ -119,8 +119,7 @@ def test_a_row_per_channel_is_refused_with_the_remedy(write: Write) -> None:
 
 def test_names_may_have_quotation_marks(write: Write) -> None:
     assert [*read_table(write('t,"2"" pad"\n0.01,1\n')).columns] == ["t", '2" pad']
-    with pytest.raises(InputError, match='line 1: has a quoted name that is not closed: write "" for a "'):
-        read_table(write('t,2" pad\n0.01,1\n'))
+    assert [*read_table(write('t,2" pad\n0.01,1\n')).columns] == ["t", '2" pad']
 
 
 def test_a_file_of_many_values_is_refused_before_they_fill_the_memory(
