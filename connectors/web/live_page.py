@@ -120,7 +120,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         """
         from aiohttp import web
 
-        from connectors.web.web_server import PAGE_FILES, json_response, page_server
+        from connectors.web.web_server import PAGE_FILES, page_server
 
         self._zeroed = any(issubclass(kind, Zeroed) for kind in run.sink_types.get(self.destination, ()))
         self._run, self._frames = run, Frames(run, zeroed=self._zeroed)
@@ -128,7 +128,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._server = page_server(self._host, self._port)
 
         async def about(request: "Request") -> "Response":
-            return json_response({"mode": "live"})
+            return web.json_response({"mode": "live"})
 
         async def live(request: "Request") -> "WebSocketResponse":
             socket = web.WebSocketResponse(receive_timeout=SILENCE, compress=False, max_msg_size=_MESSAGE_MAX)

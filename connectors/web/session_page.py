@@ -15,7 +15,7 @@ import numpy as np
 from aiohttp import web
 from numpy.typing import NDArray
 
-from connectors.events import Fault, Slip, faults, finger_name, quality, slips
+from connectors.events import Fault, Slip, encode, faults, finger_name, quality, slips
 from connectors.sim.simulated_rig import true_slips
 from connectors.web.curves import (
     GAP,
@@ -25,7 +25,7 @@ from connectors.web.curves import (
     plotted,
     thin_curve,
 )
-from connectors.web.web_server import PAGE_FILES, Handler, json_response
+from connectors.web.web_server import PAGE_FILES, Handler
 from operators import Debounce
 from operators.batch import (
     EVERY,
@@ -68,15 +68,16 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
     Args:
         session: Session; its labels by hand are shown and written.
         rule: Rule of `detected`; the page marks its threshold.
-        about: Text for the page.
+        detector: Name of the detector that computes the scores; None: there are none.
+        recorded: True if the slips are recorded ones, False if found now.
 
     Attributes:
         curves: Times and values by stream and fingertip, such as ``touch 0``, once closed.
         bands: Runs of equal labels, as [begin, end, code] with times in ms since the start, once closed.
     """
 
-    def __init__(self, session: Session, rule: Debounce, about: str) -> None:
-        self.session, self.rule, self.about = session, rule, about
+    def __init__(self, session: Session, rule: Debounce, detector: str | None, *, recorded: bool) -> None:
+        self.session, self.rule, self.detector, self.recorded = session, rule, detector, recorded
         self.start = self.end = 0  # ns, start of the run and newest row
         self._arriving = defaultdict[str, list[tuple[Times, Values]]](list)  # joined in `close`
         self.curves: dict[str, tuple[Times, Values]] = {}
@@ -161,11 +162,11 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             "mode": "recorded",
             "session": self.session.name,
             "fingertip": fingertip.describe() if fingertip else None,
-            "about": self.about,
+            "detector": self.detector,
+            "recorded": self.recorded,
             "start": self.start / ms,
             "length": (self.end - self.start) / ms,
             "threshold": self.rule.threshold,
-            "scored": any(name.startswith("scores ") for name in self.curves),
             "events": self._events_json(self._events),
             "bands": self.bands,
             "labels": self._labels_json(self.session.hand_labels()),
@@ -237,29 +238,19 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         return {"rows": shown["rows"], "at": self.window(at - _VALID_FOR, at, None)}
 
     def _write_labels(self, _: web.Request, body: bytes) -> Json:
-        based_on, spans = self._spans(body)
-        return self._labels_json(self.session.write_hand_labels(spans, based_on=based_on))
-
-    def _spans(self, body: bytes) -> tuple[int, list[LabelSpan]]:
-        """Return the contents of a request to write labels by hand.
-
-        Raises:
-            InputError: if it is malformed.
-            ParameterError: if a span is invalid.
-        """
         now = str(time_ns())
         try:
             content: Any = json.loads(body)
             based_on: int = content["based_on"]
             spans = [
                 LabelSpan(
-                    self.start + round(each["begin"] * ms),
-                    self.start + round(each["end"] * ms),
-                    EVERY if each["finger"] == finger_name(EVERY) else int(each["finger"]),
-                    value=str(each["value"]),
-                    author=str(each["author"]),
-                    note=str(each["note"]),
-                    created=int(each["created"] or now),
+                    **{
+                        **each,
+                        "begin": self.start + round(each["begin"] * ms),
+                        "end": self.start + round(each["end"] * ms),
+                        "finger": EVERY if each["finger"] == finger_name(EVERY) else int(each["finger"]),
+                        "created": int(each["created"] or now),
+                    }
                 )
                 for each in content["spans"]
             ]
@@ -267,7 +258,7 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             raise
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             raise InputError("/labels", _LABELS_USAGE) from None
-        return based_on, spans
+        return self._labels_json(self.session.write_hand_labels(spans, based_on=based_on))
 
     def _labels_json(self, labels: HandLabels) -> dict[str, Json]:
         """Return labels by hand: times in ms since the start, `created` as text as it exceeds a double."""
@@ -289,7 +280,8 @@ def _handler(document: Callable[[web.Request, bytes], Json]) -> Handler:
 
     async def handle(request: web.Request) -> web.Response:
         body = await request.read()
-        return await asyncio.to_thread(lambda: json_response(document(request, body)))
+        text = await asyncio.to_thread(lambda: encode(document(request, body)))
+        return web.Response(body=text, content_type="application/json")
 
     return handle
 

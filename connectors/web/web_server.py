@@ -9,10 +9,8 @@ from typing import Final, TypeAlias
 
 from aiohttp import web
 
-from connectors.events import encode
 from connectors.web.access import COOKIE, PAGE_PORT, http_url, is_own_host, is_secret, required_token
 from operators.errors import EndpointError, InputError, ParameterError
-from operators.ports import Json
 
 Handler: TypeAlias = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -33,11 +31,6 @@ _HEADERS: Final = {
 }
 HEALTH: Final = "/healthz"  # paths for probes, which have no token
 READY: Final = "/readyz"
-
-
-def json_response(document: Json) -> web.Response:
-    """Return a document as the response to a request."""
-    return web.Response(body=encode(document), content_type="application/json")
 
 
 class WebServer:

@@ -114,13 +114,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
     session.hand_labels()  # an error of its files ends the command before the scoring
     scored, has_slips = detector != _NONE, bool(session.fingers(Slips))
     debounce = (load_debounce(detector) if scored else None) or Debounce()
-    if scored:
-        probability, found = f"computed now by detector {detector}", f"found by {detector} now"
-    else:
-        probability, found = "none, as there is no detector", "none"
-    events = "recorded" if has_slips else f"{found}, as none were recorded"
-    about = f"Slip probability: {probability}. Slip events: {events}."
-    page = SessionPage(session, debounce, about)
+    page = SessionPage(session, debounce, detector if scored else None, recorded=has_slips)
     flow = Flow("show")
     zeroed = flow.source(Replay(session, Touch)) | Zero()
     zeroed.to(page)

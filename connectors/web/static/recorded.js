@@ -16,7 +16,10 @@ const NAMES = { "1": "slip", "0": "static", "-1": "unknown" }; // by code of a l
 
 export function recorded(view, about) {
   const slider = $("instant"), whole = [0, Math.max(about.length, LEAST)], begun = new Date(about.start);
-  let span = whole, events = about.events, remark = about.about, dragged = null;
+  const { detector } = about, found = detector === null ? "none" : `found by ${detector} now`;
+  const origin = `Slip probability: ${detector === null ? "none, as there is no detector" : `computed now by detector ${detector}`}. `
+    + `Slip events: ${about.recorded ? "recorded" : `${found}, as none were recorded`}.`;
+  let span = whole, events = about.events, remark = origin, dragged = null;
   let figures = new Streams(); // rows at the selected time; the curves are reduced to pixel columns
   const dated = about.start >= DATED, clock = (t) => new Date(10 * Math.round((begun.getTime() + t) / 10)).toISOString().slice(11, 22);
   const when = (t) => `${elapsed(t)}${dated ? ` · ${clock(t)} UTC` : ""}`;
@@ -30,7 +33,7 @@ export function recorded(view, about) {
   write($("link"), "Recorded");
   write($("axis"), "seconds since the start of the session");
   write($("no-events"), "None.");
-  Object.assign(view, { name: about.session, fingertip: about.fingertip, hasScores: about.scored, onchange: refresh });
+  Object.assign(view, { name: about.session, fingertip: about.fingertip, hasScores: detector !== null, onchange: refresh });
   slider.max = about.length;
   slider.value = Math.min(about.length, (events.find((event) => event.onset)?.t ?? 0) + 1000);
   view.scene = () => ({ streams: view.streams, figures, span, until: instant(), origin: 0, at: instant(), selected: dragged ?? labels.selected });
@@ -161,10 +164,10 @@ export function recorded(view, about) {
     write($("threshold-text"), String(threshold));
     write($("events-count"), text);
     $("threshold-reset").hidden = own;
-    remark = own ? about.about : `Slip events: found now at threshold ${threshold}. Reset shows the original ones again.`;
+    remark = own ? origin : `Slip events: found now at threshold ${threshold}. Reset shows the original ones again.`;
   }
 
-  $("tuning").hidden = !about.scored;
+  $("tuning").hidden = detector === null;
   const tune = newest(async (threshold) => {
     const found = threshold === null ? about.events : await get("events", { threshold });
     setThreshold(threshold ?? about.threshold, found);

@@ -221,7 +221,7 @@ def test_thinned_curves_keep_the_figures_of_the_recording(
     state = (1 - np.arange(3000) % 2).astype(np.int8)
 
     async def fill() -> SessionPage:
-        page = SessionPage(session, Debounce(0.78), "")
+        page = SessionPage(session, Debounce(0.78), "tcn", recorded=True)
         await page.open(run)
         await page.write(Zeroed(time, counts, counts, counts < 0, finger=0))
         await page.write(Scores(time, probability, finger=0))

@@ -64,7 +64,7 @@ def session(tmp_path: Path) -> Session:
 @pytest.fixture
 def keep(session: Session, run: Run) -> Keep:
     async def keep(*batches: Any) -> SessionPage:
-        page = SessionPage(session, Debounce(), "A recorded session.")
+        page = SessionPage(session, Debounce(), None, recorded=True)
         await page.open(run)
         for batch in batches:
             await page.write(batch)
@@ -101,7 +101,7 @@ async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep
     ]
     contents: dict[str, Any] = {**(await keep(*batches)).contents()}
     assert (contents["session"], contents["start"], contents["length"]) == ("one", 90_000, 50)
-    assert (contents["threshold"], contents["scored"]) == (0.5, False)
+    assert contents["threshold"] == 0.5
     names = ("id", "t", "finger", "onset")
     assert [tuple(event[name] for name in names) for event in contents["events"]] == [
         (1, 5, "2", True),

@@ -47,8 +47,7 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     contents: dict[str, Any] = {**recorded.contents()}
     assert contents["session"] == "test"
     assert contents["length"] == pytest.approx(12_000, abs=200)
-    assert "Slip events: recorded" in contents["about"]
-    assert contents["scored"]
+    assert (contents["detector"], contents["recorded"]) == ("tcn", True)
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
@@ -104,8 +103,7 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_wit
 
     def visit(ask: Ask) -> None:
         about = ask("/about.json")
-        assert (about["scored"], about["events"]) == (False, [])
-        assert about["about"].startswith("Slip probability: none, as there is no detector.")
+        assert (about["detector"], about["recorded"], about["events"]) == (None, False, [])
         window = ask("/window?begin=0&end=4000&at=3900&columns=1000")
         assert [*window["rows"]] == ["touch 0"]
         newest = window["rows"]["touch 0"]["v"][-1]
