@@ -2,7 +2,7 @@
 
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -25,7 +25,6 @@ from connectors.gripper.robotiq import (
 )
 from operators.batch import Commands
 from operators.errors import EndpointError, FlowError, ParameterError
-from operators.extras import require_extra
 from operators.ports import Clock, Description, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
@@ -109,8 +108,6 @@ class Gripper(Sink[Commands]):
         self._client: Any = None  # AsyncModbusTcpClient
         self._changed = asyncio.Event()  # set with a new target
         self._failure = ""
-        self._next = 0.0  # earliest next request
-        self._settled = 0.0  # from then on the status shows the newest request
         self._lose(0.0)
 
     def _lose(self, now: float) -> None:
@@ -143,7 +140,6 @@ class Gripper(Sink[Commands]):
 
         Raises:
             EndpointError: if the gripper cannot be reached.
-            InputError: if pymodbus is not installed.
         """
         try:
             self._create_client()
@@ -165,7 +161,6 @@ class Gripper(Sink[Commands]):
         Raises:
             FlowError: in a replay.
             EndpointError: if the gripper cannot be reached or activated.
-            InputError: if pymodbus is not installed.
         """
         if run.recording is not None or not run.live:
             reason = "a replay must not move a gripper: remove this sink, or run the flow live"
@@ -258,8 +253,7 @@ class Gripper(Sink[Commands]):
             await self._check_status()
             self._due = loop.time() + POLL
         elif self._ready and self._pending:
-            await asyncio.sleep(self._next - now)
-            await self._send(self._target)  # read after the wait, so it is the newest
+            await self._send(self._target)
         else:
             self._changed.clear()
             with suppress(TimeoutError):
@@ -288,54 +282,44 @@ class Gripper(Sink[Commands]):
             EndpointError: if the gripper cannot be reached, refuses, does not answer or sends an invalid
                 status.
         """
-        await asyncio.sleep(self._settled - asyncio.get_running_loop().time())
-        answer = await self._exchange(
-            lambda: self._client.read_input_registers(0, count=STATUS, device_id=self.unit)
-        )
+        answer = await self._exchange("read_input_registers", count=STATUS)
         try:
             return Status.decode(answer.registers)
         except ValueError as error:
             raise EndpointError(self.destination, f"sends {error}: is it a 3-finger gripper?") from None
 
     async def _send(self, request: Request) -> None:
-        """Send a request, and delay the next reading of the status until it shows the request."""
-        values = request.encode()
-        await self._exchange(lambda: self._client.write_registers(0, values, device_id=self.unit))
-        self._settled = asyncio.get_running_loop().time() + SETTLE
+        """Send a request, and wait until the status shows it."""
+        await self._exchange("write_registers", values=request.encode())
         self._sent = request
+        await asyncio.sleep(SETTLE - PACE)
 
-    async def _exchange(self, request: "Callable[[], Awaitable[ModbusPDU]]") -> "ModbusPDU":
-        """Wait for the turn, connect if needed, send a request and return the answer."""
+    async def _exchange(self, request: str, **values: Any) -> "ModbusPDU":
+        """Connect if needed, send a request, return the answer when the next request may be sent."""
         from pymodbus import ModbusException
 
-        loop = asyncio.get_running_loop()
-        await asyncio.sleep(self._next - loop.time())
         if not self._client.connected and not await self._client.connect():
             reason = "cannot be reached: is it on, is this its address and port?"
             raise EndpointError(self.destination, reason)
-        answering = asyncio.ensure_future(request())  # a task, because its `wait_for` may lose a cancellation
+        asked = getattr(self._client, request)(0, device_id=self.unit, **values)
+        answering = asyncio.ensure_future(asked)  # a task, because its `wait_for` may lose a cancellation
         try:
             await asyncio.wait([answering])
-            answer = answering.result()
+            answer: ModbusPDU = answering.result()
         except ModbusException:
             reason = f"does not answer within {TIMEOUT} s: is {self.unit} its unit?"
             raise EndpointError(self.destination, reason) from None
         finally:
             answering.cancel()
-            self._next = loop.time() + PACE
         if answer.isError():
             code = getattr(answer, "exception_code", _DEVICE_FAILURE)
             reason = _REFUSALS.get(code, f"Modbus exception {code}")
             raise EndpointError(self.destination, f"refuses: {reason}")
+        await asyncio.sleep(PACE)
         return answer
 
     def _create_client(self) -> None:
-        """Create the client, which connects with the first request.
-
-        Raises:
-            InputError: if pymodbus is not installed.
-        """
-        require_extra("gripper", self.destination)
+        """Create the client, which connects with the first request."""
         from pymodbus.client import AsyncModbusTcpClient
 
         self._client = AsyncModbusTcpClient(

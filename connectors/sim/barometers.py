@@ -97,27 +97,25 @@ def respond(
 ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
 
 
+def randoms(seed: int, finger: int) -> list[np.random.Generator]:
+    """Return the generators of a fingertip: rest levels, timing, noise of pressure and of temperature."""
+    return np.random.default_rng([seed, 2, finger]).spawn(4)
+
+
 class Barometers:
     """Barometers of one fingertip with relaxation and faults.
 
     Args:
         parameters: Parameters of the fingertip.
         faults: Faults of the cells.
-        offsets: Random generator of rest levels and temperature offsets.
-        noise: Random generator of pressure noise.
-        temperature_noise: Random generator of temperature noise.
+        seed: Random seed of rest levels and all noise.
+        finger: Number of the fingertip.
     """
 
-    def __init__(
-        self,
-        parameters: Parameters,
-        faults: Faults,
-        offsets: np.random.Generator,
-        noise: np.random.Generator,
-        temperature_noise: np.random.Generator,
-    ) -> None:
+    def __init__(self, parameters: Parameters, faults: Faults, seed: int, finger: int = 0) -> None:
         p = self._p = parameters
-        self._faults, self._noise, self._temperature_noise = faults, noise, temperature_noise
+        self._faults = faults
+        offsets, _, self._noise, self._temperature_noise = randoms(seed, finger)
         self._influence = influence(p)
         self._late = np.zeros((len(DECADES), BAROMETERS))
         self._rest = offsets.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)

@@ -8,7 +8,7 @@ import numpy as np
 
 from connectors.sim import contact
 from connectors.sim.arm_motion import Controller, PlannedArm
-from connectors.sim.barometers import Barometers, grid
+from connectors.sim.barometers import Barometers, grid, randoms
 from connectors.sim.scene import Move, Moves, Sampler, Scene, Vibration
 from operators.batch import Motion, Reals, Touch, Truth, concat, s
 
@@ -92,9 +92,8 @@ class Finger:
         self._state = contact.FingerState.rest(p.columns * p.rows)
         self._ticks = 0  # simulated physics steps
         self._sensed = 0.0  # s, instant of the latest sample of `sense`
-        offsets, timing, noise, temperature_noise = np.random.default_rng([seed, 2, finger]).spawn(4)
-        self.cells = Barometers(p, scene.faults, offsets, noise, temperature_noise)
-        self._sampler = Sampler(scene.touch, timing)
+        self.cells = Barometers(p, scene.faults, seed, finger)
+        self._sampler = Sampler(scene.touch, randoms(seed, finger)[1])
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
         """Return the next samples, timestamped from the run's start, and the truth of each.

@@ -174,8 +174,7 @@ class Grasp:
         self._body = body.BodyState.standing(-grip[0], -grip[1] - sunk)
         self._body.table[0] = held.mass * body.GRAVITY
         self._start = float(self._body.pose[1])
-        randoms = np.random.default_rng([seed, 2, 0]).spawn(4)  # as for a `Finger`
-        self._cells = Barometers(p, Faults(), randoms[0], randoms[2], randoms[3])
+        self._cells = Barometers(p, Faults(), seed)
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)

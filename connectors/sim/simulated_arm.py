@@ -7,7 +7,6 @@ touches the middle of the surface: x right, y up, z into the surface, yaw about 
     F = k max(0, z - drop(x, y))         normal force (N), k `STIFFNESS`
 """
 
-import asyncio
 import logging
 from bisect import bisect_right
 from collections.abc import AsyncIterator, Sequence
@@ -198,12 +197,6 @@ class SimulatedArm:
             yield Motion(np.array([time]), stamp, np.array([state.velocity]), np.array([state.pose]))
 
     @property
-    def _to_surface(self) -> tuple[float, float, float, float]:
-        """Rotation from the base frame to that of the surface."""
-        w, x, y, z = quaternion(self._surface[3:])
-        return w, -x, -y, -z
-
-    @property
     def _place(self) -> Reals:
         place: Reals = self._states(np.array([self._now()]))[0][0]
         return place
@@ -211,11 +204,13 @@ class SimulatedArm:
     def _now(self) -> float:
         return (self._clock.now() - self._origin) / s
 
-    def _local(self, pose: Sequence[float]) -> Reals:
+    def _local(self, pose: Pose) -> Reals:
         """Return the coordinates (4,) of a pose; the arm cannot tilt, so only its yaw counts."""
         offset = pose[0] - self._surface[0], pose[1] - self._surface[1], pose[2] - self._surface[2]
-        turn = rotation_difference(self._surface[3:], (pose[3], pose[4], pose[5]))
-        return np.array([*rotate(offset, self._to_surface), rotate(turn, self._to_surface)[2]])
+        w, x, y, z = quaternion(self._surface[3:])
+        back = w, -x, -y, -z  # from the base frame to that of the surface
+        turn = rotation_difference(self._surface[3:], pose[3:])
+        return np.array([*rotate(offset, back), rotate(turn, back)[2]])
 
     def _states(self, times: Reals) -> tuple[Reals, Reals, Reals]:
         """Return place (k, 4), velocity (k, 4) and normal force (k,) at increasing instants (k,) (s)."""
@@ -227,22 +222,16 @@ class SimulatedArm:
             for number, ride in enumerate(rides):
                 part = slice(cuts[number], cuts[number + 1])
                 place[part], velocity[part] = ride.at(times[part])
-        drop = np.zeros(len(times))  # (k,) m
-        if any(self._curvatures):
-            drop[:] = [surface_drop(self._curvatures, x, y) for x, y in place[:, :2].tolist()]
+        drop = [surface_drop(self._curvatures, x, y) for x, y in place[:, :2].tolist()]  # (k,) m
         return place, velocity, STIFFNESS * np.maximum(0.0, place[:, 2] - drop)
 
     async def _follow(self, corners: Sequence[Reals], speed: float, acceleration: float) -> None:
-        """Move from the present place along corners (4,) to the last one; stop if cancelled."""
+        """Move from the present place along corners (4,) to the last one."""
         self._check()
-        ride = Ride(np.array([self._place, *corners]), self._now(), speed, acceleration)
+        now = self._now()
+        ride = Ride(np.array([self._place, *corners]), now, speed, acceleration)
         self._rides.append(ride)
-        try:
-            while (left := ride.travel.end - self._now()) > _TICK:
-                await self.wait(min(left, STEP))
-        except asyncio.CancelledError:
-            self._halt()
-            raise
+        await self.wait(ride.travel.end - now)
 
     def _halt(self) -> None:
         """Stand still from now on."""

@@ -1,7 +1,7 @@
 """Live source of TakkTile fingertips on an I2C bus."""
 
 import asyncio
-from collections.abc import AsyncGenerator, AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import replace
 from pathlib import Path
@@ -125,8 +125,10 @@ class TakkTile(Source[Touch]):
             raise failure
         about = (f"{name} {value}" for name, value in _adapter(self.path).items() if value is not None)
         yield Finding(self.path, f"opens; {', '.join(about) or 'its speed is unknown'}")
-        for finding in _row_findings(self._schedule, scans, others):
-            yield finding
+        for index, row in enumerate(self._schedule.rows):
+            fault = _row_fault(self._schedule.coefficients[index], index, scans, others)
+            text = fault or f"{BAROMETERS} cells answer"
+            yield Finding(f"{self.path} row {row}", text, "bad" if fault else "good")
         if scans:
             yield _rate_finding(self._schedule, scans)
 
@@ -175,55 +177,43 @@ def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:
     return [row for row, known in enumerate(cells) if any(known)]
 
 
-def _row_findings(
-    schedule: Schedule, scans: Sequence[Scan], others: Sequence[int] | None
-) -> Iterator[Finding]:
-    """Yield a finding for each declared row; `others` are all rows that answer, None if not searched."""
-    for index, row in enumerate(schedule.rows):
-        subject, known = f"{schedule.path} row {row}", schedule.coefficients[index]
-        unknown = [cell for cell, coefficients in enumerate(known) if coefficients is None]
-        shares = np.mean([scan.valid[index] for scan in scans] or np.zeros((1, BAROMETERS)), axis=0)  # (6,)
-        silent = [cell for cell in unknown if not shares[cell]]
-        wrong = [cell for cell in unknown if shares[cell]]
-        weak = np.flatnonzero(shares < VALID_LEAST).tolist() if scans else []
-        far = _implausible_pressures(known, scans, index)
-        if len(silent) == BAROMETERS:
-            found = f"rows {_join(others)} answer: declare them, or program the fingertip" if others else ""
-            yield Finding(subject, f"does not answer; {found or 'check its power and its row'}", "bad")
-        elif silent:
-            text = f"cells {_join(silent)} do not answer: check their soldering and cable"
-            yield Finding(subject, text, "bad")
-        elif wrong:
-            text = (
-                f"cells {_join(wrong)} have coefficients that no barometer has: check the cable and bus speed"
-            )
-            yield Finding(subject, f"{text}, or replace the fingertip", "bad")
-        elif weak:
-            text = f"cells {_join(weak)} give implausible values: unload the fingertip, or replace it"
-            yield Finding(subject, text, "bad")
-        elif far:
-            cells = ", ".join(f"cell {cell} {kpa:.0f} kPa" for cell, kpa in far.items())
-            text = f"the pressure is outside {LEAST:g} to {MOST:g} kPa: {cells}; unload the fingertip"
-            yield Finding(subject, f"{text}, or replace it", "bad")
-        else:
-            yield Finding(subject, f"{BAROMETERS} cells answer")
+def _row_fault(
+    known: Sequence[Coefficients | None], index: int, scans: Sequence[Scan], others: Sequence[int] | None
+) -> str:
+    """Return what is wrong with the fingertip of a declared row; empty if nothing is.
 
-
-def _implausible_pressures(
-    known: Sequence[Coefficients | None], scans: Sequence[Scan], index: int
-) -> dict[int, float]:
-    """Return the median pressures (kPa) of a fingertip that are outside the barometers' range, by cell."""
-    found = dict[int, float]()
+    Args:
+        known: Coefficients of its cells.
+        index: Number of the fingertip in the scans.
+        scans: Some scans.
+        others: All rows that answer; None: not searched.
+    """
+    unknown = [cell for cell, coefficients in enumerate(known) if coefficients is None]
+    shares = np.mean([scan.valid[index] for scan in scans] or np.zeros((1, BAROMETERS)), axis=0)  # (6,)
+    if silent := [cell for cell in unknown if not shares[cell]]:
+        if len(silent) < BAROMETERS:
+            return f"cells {_join(silent)} do not answer: check their soldering and cable"
+        rows = f"rows {_join(others)} answer: declare them, or program the fingertip" if others else ""
+        return f"does not answer; {rows or 'check its power and its row'}"
+    if unknown:
+        wrong = f"cells {_join(unknown)} have coefficients that no barometer has"
+        return f"{wrong}: check the cable and bus speed, or replace the fingertip"
+    if scans and (shares < VALID_LEAST).any():
+        weak = _join(np.flatnonzero(shares < VALID_LEAST).tolist())
+        return f"cells {weak} give implausible values: unload the fingertip, or replace it"
+    far = list[str]()
     for cell, coefficients in enumerate(known):
         raw = [
             (one.counts[index, cell], one.temperature[index, cell]) for one in scans if one.valid[index, cell]
         ]
         if coefficients and raw:
             counts, temperature = np.median(raw, axis=0)
-            pressure = coefficients.pressure(float(counts), float(temperature))
-            if not LEAST <= pressure <= MOST:
-                found[cell] = pressure
-    return found
+            pressure = coefficients.pressure(float(counts), float(temperature))  # kPa
+            far += [f"cell {cell} {pressure:.0f} kPa"] * (not LEAST <= pressure <= MOST)
+    if far:
+        outside = f"the pressure is outside {LEAST:g} to {MOST:g} kPa: {', '.join(far)}"
+        return f"{outside}; unload the fingertip, or replace it"
+    return ""
 
 
 def _rate_finding(schedule: Schedule, scans: Sequence[Scan]) -> Finding:

@@ -25,8 +25,7 @@ from time import monotonic
 from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 from connectors.ur.ur_state import Pose
-from operators.errors import EndpointError, InputError
-from operators.extras import require_extra
+from operators.errors import EndpointError
 
 START_TIMEOUT: Final = 30.0  # s; the process imports ur-rtde and uploads a program
 HUNG: Final = 2.0  # s without a reply, after which the process counts as hung
@@ -80,10 +79,8 @@ def connect(host: str) -> Any:
     """Connect ur-rtde, which uploads its control script to the controller and starts it.
 
     Raises:
-        InputError: if ur-rtde is not installed.
         EndpointError: if the controller does not accept it.
     """
-    require_extra("ur", "commanding a UR arm")
     library = import_module("rtde_control")
     try:
         return library.RTDEControlInterface(host)
@@ -99,7 +96,7 @@ def serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the commanding process ends this one
     try:
         control = connect(host)
-    except (EndpointError, InputError) as error:
+    except EndpointError as error:
         pipe.send(Reply("failed", error.reason))
         return
     commander = _Commander(control)

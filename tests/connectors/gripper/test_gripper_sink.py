@@ -1,6 +1,5 @@
 import asyncio
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
@@ -13,9 +12,8 @@ from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
-from operators import EndpointError, FlowError, InputError, ParameterError, ms
+from operators import EndpointError, FlowError, ParameterError, ms
 from operators.batch import Commands
-from operators.ports import Run
 from tests.connectors.gripper.gripper_lab import commands, lab
 from tests.emulators.gripper import RELEASED
 
@@ -204,14 +202,6 @@ async def test_a_flow_continues_when_the_gripper_works_again() -> None:
         await asyncio.sleep(5)
         assert at.forces[-1] == register_force(force_register(54.0))
         assert at.forces.count(0.0) == 1
-
-
-def test_the_error_without_pymodbus_names_the_pip_command(
-    hide_packages: Callable[..., None], run: Run
-) -> None:
-    hide_packages("pymodbus")
-    with pytest.raises(InputError, match=r"needs pymodbus: in the clone, pip install -e '\.\[gripper\]'"):
-        asyncio.run(Gripper("127.0.0.1").open(run))
 
 
 @pytest.mark.parametrize(

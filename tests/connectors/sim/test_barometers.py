@@ -51,8 +51,7 @@ QUIET = Parameters(noise=0.0)
 
 
 def cells(faults: Faults, parameters: Parameters = QUIET) -> Barometers:
-    body, noise, warmth = np.random.default_rng(1).spawn(3)
-    return Barometers(parameters, faults, body, noise, warmth)
+    return Barometers(parameters, faults, 1)
 
 
 def pressed(pressure: float, rows: int = 50) -> Reals:

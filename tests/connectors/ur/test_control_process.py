@@ -1,5 +1,5 @@
 import multiprocessing
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
 from multiprocessing.connection import Connection
@@ -17,7 +17,6 @@ from connectors.ur.control_process import (
     Signal,
     serve,
 )
-from operators import InputError
 
 POSE = (0.4, 0.0, 0.1, 3.14, 0.0, 0.0)
 FORWARD = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -237,9 +236,3 @@ def test_the_process_disconnects_even_if_the_arm_cannot_be_stopped(
 def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]) -> None:
     replies = served(pipe, TestControl(obeys=False), MoveTo(POSE, 0.1, 0.5))
     assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")
-
-
-def test_the_error_without_ur_rtde_names_the_pip_command(hide_packages: Callable[..., None]) -> None:
-    hide_packages("ur-rtde")
-    with pytest.raises(InputError, match=r"pip install -e '\.\[ur\]'"):
-        control_process.connect("robot")
