@@ -37,6 +37,7 @@ class _Shape:
     """Form of a text file."""
 
     separator: str
+    width: int  # fields of a row
     names: tuple[str, ...]  # of the columns; an empty one: it has none
     units: tuple[str, ...]  # of a row below the names; empty: there is none
     first: int  # number of lines above the first row
@@ -143,7 +144,8 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
         while begin + 1 < len(lines) and (not lines[begin].strip() or _COMMENT.match(lines[begin])):
             begin += 1
         sign = max(candidates, key=lambda each: len(split_line(lines[begin], each)))
-        return _Shape(sign, tuple(split_line(lines[begin], sign)), (), begin + 1, begin + 1)
+        names = split_line(lines[begin], sign)
+        return _Shape(sign, 0, tuple(names), (), begin + 1, begin + 1)
     rows = _below_names(lines, rows, sign, width)
     fields = [split_line(lines[row], sign) for row in rows]
     _check_rows(fields, where)
@@ -158,8 +160,8 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
         above, units = above[:-1], tuple(lowest)
     names = _fields(lines[above[-1]], sign) if above else []
     if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):
-        return _Shape(sign, ("",) * width, units, first, 0)
-    return _Shape(sign, tuple(names), units, first, above[-1] + 1)
+        return _Shape(sign, width, ("",) * width, units, first, 0)
+    return _Shape(sign, width, tuple(names), units, first, above[-1] + 1)
 
 
 def _fields(line: str, sign: str) -> list[str]:
@@ -239,47 +241,28 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     if sign == " ":
         body = b"\n".join(b" ".join(line.split()) for line in body.split(b"\n"))
     check_size(where, body.count(sign.encode()) + body.count(b"\n") + 1)
-    top, last = (split_line(line.decode("utf-8", "replace"), sign) for line in _ends(body))
-    frame = _frame(body, where, sign, shape.first, max(len(shape.names), len(top)) + 1)
-    blank = pl.DataFrame([column.fill_null("") == "" for column in frame])
-    while frame.width > len(shape.names) and blank.to_series(frame.width - 1).all():
-        frame, blank = frame[:, :-1], blank[:, :-1]  # a separator at the end of each row
-    if frame.width > len(shape.names):
-        row = int((~blank.to_series(len(shape.names))).arg_true()[0])
-        reason = f"has more fields than {shape.header}; a {_NAMES[sign]} in a value needs quotes"
-        raise InputError(f"{where}, line {row + shape.first + 1}", reason)
-    if len(last) < min(frame.width, len(top)):
+    last = split_line(body.rstrip(b"\r\n ").rpartition(b"\n")[2].decode("utf-8", "replace"), sign)
+    if len(last) < min(shape.width, len(shape.names)):
         reason = f"the last line has fewer fields than line {shape.first + 1}: it is cut off, delete it"
         raise InputError(where, reason)
-    names = named(shape.names)
-    again = [
-        column == name for column, name in zip(frame, shape.names, strict=True)
-    ]  # a logger that started again
-    keep = ~(
-        blank.select(pl.all_horizontal(pl.all())).to_series()
-        | pl.DataFrame(again).select(pl.all_horizontal(pl.all())).to_series()
-    )
-    keep = keep.fill_null(value=True)
-    numbers = np.flatnonzero(keep.to_numpy()) + shape.first + 1
-    frame = frame if keep.all() else frame.filter(keep)
-    often = Counter(names)
-    unused = {
-        name for name, given, none in zip(names, shape.names, blank, strict=True) if not given and none.all()
-    }
-    columns = {
-        name: column.alias(name)
-        for name, column in zip(names, frame, strict=True)
-        if often[name] == 1 and name not in unused
-    }
-    left_out = {name: "it occurs twice" for name in names if often[name] > 1}
-    units = dict(zip(names, shape.units, strict=False))
+    frame, names = _frame(body, where, sign, shape.first, max(len(shape.names), shape.width) + 1), shape.names
+    filled = frame.select(pl.all().fill_null("") != "")
+    beyond = filled[:, len(names) :].select(pl.any_horizontal(pl.all())).to_series().arg_true()
+    if len(beyond):
+        reason = f"has more fields than {shape.header}; a {_NAMES[sign]} in a value needs quotes"
+        raise InputError(f"{where}, line {beyond[0] + shape.first + 1}", reason)
+    frame, filled = frame[:, : len(names)], filled[:, : len(names)]  # a separator may end each row
+    again = [pl.col(column) == name for column, name in zip(frame.columns, names, strict=True)]
+    named_again = pl.all_horizontal(again).fill_null(value=False)  # by a logger that started again
+    keep = filled.select(pl.any_horizontal(pl.all())).to_series() & ~frame.select(named_again).to_series()
+    numbers, frame = np.flatnonzero(keep.to_numpy()) + shape.first + 1, frame.filter(keep)
+    often, columns = Counter(named(names)), dict[str, pl.Series]()
+    for name, given, column, used in zip(named(names), names, frame, filled, strict=True):
+        if often[name] == 1 and (given or used.any()):
+            columns[name] = column.alias(name)
+    left_out = {name: "it occurs twice" for name, many in often.items() if many > 1}
+    units = dict(zip(named(names), shape.units, strict=False))
     return RawTable(columns, where, "line", numbers, units, _NAMES[sign], left_out, sha256, notes)
-
-
-def _ends(body: bytes) -> tuple[bytes, bytes]:
-    """Return the first and the last line that is not blank; its end may be a separator."""
-    end = len(body.rstrip())
-    return body.lstrip(b"\n").partition(b"\n")[0], body[body.rfind(b"\n", 0, end) + 1 :].partition(b"\n")[0]
 
 
 def _frame(body: bytes, where: str, separator: str, above: int, width: int) -> pl.DataFrame:
