@@ -62,7 +62,6 @@ def describe_session(
     *,
     host: str | None = None,
     ended: bool = False,
-    put: files.Put = files.put,
 ) -> None:
     """Write session.json at the start of a run and again at its end.
 
@@ -72,7 +71,6 @@ def describe_session(
         destination: Folder of the dataset, as the run names it.
         host: Name of the machine; default: its host name.
         ended: True at the end of the run; the session is complete then if the run has no error.
-        put: Function that writes the file.
 
     Raises:
         InputError: if the description of a source is not JSON.
@@ -118,7 +116,7 @@ def describe_session(
             json.dumps(each, allow_nan=False)
         except (TypeError, ValueError) as error:
             raise InputError(f"description of source {name!r}", f"is not JSON: {error}") from error
-    files.put_checked(folder / SESSION, about, put)
+    files.put_checked(folder / SESSION, about, durable=run.live)
 
 
 def describe_recovery(

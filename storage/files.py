@@ -14,7 +14,7 @@ from shutil import disk_usage, rmtree
 from stat import S_ISREG
 from statistics import median
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO, Final, NoReturn, TypeAlias, cast
+from typing import Any, BinaryIO, Final, NoReturn, cast
 
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Finding
@@ -27,7 +27,6 @@ LIST_LIMIT: Final = 64 * MiB  # bytes of a list in JSON, such as a manifest: 30 
 PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 
 CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
-Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
 _OF_THE_PATH: Final = {EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM}  # errors, not of the disk
 NO_MEMORY: Final = "cannot be read: there is not enough memory"
 _VALUES_LIMIT: Final = 2_000_000  # of a JSON file; each takes up to 120 bytes of memory
@@ -66,27 +65,17 @@ def write_at(descriptor: int, data: bytes, offset: int) -> None:
         left, offset = left[written:], offset + written
 
 
-def put(path: Path, data: bytes) -> None:
-    """Write a file atomically and durably: even after a power cut it has its old or its new content.
-
-    Raises:
-        OSError: the file has its old or its new content.
-    """
-    replace(path, data, durable=True)
-    sync(path.parent)
-
-
-def replace(path: Path, data: bytes, *, durable: bool = False) -> None:
+def put(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file by renaming a temporary one, so that readers find its old or its new content.
 
     Args:
         path: The file.
         data: Its new content.
-        durable: Sync the content (but not the name) before the rename. Without it, a power cut may leave the
-            file old, new, missing or with any content until it is synced.
+        durable: So does a power cut. Without it, a power cut may leave the file old, new, missing or with any
+            content until it is synced.
 
     Raises:
-        OSError: the file has its old content.
+        OSError: the file has its old or its new content.
     """
     scratch = path.with_name(path.name + SCRATCH)
     try:
@@ -104,18 +93,20 @@ def replace(path: Path, data: bytes, *, durable: bool = False) -> None:
         with suppress(OSError):
             scratch.unlink(missing_ok=True)
         raise
+    if durable:
+        sync(path.parent)
 
 
-def put_json(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
+def put_json(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write a JSON file as `put` does."""
-    put(path, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
+    put(path, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n", durable=durable)
 
 
-def put_checked(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
+def put_checked(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write a JSON file as `put` does, with a checksum as its last entry."""
     rest: dict[str, Any] = json.loads(json.dumps(dict(content), allow_nan=False))  # as it will be read
     rest.pop(CHECK, None)
-    put_json(path, {**rest, CHECK: hash_json(rest)}, put)
+    put_json(path, {**rest, CHECK: hash_json(rest)}, durable=durable)
 
 
 def hash_json(content: Mapping[str, Any]) -> str:

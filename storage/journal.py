@@ -237,15 +237,6 @@ class Journal:
         if self._restarting:
             files.sync(self._folder / JOURNAL)
 
-    def remove(self) -> None:
-        """Delete the journal: all its rows are in parts.
-
-        Raises:
-            OSError: some of it is left.
-        """
-        self.close()
-        delete_journal(self._folder)
-
     def close(self) -> None:
         """Close the journal without deleting it; may be called again."""
         for log in self._segments:

@@ -53,7 +53,7 @@ class Part:
 
 
 def write_manifest(
-    folder: Path, parts: Iterable[Part], put: files.Put = files.put, about: Description = UNKNOWN
+    folder: Path, parts: Iterable[Part], about: Description = UNKNOWN, *, durable: bool = True
 ) -> None:
     """Replace the manifest of a session: its parts, a sha256 of the list, and the session in session.json.
 
@@ -63,7 +63,7 @@ def write_manifest(
     lines = ",\n".join(part.line for part in parts)
     head = json.dumps({"version": MANIFEST_VERSION, **identity(about)}).removesuffix("}")
     text = f'{head}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
-    put(folder / MANIFEST, text.encode())
+    files.put(folder / MANIFEST, text.encode(), durable=durable)
 
 
 def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]:
@@ -94,14 +94,14 @@ def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]
     return listed
 
 
-def write_part(folder: Path, path: str, rows: pa.Table, put: files.Put = files.put) -> Part:
+def write_part(folder: Path, path: str, rows: pa.Table, *, durable: bool = True) -> Part:
     """Write rows as a Parquet file of a session and return its manifest entry.
 
     Args:
         folder: Folder of the session.
         path: Path within it.
         rows: The rows.
-        put: Function that writes the file.
+        durable: Survive a power cut from now on.
 
     Raises:
         OSError: if it cannot be written; the file is then missing or complete.
@@ -116,12 +116,12 @@ def write_part(folder: Path, path: str, rows: pa.Table, put: files.Put = files.p
         write_page_checksum=True,
     )
     data = sink.getvalue().to_pybytes()
-    put(folder / path, data)
+    files.put(folder / path, data, durable=durable)
     return Part.of(path, rows, hashlib.sha256(data).hexdigest())
 
 
 def write_parts(
-    folder: Path, table: Table, rows: pa.Table, *, number: int, limit: int, put: files.Put = files.put
+    folder: Path, table: Table, rows: pa.Table, *, number: int, limit: int, durable: bool = True
 ) -> list[Part]:
     """Write rows as files of a table, from a number on, each of at most `limit` rows; see `write_part`.
 
@@ -133,9 +133,11 @@ def write_parts(
     size = limit if table.parted else max(len(rows), 1)
     if table.parted:
         files.make_folder(folder / table.name)
+    starts = range(0, max(len(rows), 1), size)
+    paths = [file_name(table.pattern, number + file) for file in range(len(starts))]
     return [
-        write_part(folder, file_name(table.pattern, number + file), rows.slice(start, size), put)
-        for file, start in enumerate(range(0, max(len(rows), 1), size))
+        write_part(folder, path, rows.slice(start, size), durable=durable)
+        for path, start in zip(paths, starts, strict=True)
     ]
 
 

@@ -14,7 +14,7 @@ from operators.ports import Description, Run
 from storage import files
 from storage.description import describe_dataset, describe_session
 from storage.files import lock
-from storage.journal import Buffer, Journal, NumberedRows
+from storage.journal import Buffer, Journal, NumberedRows, delete_journal
 from storage.layout import FINGER_MAX, SESSIONS, TABLE_OF, TABLES, Table, new_session_folder
 from storage.parts import Part, write_manifest, write_parts
 from storage.schema import to_arrow
@@ -54,7 +54,6 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
         self._journal: Journal | None = None
-        self._put = files.put if run.live else files.replace
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
@@ -227,16 +226,17 @@ class SessionWriter:
         with self._reporting():
             self._describe(ended=True)
             if self._journal:
-                self._journal.remove()
+                self._journal.close()
+                delete_journal(self.folder)
         self._release()
 
     def _describe(self, *, ended: bool = False) -> None:
         where = str(self._root)
-        describe_session(self.folder, self._run, where, host=self._host, ended=ended, put=self._put)
+        describe_session(self.folder, self._run, where, host=self._host, ended=ended)
 
     def _write_manifest(self) -> None:
         about: Description = {"session": self._run.session, "start_ns": self._run.start}
-        write_manifest(self.folder, self._parts, self._put, about)
+        write_manifest(self.folder, self._parts, about, durable=self._run.live)
 
     def _buffer(self, batch: Batch) -> Buffer:
         table = TABLE_OF[type(batch)].name
@@ -259,7 +259,8 @@ class SessionWriter:
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:
         rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])
         number = self._numbers[table.name]
-        parts = write_parts(self.folder, table, rows, number=number, limit=self._part_rows, put=self._put)
+        limit, live = self._part_rows, self._run.live
+        parts = write_parts(self.folder, table, rows, number=number, limit=limit, durable=live)
         self._parts += parts
         self._numbers[table.name] += len(parts)
 

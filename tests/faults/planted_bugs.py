@@ -34,9 +34,10 @@ def _all(*plants: Plant) -> Plant:
     return lambda stack: [plant(stack) for plant in plants]
 
 
-def _replace_without_fsync(path: Path, data: bytes, *, durable: bool) -> None:
+def _put_without_fsync(path: Path, data: bytes, *, durable: bool = True) -> None:
     del durable
-    _REPLACE(path, data, durable=False)
+    _PUT(path, data, durable=False)
+    files.sync(path.parent)
 
 
 def _delete_journal_first(self: Any, **options: Any) -> None:
@@ -94,7 +95,7 @@ def _refuse_nothing(self: outbox.Outbox, count: int) -> None:
     del self, count
 
 
-_REPLACE = files.replace
+_PUT = files.put
 _COMMIT_SELECTED = vars(writer.SessionWriter)["_commit_selected"]
 _SYNC = append_log.AppendLog.sync
 _PRUNE = outbox_log.OutboxLog.prune
@@ -104,7 +105,7 @@ POWER = ("power loss",)
 KILLS = ("kill rig", "kill rig at disk operation")
 
 PLANTED: Final[dict[str, Bug]] = {
-    "parts are not synced before they are listed": Bug(_set(files, "replace", _replace_without_fsync), POWER),
+    "parts are not synced before they are listed": Bug(_set(files, "put", _put_without_fsync), POWER),
     "names are not synced": Bug(_set(files, "sync", _do_nothing), POWER),
     "the journal is deleted before its rows are in parts": Bug(
         _set(writer.SessionWriter, "_commit_selected", _delete_journal_first),
