@@ -78,24 +78,21 @@ class HandLabels:
 
 
 def read_hand_labels(folder: Path, about: Description, version: int | None = None) -> HandLabels:
-    """Return the newest hand labels of a session, or those of a version; version 0: none.
+    """Return the newest hand labels of a session.
 
     Args:
         folder: Folder of the session.
         about: Content of session.json; empty: unknown.
-        version: The version; None: the newest.
+        version: Another version, which exists.
 
     Raises:
-        InputError: if there is no such version, or its file is damaged or belongs to another session.
+        InputError: if its file is damaged or belongs to another session.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     versions = numbered_files(folder, LABEL_FILES)
     number = max(versions, default=0) if version is None else version
     if number == 0:
         return HandLabels()
-    if number not in versions:
-        known = ", ".join(map(str, versions)) or "none"
-        raise InputError(str(folder), f"has no version {number} of hand labels; it has {known}")
     path = versions[number]
     content = files.read_checked(path, files.LIST_LIMIT)
     if content.get("format") != FORMAT or content.get("version") != number:

@@ -201,7 +201,9 @@ def session_folders(path: Path, *, lost: bool = False) -> list[Path]:
         raise InputError(str(path), f"is not a session (no {SESSION}) and not a dataset (no {DATASET})")
     found = files_of(path, f"{SESSIONS}/*")
     return [
-        each for each in found if may_exist(each / SESSION) or (lost and each.is_dir() and _has_files(each))
+        each
+        for each in found
+        if may_exist(each / SESSION) or (lost and any(file.suffix != SCRATCH for file in files_of(each, "*")))
     ]
 
 
@@ -231,11 +233,6 @@ def files_of(folder: Path, pattern: str) -> list[Path]:
             return []
         raise read_error(folder / base, error) from error
     return [folder / base / each for each in sorted(names) if fnmatch(each, name)]
-
-
-def _has_files(folder: Path) -> bool:
-    """Return true if a folder has more than files that a killed process did not complete."""
-    return any(path.suffix != SCRATCH for path in files_of(folder, "*"))
 
 
 def check_links(folder: Path) -> None:

@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 PARTS_IN_MEMORY: Final = 8  # of all sessions: one of each table
 
-_OTHER_TYPE: Final = 'its metadata "batch" is missing or differs from the other parts; restore a copy'
-
 log = logging.getLogger("slipflow")
 
 
@@ -55,7 +53,8 @@ def _read_part(folder: Path, part: Part) -> _Part:
     rows, table = read_part(folder, part), cast("Table", table_of(part.path))
     stored = schema.batch_type(rows)
     if stored is None or not issubclass(stored, table.kind):
-        raise InputError(str(folder / part.path), _OTHER_TYPE)
+        reason = 'its metadata "batch" is no type of its table; restore a copy'
+        raise InputError(str(folder / part.path), reason)
     return _Part(stored, schema.from_arrow(table, stored, rows))
 
 
@@ -176,20 +175,12 @@ class Session:
             raise InputError(str(self.folder), reason)
         return cast("pl.DataFrame", cast("Any", pl).from_arrow(pa.concat_tables(parts)))
 
-    def hand_labels(self, version: int | None = None) -> HandLabels:
-        """Return the newest labels that were given by hand, or those of a version, as `read_hand_labels`.
-
-        Raises:
-            SlipflowError: as `read_hand_labels`.
-        """
-        return read_hand_labels(self.folder, self.about, version)
+    def hand_labels(self) -> HandLabels:
+        """Return the newest labels that were given by hand, as `read_hand_labels`."""
+        return read_hand_labels(self.folder, self.about)
 
     def write_hand_labels(self, spans: Iterable[LabelSpan], *, based_on: int) -> HandLabels:
-        """Write all spans as the next version of the hand labels, as `write_hand_labels`.
-
-        Raises:
-            SlipflowError: as `write_hand_labels`.
-        """
+        """Write all spans as the next version of the hand labels, as `write_hand_labels`."""
         return write_hand_labels(self.folder, self.about, spans, based_on=based_on)
 
     def describe(self) -> Description:
@@ -198,14 +189,9 @@ class Session:
 
     def _parts(self, kind: type[Batch]) -> Iterator[_Part]:
         """Yield the parts with rows of `kind`; all parts of a table have rows of one type."""
-        table, first = TABLE_OF.get(kind), None
-        for listed in self._listed(table) if table else ():
-            part = _read_part(self.folder, listed)
-            if first not in {None, part.kind}:
-                raise InputError(str(self.folder / listed.path), _OTHER_TYPE)
-            first = part.kind
-            if issubclass(first, kind):
-                yield part
+        table = TABLE_OF.get(kind)
+        parts = (_read_part(self.folder, listed) for listed in (self._listed(table) if table else ()))
+        return (part for part in parts if issubclass(part.kind, kind))
 
     def _listed(self, table: Table) -> list[Part]:
         """Return the parts of a table in order."""

@@ -81,10 +81,8 @@ def _lerobot(source: Path, out: Path, rate: int | None) -> tuple[dict[str, Any],
 
 def _mcap(source: Path, out: Path) -> tuple[dict[str, Any], str]:
     """Write a file for each session."""
-    from operators.extras import require_extra
     from storage.exports import mcap_file
 
-    require_extra("mcap", "--to mcap")
     sessions = _sessions(source)
     files, single = dict[str, dict[str, int]](), len(sessions) == 1 and out.suffix == ".mcap"
     if single:
