@@ -92,3 +92,6 @@ def train(
             note(f"stopped: no model was written to {out}")
             raise
     typer.echo(json.dumps({"path": str(model.path), **model.card}) if as_json else model.report())
+    flow = model.path.with_suffix(".py")
+    if flow.is_file():
+        note(f"next: slipflow run {flow}")
