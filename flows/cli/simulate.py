@@ -36,7 +36,7 @@ def simulate(
     from collections import Counter
 
     from flows.lab import simulation
-    from flows.learn.datasets import SPLITS
+    from flows.learn.labelled_recordings import SPLITS
     from flows.run.executor import workers
 
     with workers(jobs, cluster) as executor, progress_bar(f"simulating {plan}") as update:

@@ -24,7 +24,7 @@ from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestSource
-from flows.learn.datasets import TURNS
+from flows.learn.labelled_recordings import TURNS
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner

@@ -1,8 +1,9 @@
-"""Metrics of slip events: false alarms, missed slips and onset delay."""
+"""Metrics of slip events (false alarms, missed slips, onset delay), and the debounce tuned for them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from itertools import product
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +12,20 @@ from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import Sampling
 from operators import Debounce, ms, s
 from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
+from operators.detectors import Detector
 
 PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches of the label
 BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
 BEFORE: Final = BRIEF  # ns that an onset may precede its slip
 AFTER: Final = 150 * ms  # ns after the end of a slip in which an onset still belongs to it
 DECISION: Final = 0.5  # probability from which on a sample counts as slip
+BUDGET: Final = 2.0  # false alarms per static minute
+MISSED: Final = 2.0  # %, largest share of slips without an onset
+REPEATED: Final = 2.0  # %, most onsets after the first of a slip, relative to the slips
+THRESHOLDS: Final = tuple(np.round(1 / (1 + np.exp(-np.arange(-1.5, 6.1, 0.25))), 3).tolist())
+CONSECUTIVE: Final = (1, 2, 3, 4, 5)  # decisions at 100 Hz
+RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions at 100 Hz
+_MENU: Final = tuple(Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE, RELEASE))
 
 
 @dataclass(frozen=True)
@@ -150,3 +159,39 @@ def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:
     slips = debounce.reset_copy().push(scores[sampling.warm_up :])
     raised: Times = slips.time[slips.state == SLIP]
     return raised
+
+
+def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector) -> Debounce:
+    """Tune the debounce of a detector on recordings; see `tuned`."""
+    scores = [recording.probabilities(detector) for recording in recordings]
+    return tuned(scores, [Slips.labelled(recording) for recording in recordings])
+
+
+def debounce_settings(rule: Debounce) -> dict[str, Any]:
+    """Return the settings of a debounce as a model's card states them."""
+    return {name: getattr(rule, name) for name in ("threshold", "consecutive", "release")}
+
+
+def tuned(scores: Sequence[Reals], slips: Sequence[Slips], budget: float = BUDGET) -> Debounce:
+    """Return the settings with the least onset delay among those that keep three limits.
+
+    Recordings of some minutes contain few false alarms, so the upper one-sigma limit of a Poisson count is
+    compared with the budget: n + 1 + sqrt(n + 3/4) (Gehrels 1986). If no setting keeps all limits, the excess
+    over the budget is minimised first, then the sum of the other excesses.
+
+    Args:
+        scores: Probabilities of each recording (n,), on the validation split.
+        slips: True slips of each recording.
+        budget: Most false alarms per static minute.
+    """
+
+    def cost(rule: Debounce) -> tuple[float, float, float]:
+        found = EventMetrics.of(scores, slips, rule)
+        alarms = found.false_alarms + 1 + np.sqrt(found.false_alarms + 0.75)
+        over = max(alarms - budget * found.minutes, 0)
+        if not len(found.delays):
+            return over, 100 - MISSED, np.inf
+        excess = max(found.missed - MISSED, 0) + max(found.repeated - REPEATED, 0)
+        return over, excess, float(found.delays.mean())
+
+    return min(map(slips[0].sampling.rule, _MENU), key=cost)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
-from flows.learn.datasets import SPLITS, TURNS
 from flows.learn.sampling import Sampling
 from flows.report.table import counted
 from operators import Align, Label, Score, SlidingMotion, Zero, ms
@@ -43,6 +42,9 @@ from operators.score import forward_fill
 from storage import HandLabels, Session
 from storage.layout import session_folders
 
+SPLITS: Final = ("train", "validation", "test")
+# of recordings without a split, in turn
+TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 

@@ -20,7 +20,7 @@ from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_state import Bounds, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
 from flows.lab.collection.arm_path import Extent, Line, Step, Surface, Turn, Wait
-from flows.learn.datasets import TURNS
+from flows.learn.labelled_recordings import TURNS
 from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Json

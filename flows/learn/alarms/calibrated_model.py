@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from flows.learn.alarms.alarm_calibration import Calibrated, calibrated, try_settings
-from flows.learn.datasets import learned_from
-from flows.learn.debounce_tuning import debounce_settings
 from flows.learn.evaluation.folds import repeated
+from flows.learn.event_metrics import debounce_settings
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.training.trained_model import provenance
+from flows.learn.training.trained_model import learned_from, provenance
 from flows.report.table import counted
 from operators.errors import InputError, ParameterError
 from operators.extras import software_version

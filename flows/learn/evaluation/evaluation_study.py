@@ -10,7 +10,6 @@ from typing import Final, TypeAlias
 import numpy as np
 import polars as pl
 
-from flows.learn.datasets import learned_from
 from flows.learn.evaluation.detector_speed import speed_results
 from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
 from flows.learn.evaluation.methods import Candidate, Method, baselines, hold_out_methods, trained_methods
@@ -22,6 +21,7 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.measures import SHARES, judged
+from flows.learn.training.trained_model import learned_from
 from flows.report.results import estimates, joined
 from flows.run.executor import map_tasks, one_thread
 from operators import Debounce

@@ -8,14 +8,14 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.debounce_tuning import tuned_on
 from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, STROKES, Baseline, Features
 from flows.learn.evaluation.folds import Fold
+from flows.learn.event_metrics import tuned_on
 from flows.learn.sampling import Sampling
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts
-from operators.detectors import TRAINED, Detector, Psd, Tcn
+from operators.detectors import Detector, Psd, Tcn
 from operators.errors import InputError
 from operators.extras import require_extra
 from storage import load_debounce, load_detector
@@ -80,7 +80,7 @@ def trained_methods(names: Collection[str] = ()) -> list[Method]:
     """
     known = (*shipped_names(), *BASELINES)
     files = [name for name in names if name.endswith(_SUFFIX)]
-    if unknown := sorted({*names} - {*files, *known, *TRAINED}):
+    if unknown := sorted({*names} - {*files, *known}):
         raise InputError(", ".join(unknown), f"is not a method; known are {', '.join(known)}, FILE{_SUFFIX}")
     found = {name: _loaded(name, name) for name in wanted(names, shipped_names())}
     for file in files:

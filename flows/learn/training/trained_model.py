@@ -10,13 +10,13 @@ from typing import Any, Final, TypeAlias
 
 from numpy.typing import NDArray
 
-from flows.learn.datasets import dataset_digest
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import BALANCED, SHARES, judged
 from flows.report.results import estimates, joined
 from operators import Debounce
 from operators.detectors import Detector
 from storage import save_weights
+from storage.layout import MANIFEST, SESSIONS
 from storage.models import save_card
 
 _SCORES: Final = {"accuracy": SHARES["accuracy %"], "balanced": BALANCED["balanced %"], "f1": SHARES["F1 %"]}
@@ -79,6 +79,28 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
         if row["statistic"] == "balanced" and row["low"] is not None:
             found |= {"balanced_low": row["low"], "balanced_high": row["high"]}
     return found
+
+
+def dataset_digest(dataset: Path) -> str:
+    """Return the sha256 of a dataset: of its sessions' manifests, which contain the sha256 of every part."""
+    digest = hashlib.sha256()
+    for manifest in sorted((dataset / SESSIONS).glob(f"*/{MANIFEST}")):
+        digest.update(manifest.parent.name.encode() + b"\0" + manifest.read_bytes())
+    return digest.hexdigest()
+
+
+def learned_from(card: Mapping[str, Any], path: Path) -> bool:
+    """Return True if a model's card states that it was trained or chosen on a dataset.
+
+    Args:
+        card: Content of the card.
+        path: Folder of the dataset, or of one of its sessions.
+    """
+    dataset = path.resolve()
+    if dataset.parent.name == SESSIONS:
+        dataset = dataset.parent.parent
+    stated = {each.get("sha256") for each in card.get("data", ())}
+    return dataset_digest(dataset) in stated
 
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:

@@ -1,14 +1,15 @@
 """`slipflow train`: train a detector on datasets, and write the model with its card."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
+from scipy.special import expit, logit
 
-from flows.learn.debounce_tuning import debounce_settings, tuned_on
+from flows.learn.event_metrics import debounce_settings, tuned_on
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
@@ -25,7 +26,7 @@ from flows.learn.training.trained_model import (
     provenance,
     write_model,
 )
-from operators.batch import s
+from operators.batch import SLIP, UNKNOWN, Flags, Reals, s
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
@@ -37,9 +38,59 @@ from storage.models import identify_detector
 Parts: TypeAlias = Mapping[str, Sequence[LabelledRecording]]  # by split
 
 FURTHER_STEPS: Final = 300  # of further training
+_CERTAIN: Final = 1e-12  # distance from 0 and 1 at which logits are cut off
+_MIN_SCALE: Final = 0.01  # keeps the order of samples even if validation contradicts the network
 _FEW: Final = 5  # recordings, from which on whole ones are held out
 _SHARES: Final = {"train": 0.6, "validation": 0.2, "test": 0.2}  # of a recording that is divided in time
 _FURTHER_SHARES: Final = {"train": 0.7, "test": 0.3}  # the same, for further training
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Linear change of the network's logit: divided by a temperature, then shifted."""
+
+    temperature: float
+    bias: float
+
+    @classmethod
+    def fitted(cls, probability: Reals, slip: Flags) -> "Calibration":
+        """Fit probabilities (k,) to the truth (k,) by maximum likelihood, with the targets of Platt.
+
+        These targets keep the temperature above 0 where the classes are perfectly separated. If a class is
+        missing, nothing changes.
+
+        References:
+            Platt, "Probabilistic outputs for support vector machines" (1999).
+        """
+        from scipy.optimize import minimize
+
+        if not slip.any() or slip.all():
+            return cls(1.0, 0.0)
+        logits: Reals = logit(np.clip(probability, _CERTAIN, 1 - _CERTAIN))
+        slips = int(slip.sum())
+        target = np.where(slip, (slips + 1) / (slips + 2), 1 / (slip.size - slips + 2))
+
+        def loss(change: Reals) -> tuple[float, Reals]:
+            found: Reals = change[0] * logits + change[1]
+            error: Reals = expit(found) - target
+            value = float(np.mean(np.logaddexp(0, found) - target * found))
+            return value, np.array([float(np.mean(error * logits)), float(np.mean(error))])
+
+        best = minimize(
+            loss, [1.0, 0.0], jac=True, method="L-BFGS-B", bounds=[(_MIN_SCALE, None), (None, None)]
+        )
+        return cls(1 / float(best.x[0]), float(best.x[1]))
+
+    def fold(self, arrays: Arrays) -> Arrays:
+        """Return weights whose output layer contains the calibration.
+
+        The layer has one output, or two of which the second is slip.
+        """
+        kernel, bias = arrays["out/kernel"], arrays["out/bias"]
+        shifted = bias / self.temperature
+        shifted[-1] += self.bias
+        changed = {"out/kernel": kernel / self.temperature, "out/bias": shifted}
+        return {**arrays, **{name: each.astype(arrays[name].dtype) for name, each in changed.items()}}
 
 
 def train(
@@ -125,7 +176,6 @@ def _from_random(
     """Return the weights of a network that was trained from random ones, and the entries for its card."""
     from flows.learn.training.dense_training import train_dense
     from flows.learn.training.paper_training import train_windowed
-    from flows.learn.training.probability_calibration import calibration_of
 
     for split in ("train", "validation"):
         if not parts[split]:
@@ -178,6 +228,14 @@ def _from_model(
         "debounce": debounce_settings(tuned_on(learned, found.tcn)),
         "curve": [asdict(check) for check in found.curve],
     }
+
+
+def calibration_of(detector: Detector, validation: Sequence[LabelledRecording]) -> Calibration:
+    """Fit the calibration of a detector to all labelled samples that have a probability."""
+    probability = np.concatenate([each.probabilities(detector) for each in validation])
+    label = np.concatenate([each.label for each in validation])
+    known = (label != UNKNOWN) & ~np.isnan(probability)
+    return Calibration.fitted(probability[known], label[known] == SLIP)
 
 
 def _unusable(datasets: Sequence[Path], needed: str) -> ParameterError:

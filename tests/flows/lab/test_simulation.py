@@ -19,7 +19,7 @@ from flows.graph import Flow
 from flows.graph.testing import run_virtually
 from flows.lab import simulation
 from flows.lab.simulation import planned_recordings, simulate
-from flows.learn.datasets import SPLITS
+from flows.learn.labelled_recordings import SPLITS
 from flows.record import declare_recording
 from flows.run.clocks import LoopClock
 from flows.run.executor import workers

@@ -14,9 +14,10 @@ from connectors.sim.scene import Move, Moves, Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
-from flows.learn.datasets import SPLITS, TURNS
 from flows.learn.evaluation.stress_study import stressed
 from flows.learn.labelled_recordings import (
+    SPLITS,
+    TURNS,
     LabelledRecording,
     by_split,
     hand_label_summary,

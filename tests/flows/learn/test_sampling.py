@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.alarms.alarm_calibration import PATH, try_settings
-from flows.learn.debounce_tuning import tuned
-from flows.learn.event_metrics import Slips
+from flows.learn.event_metrics import Slips, tuned
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import judged
 from flows.learn.sampling import Sampling

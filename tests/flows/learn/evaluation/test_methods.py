@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.learn.debounce_tuning import tuned_on
 from flows.learn.evaluation.folds import Fold
 from flows.learn.evaluation.methods import PAPER_RULE, Method, baselines, trained_methods
+from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.detectors import Detector, Psd

@@ -6,9 +6,8 @@ import pytest
 import torch
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.training.dense_training import train_dense
+from flows.learn.training.dense_training import DenseTcn, train_dense
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_loop import best
 from operators import ParameterError
 from operators.detectors import Tcn

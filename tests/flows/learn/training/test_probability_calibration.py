@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.special import expit, logit
 
 from flows.learn.labelled_recordings import by_split, load
-from flows.learn.training.probability_calibration import Calibration, calibration_of
+from flows.learn.training.trainer import Calibration, calibration_of
 from operators.detectors import FrequencyCnn, PaperTcn, Tcn
 from storage import load_detector, load_weights
 from storage.models import load_card, shipped
