@@ -23,13 +23,7 @@ import numpy as np
 from connectors.events import Fault, encode, faults, finger_name, quality, slips
 from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
-from connectors.web.curves import (
-    curve_json,
-    event_json,
-    faults_json,
-    plotted,
-    thin_curve,
-)
+from connectors.web.curves import curve_json, event_json, faults_json, plotted, thin_curve
 from operators.batch import Faults, Motion, Reals, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.checks import check_between
 from operators.extras import software_version

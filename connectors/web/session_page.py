@@ -17,14 +17,7 @@ from numpy.typing import NDArray
 
 from connectors.events import Fault, Slip, encode, faults, finger_name, quality, slips
 from connectors.sim.simulated_rig import true_slips
-from connectors.web.curves import (
-    GAP,
-    curve_json,
-    event_json,
-    faults_json,
-    plotted,
-    thin_curve,
-)
+from connectors.web.curves import GAP, curve_json, event_json, faults_json, plotted, thin_curve
 from connectors.web.web_server import PAGE_FILES, Handler
 from operators import Debounce
 from operators.batch import (

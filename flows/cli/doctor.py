@@ -59,12 +59,10 @@ async def _diagnose(parts: "dict[str, Endpoint]") -> "Findings":
     from flows.run.diagnosis import diagnose, host_findings
     from storage import Dataset
 
-    clock = LoopClock()
     recorded = any(isinstance(part, Dataset) for part in parts.values())
-    disk: dict[str, Endpoint] = {} if recorded else {"disk": Dataset("recordings")}
-    machine = await diagnose(disk, clock)
-    host = [*host_findings(), *(finding for name in disk for finding in machine[name])]
-    return {HOST: host, **await diagnose(parts, clock)}
+    disk: dict[str, Endpoint] = {} if recorded else {HOST: Dataset("recordings")}
+    found = await diagnose({**disk, **parts}, LoopClock())
+    return {HOST: [*host_findings(), *found.pop(HOST, [])], **found}
 
 
 def _as_text(found: "Findings", bad: int) -> str:

@@ -133,15 +133,10 @@ def progress_bar(action: str) -> Generator[Callable[..., None]]:
     from rich import progress
     from rich.console import Console
 
-    columns = *progress.Progress.get_default_columns(), progress.MofNCompleteColumn()
-    console = Console(stderr=True)
-    with progress.Progress(
-        *columns,
-        progress.TimeElapsedColumn(),
-        console=console,
-        transient=True,
-        disable=not console.is_terminal,
-    ) as bar:
+    more = progress.MofNCompleteColumn(), progress.TimeElapsedColumn()
+    columns, console = (*progress.Progress.get_default_columns(), *more), Console(stderr=True)
+    hidden = not console.is_terminal
+    with progress.Progress(*columns, console=console, transient=True, disable=hidden) as bar:
         task = bar.add_task(action)
 
         def update(done: int, total: int | None, part: str = "") -> None:

@@ -60,13 +60,14 @@ class Report:
     def html(self) -> str:
         """Return one self-contained HTML page; its figures are images in the page."""
         markdown = MarkdownIt("commonmark", {"html": False}).enable("table")
-        parts = list[tuple[Section, str]]()
-        for section in self.sections:
+
+        def body(section: Section) -> str:
             image = b64encode(section.svg.encode()).decode()
-            body = markdown.render(section.markdown("figure"))
-            parts.append((section, body.replace('src="figure"', f'src="data:image/svg+xml;base64,{image}"')))
+            text: str = markdown.render(section.markdown("figure"))
+            return text.replace('src="figure"', f'src="data:image/svg+xml;base64,{image}"')
+
         page = Environment(autoescape=True).from_string(_TEMPLATE.read_text(encoding="utf-8"))
-        return page.render(title=self.title, text=self.text, parts=parts, command=self.command)
+        return page.render(report=self, body=body)
 
     def json(self) -> dict[str, Any]:
         """Return facts and tables as JSON data; unknown values are null."""

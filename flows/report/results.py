@@ -204,10 +204,12 @@ def estimates(
     found = list[dict[str, object]]()
     for key, part in results.group_by(by, maintain_order=True):
         group = Recordings(part)
-        weights = _weights(len(group.names), draws)
+        recordings = len(group.names)
+        drawn, shares = draws if recordings >= _LEAST else 0, np.full(recordings, 1 / recordings)
+        weights = np.random.default_rng(0).multinomial(recordings, shares, drawn).astype(np.float64)
         for name, statistic in statistics.items():
-            drawn = statistic.drawn(group, weights) if statistic.drawn and len(weights) else np.empty(0)
-            known = drawn[np.isfinite(drawn)]
+            values = statistic.drawn(group, weights) if statistic.drawn else np.empty(0)
+            known = values[np.isfinite(values)]
             low, high = np.quantile(known, _TAILS).tolist() if len(known) else (None, None)
             value = statistic.of(group)
             row = {"statistic": name, "value": value, "low": low, "high": high}
@@ -250,11 +252,3 @@ def estimate_table(
             value, text = values.get(head, (None, ""))
             cells[-1] += [value, text or None] if head in intervals else [value]
     return Table([*index, *names], cells, caption, dict(decimals))
-
-
-def _weights(recordings: int, draws: int) -> Values:
-    """Return how often each recording is drawn; (draws, recordings)."""
-    if recordings < _LEAST:
-        return np.empty((0, recordings))
-    shares = np.full(recordings, 1 / recordings)
-    return np.random.default_rng(0).multinomial(recordings, shares, draws).astype(np.float64)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import compress
 from math import isfinite
 from typing import Any, Final, TypeAlias
 
@@ -34,35 +33,23 @@ class Table:
 
     def markdown(self) -> str:
         """Return a padded Markdown table, which also reads as plain text, without empty columns."""
-        known = [not n or any(show(row[n]) != UNKNOWN for row in self.rows) for n in range(len(self.head))]
-        lines = [[*compress(line, known)] for line in (self.head, *self._texts())]
-        head, *texts = ([cell.replace("|", r"\|") for cell in line] for line in lines)
-        widths = [max(3, *(len(line[column]) for line in [head, *texts])) for column in range(len(head))]
-        left = [*compress(self._left(), known)]
-        rule = ["-" * w if text else "-" * (w - 1) + ":" for w, text in zip(widths, left, strict=True)]
-        rows = [
-            " | ".join(
-                cell.ljust(w) if text else cell.rjust(w)
-                for cell, w, text in zip(line, widths, left, strict=True)
-            )
-            for line in (head, rule, *texts)
-        ]
-        table = "\n".join(f"| {row} |" for row in rows)
+        columns = list[list[str]]()
+        for number, name in enumerate(self.head):
+            cells = [row[number] for row in self.rows]
+            texts = [show(cell, self.decimals.get(name, 1)) for cell in cells]
+            if number and all(text == UNKNOWN for text in texts):
+                continue
+            column = [text.replace("|", r"\|") for text in (name, *texts)]
+            width, left = max(3, *map(len, column)), not number or _is_text(cells)
+            column.insert(1, "-" * width if left else "-" * (width - 1) + ":")
+            columns.append([text.ljust(width) if left else text.rjust(width) for text in column])
+        table = "\n".join(f"| {' | '.join(line)} |" for line in zip(*columns, strict=True))
         return f"{self.caption}\n\n{table}" if self.caption else table
 
     def json(self) -> dict[str, Any]:
         """Return the table as JSON data; unknown values are null."""
         rows = [{name: _plain(cell) for name, cell in zip(self.head, row, strict=True)} for row in self.rows]
         return {"caption": self.caption, "rows": rows} if self.caption else {"rows": rows}
-
-    def _texts(self) -> list[list[str]]:
-        digits = [self.decimals.get(name, 1) for name in self.head]
-        return [[show(cell, number) for cell, number in zip(row, digits, strict=True)] for row in self.rows]
-
-    def _left(self) -> list[bool]:
-        """Return which columns are aligned left."""
-        columns = [[row[column] for row in self.rows] for column in range(len(self.head))]
-        return [not number or _is_text(cells) for number, cells in enumerate(columns)]
 
 
 def show(value: Value, decimals: int | None = 1) -> str:

@@ -59,9 +59,8 @@ def i2c_finding() -> Finding:
     """Return which I2C buses this user can access."""
     buses = sorted(Path("/dev").glob("i2c-*"))
     if not buses:
-        return Finding(
-            "I2C", "no bus; to attach fingertips here, enable I2C, for example in raspi-config", "note"
-        )
+        text = "no bus; to attach fingertips here, enable I2C, for example in raspi-config"
+        return Finding("I2C", text, "note")
     names = ", ".join(map(str, buses))
     if locked := [str(bus) for bus in buses if not os.access(bus, os.R_OK | os.W_OK)]:
         remedy = "add the user: sudo usermod -aG i2c $USER, then log in again"
@@ -70,15 +69,8 @@ def i2c_finding() -> Finding:
 
 
 def host_findings() -> Iterator[Finding]:
-    """Yield findings about Python, slipflow's packages and extras, and the clock."""
+    """Yield findings about Python, slipflow and its extras, the clock, and I2C buses."""
     yield Finding("Python", sys.version.split()[0])
-    yield from package_findings()
-    yield clock_finding()
-    yield i2c_finding()
-
-
-def package_findings() -> Iterator[Finding]:
-    """Yield findings about slipflow, and about the packages of each extra."""
     yield Finding("slipflow", software_version())
     for extra, about in EXTRAS.items():
         if missing_packages(extra):
@@ -86,6 +78,8 @@ def package_findings() -> Iterator[Finding]:
             yield Finding(f"extra {extra}", text, "note")
         else:
             yield Finding(f"extra {extra}", ", ".join(f"{each} {version(each)}" for each in about.packages))
+    yield clock_finding()
+    yield i2c_finding()
 
 
 def clock_finding() -> Finding:

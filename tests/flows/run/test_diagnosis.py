@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from flows.run.clocks import LoopClock
-from flows.run.diagnosis import clock_finding, diagnose, package_findings
+from flows.run.diagnosis import clock_finding, diagnose, host_findings
 from operators import Clock, Finding, InputError, Scores, Source
 from operators.extras import install_command
 
@@ -68,7 +68,7 @@ async def test_a_missing_extra_is_the_only_finding(hide_packages: Callable[..., 
 
 def test_missing_packages_are_noted_with_their_remedy(hide_packages: Callable[..., None]) -> None:
     hide_packages("torch")
-    found = {each.subject: each for each in package_findings()}
+    found = {each.subject: each for each in host_findings()}
     assert (found["slipflow"].state, found["extra train"].state) == ("good", "note")
     assert found["extra train"].text.startswith("not installed; for training")
     assert found["extra report"].text.startswith("matplotlib ")
