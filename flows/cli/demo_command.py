@@ -33,7 +33,8 @@ def demo(
       slipflow demo --for 1min
       slipflow demo --mqtt mqtt://localhost
     """
-    from connectors.punctual_loop import run_punctually
+    import asyncio
+
     from flows import demo as declared
     from flows.graph.quantity import parse_time
 
@@ -42,7 +43,7 @@ def demo(
     flow = declared.demo(str(out), mqtt)
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
-    done = run_punctually(execute(flow, limit=limit))
+    done = asyncio.run(execute(flow, limit=limit))
     typer.echo("\n".join(report(out / "sessions" / done.session)))
     if mqtt:
         typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")

@@ -83,7 +83,8 @@ def run(
       slipflow run relabel --replay recordings --cluster tcp://127.0.0.1:8786
       slipflow run grip.py:gentle --replay trace.csv --pace 1
     """
-    from connectors.punctual_loop import run_punctually
+    import asyncio
+
     from flows.graph.quantity import parse_time
     from flows.run.replays import check_outputs, open_recording, recordings
 
@@ -113,7 +114,7 @@ def run(
     if metrics:
         add_metrics(flow, metrics)
     with redirect_stdout(sys.stderr if as_json and log is Format.TEXT else sys.stdout):
-        done = run_punctually(execute(flow, limit=limit, recording=recording, pace=pace or 1.0))
+        done = asyncio.run(execute(flow, limit=limit, recording=recording, pace=pace or 1.0))
     report_run(done, log=log, as_json=as_json)
 
 
