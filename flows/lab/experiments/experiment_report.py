@@ -1,6 +1,7 @@
 """Reports of the tap and lift experiments: success, the paper's success, false slips and breaking points."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Final
 
 import polars as pl
@@ -9,9 +10,9 @@ from connectors.sim.objects import OBJECTS
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Method, Trials
-from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
+from flows.lab.experiments.trial import BASELINE, Conditions, Trial
 from flows.learn.event_metrics import runs
-from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid
+from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid
 from flows.report.report_page import Report, Section
 from flows.report.results import Statistic, estimate_table, estimates, median, rate
 from flows.report.table import Table, Value
@@ -27,6 +28,7 @@ PAPER: Final[Mapping[str, Mapping[str, int]]] = {
 }
 TITLES: Final = {"tap": "Mallet tap", "lift": "Object lift"}
 EXAMPLE: Final = "ball"  # object of the figure: one of the two hardest in the paper's lift
+GOOD: Final = ("registered", "held")  # endings of a success
 SUCCESS: Final = "success %"
 FALSE_FIRM: Final = "firm lift %"
 RATES: Final = {SUCCESS: rate("success", "trials"), FALSE_FIRM: rate("false_firm", "trials")}
@@ -62,40 +64,19 @@ def experiment_report(
     """
     nominal = results.filter(condition=NOMINAL)
     found = estimates(nominal, STATISTICS[experiment])
-    table = estimate_table(
-        found, _DECIMALS, intervals=[name for name in STATISTICS[experiment] if "%" in name]
-    )
+    rates = [name for name in STATISTICS[experiment] if "%" in name]
+    table = estimate_table(found, _DECIMALS, intervals=rates)
+    figure = partial(trial_figure, experiment, methods[0], trials)
     sections = [
-        Section(
-            experiment,
-            "Success and false slips",
-            _NOTES[experiment],
-            [table],
-        ),
+        Section(experiment, "Success and false slips", _NOTES[experiment], [table]),
         Section("objects", "Success by object, %", "", [_objects(experiment, nominal, trials)]),
         Section("failures", "Failed trials by ending", "", [_endings(nominal)], folded=True),
-        Section(
-            "trial",
-            "An example trial",
-            "",
-            draw=lambda: trial_figure(experiment, methods[0], trials),
-            folded=True,
-        ),
+        Section("trial", "An example trial", "", draw=figure, folded=True),
     ]
     if len(results) > len(nominal):
         sections.append(_breaking_points(results))
-    facts = {
-        "experiment": experiment,
-        "trials": trials.count,
-        "seed": trials.seed,
-        "results": found.to_dicts(),
-    }
-    return Report(TITLES[experiment], _TEXT, sections, command, facts)
-
-
-def title(name: str) -> str:
-    """Return an object's name as shown in tables and figures."""
-    return name.replace("_", " ")
+    facts = {"experiment": experiment, "trials": trials.count, "seed": trials.seed}
+    return Report(TITLES[experiment], _TEXT, sections, command, {**facts, "results": found.to_dicts()})
 
 
 def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> Table:
@@ -107,7 +88,7 @@ def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> Table:
     }
     rows["paper, real objects"] = [float(PAPER[name][experiment]) for name in trials.objects]
     cells: list[list[Value]] = [[name, *values, sum(values) / len(values)] for name, values in rows.items()]
-    objects = [title(name) for name in trials.objects]
+    objects = [name.replace("_", " ") for name in trials.objects]
     return Table(["method", *objects, "mean"], cells, decimals=dict.fromkeys(objects, 0))
 
 
@@ -117,8 +98,7 @@ def _endings(nominal: pl.DataFrame) -> Table:
     endings = endings.with_columns(pl.col("metric").str.strip_prefix("ending "))
     counts = endings.group_by("method", "metric", maintain_order=True).agg(pl.col("value").sum().cast(int))
     wide = counts.pivot("metric", index="method", values="value").fill_null(0)
-    good = [name for name in ("registered", "held") if name in wide.columns]
-    names = [*good, *sorted(name for name in wide.columns if name not in ("method", *good))]
+    _, *names = sorted(wide.columns, key=lambda name: (name != "method", name not in GOOD, name))
     return Table(["method", *names], [list(row) for row in wide.select("method", *names).rows()])
 
 
@@ -149,7 +129,7 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     force.plot(t, trace.force, color=MAIN, label="normal force")
     force.axhline(least, color=SECOND, linestyle="--", linewidth=0.9, label="least that holds")
     top = 1.3 * max(float(trace.commanded.max()), least)  # leaves room for the legend
-    force.set(ylabel="N", ylim=(0, top), title=f"{method}: {title(held.name)}, {outcome.ending}")
+    force.set(ylabel="N", ylim=(0, top), title=f"{method}: {held.name.replace('_', ' ')}, {outcome.ending}")
     force.legend(loc="upper left", ncols=3)
     for cell, color in enumerate(CELLS):
         counts.plot(t, trace.counts[:, cell], color=color, linewidth=0.8)
@@ -165,13 +145,8 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     height.legend(loc="upper left")
     events = tap_trial.BLOWS if experiment == "tap" else (lift_trial.LIFT.start,)
     for axis in axes:
-        _shade(axis, trace)
+        for first, end in runs(trace.speed > SLIDING).tolist():
+            axis.axvspan(t[max(first - 1, 0)], t[end - 1], color=SHADE, linewidth=0)
         for event in events:
             axis.axvline(event, color=FAINT, linewidth=0.8)
     return figure
-
-
-def _shade(axis: Axes, trace: Trace) -> None:
-    """Shade the times in which the object slides."""
-    for first, end in runs(trace.speed > SLIDING).tolist():
-        axis.axvspan(trace.t[max(first - 1, 0)], trace.t[end - 1], color=SHADE, linewidth=0)
