@@ -20,17 +20,13 @@ def main() -> None:
             sys.exit(2)
     ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as a script's `slipflow ... &` inherits it
     if not ignored:
-        signal.signal(signal.SIGINT, _end)
+        signal.signal(signal.SIGINT, lambda *_: os._exit(130))
     from flows.cli.main import main as run
 
     if not ignored:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: unfinished output is deleted
     run()
-
-
-def _end(*_: object) -> None:
-    os._exit(130)
 
 
 if __name__ == "__main__":

@@ -52,7 +52,10 @@ def run(
     cluster: Cluster = None,
     pace: Annotated[
         float | None,
-        typer.Option(min=0.01, help="Replay at this multiple of real time (default: full speed)."),
+        typer.Option(
+            min=0.01,
+            help="Speed of a replay, times real time (default: full speed; 1 with --page, --metrics, --for).",
+        ),
     ] = None,
     page: Annotated[
         bool, typer.Option("--page", help="Serve the live page and open it in a browser.")
@@ -88,23 +91,27 @@ def run(
     from flows.graph.quantity import parse_time
     from flows.run.replays import check_outputs, open_recording, recordings
 
-    at_full_speed = {"--jobs": jobs, "--cluster": cluster, "a further recording": more}
-    if replay and pace is None:
-        json_log = log is Format.JSON
-        in_real_time = {"--for": duration, "--page": page, "--listen": listen, "--metrics": metrics}
-        _refuse({**in_real_time, "--log json": json_log}, "a run in real time: add --pace 1")
+    timed = {"--pace": pace, "--for": duration, "--page": page, "--listen": listen, "--metrics": metrics}
+    in_real_time = next((name for name, value in timed.items() if value), "")
+    if replay and not in_real_time:
+        if log is Format.JSON:
+            raise typer.BadParameter("--log json is for a run in real time: add --pace 1")
         begin_log(log)
         paths = [*replay, *(more or ())]
         replay_all(target, parse_settings(settings), paths, jobs=jobs, cluster=cluster, as_json=as_json)
         return
-    _refuse(at_full_speed, "replays at full speed: " + ("omit --pace" if replay else "add --replay PATH"))
-    _refuse({"--pace": pace if not replay else None}, "replays: add --replay PATH")
+    for name, value in {"--jobs": jobs, "--cluster": cluster, "a further recording": more}.items():
+        if value:
+            remedy = f"omit {in_real_time}" if replay else "add --replay PATH"
+            raise typer.BadParameter(f"{name} is for replays at full speed: {remedy}")
+    if pace and not replay:
+        raise typer.BadParameter("--pace is for replays: add --replay PATH")
     limit = None if duration is None else parse_time("run", "--for", duration)  # ns
     begin_log(log)
     flow = load_flow(target, settings)
     paths = recordings(replay or ())
     if len(paths) > 1:
-        raise typer.BadParameter("--pace is for a single recording: name one session of the dataset")
+        raise typer.BadParameter("a replay in real time has one recording: name one session of the dataset")
     check_outputs(flow, paths)
     recording = open_recording(paths[0], note) if paths else None
     if log is Format.JSON:
@@ -116,13 +123,6 @@ def run(
     with redirect_stdout(sys.stderr if as_json and log is Format.TEXT else sys.stdout):
         done = asyncio.run(execute(flow, limit=limit, recording=recording, pace=pace or 1.0))
     report_run(done, log=log, as_json=as_json)
-
-
-def _refuse(options: Mapping[str, object], purpose: str) -> None:
-    """Raise an error that names the first option with a value, and what it is for."""
-    for name, value in options.items():
-        if value:
-            raise typer.BadParameter(f"{name} is for {purpose}")
 
 
 async def execute(

@@ -8,8 +8,8 @@ import polars as pl
 
 from connectors.sim.objects import OBJECTS
 from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments import lift_trial, tap_trial
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Method, Trials
+from flows.lab.experiments.tap_and_lift import BLOWS, LIFT
 from flows.lab.experiments.trial import BASELINE, Conditions, Trial
 from flows.learn.event_metrics import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid
@@ -143,7 +143,7 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     height.plot(t, 1000 * trace.height, color=MAIN, label="object")
     height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
     height.legend(loc="upper left")
-    events = tap_trial.BLOWS if experiment == "tap" else (lift_trial.LIFT.start,)
+    events = BLOWS if experiment == "tap" else (LIFT.start,)
     for axis in axes:
         for first, end in runs(trace.speed > SLIDING).tolist():
             axis.axvspan(t[max(first - 1, 0)], t[end - 1], color=SHADE, linewidth=0)

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from connectors.sim.objects import OBJECTS
-from flows.lab.experiments.lift_trial import lift
-from flows.lab.experiments.tap_trial import tap
+from flows.lab.experiments.tap_and_lift import lift, tap
 from flows.lab.experiments.trial import Conditions, Outcome, Trace, Trial
 from flows.run.executor import map_tasks
 from operators import Debounce, Grip, GripController, StepGrip

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.objects import OBJECTS
-from flows.lab.experiments.lift_trial import LIFT, judge_lift, lift
+from flows.lab.experiments.tap_and_lift import LIFT, judge_lift, lift
 from flows.lab.experiments.trial import BASELINE, Conditions, NullDetector, Outcome, Trace, Trial
 from operators import Grip
 from operators.batch import Reals

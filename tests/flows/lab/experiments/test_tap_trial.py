@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.objects import OBJECTS
-from flows.lab.experiments.tap_trial import BLOWS, END, judge_tap, tap, tap_trace
+from flows.lab.experiments.tap_and_lift import BLOWS, TAP_END, judge_tap, tap
 from flows.lab.experiments.trial import MOVED, STILL, Conditions, NullDetector, Trace, Trial
 from operators import Grip
 from operators.batch import Reals
@@ -16,6 +16,11 @@ During: TypeAlias = Callable[..., Reals]
 
 RULE = Grip(settle=0)
 SOFT, FIRST, SECOND = BLOWS
+
+
+def simulated(trial: Trial) -> Trace:
+    [(trace, _)] = tap(trial, [(NullDetector(), RULE)])
+    return trace
 
 
 @pytest.fixture
@@ -75,7 +80,7 @@ def test_a_slide_between_still_and_moved_may_be_registered_or_not(hit: Callable[
 
 
 def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trace], during: During) -> None:
-    trace = replace(hit(*GOOD), dropped=during((5.5, END)) > 0)
+    trace = replace(hit(*GOOD), dropped=during((5.5, TAP_END)) > 0)
     assert judge_tap(trace, RULE).ending == "dropped"
 
 
@@ -83,9 +88,9 @@ def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trac
 def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_nothing(
     name: str, seed: int
 ) -> None:
-    trace = tap_trace(Trial.draw(OBJECTS[name], seed, Conditions()))
+    trace = simulated(Trial.draw(OBJECTS[name], seed, Conditions()))
     soft, *moved = (
-        trace.travel(trace.between(*span)) for span in ((SOFT, FIRST), (FIRST, SECOND), (SECOND, END))
+        trace.travel(trace.between(*span)) for span in ((SOFT, FIRST), (FIRST, SECOND), (SECOND, TAP_END))
     )
     assert trace.travel(trace.between(1.5, SOFT)) < MOVED / 2
     assert soft < 2 * STILL
@@ -97,6 +102,6 @@ def test_methods_share_one_simulation_and_draws_depend_on_the_seed_only() -> Non
     trial = Trial.draw(OBJECTS["ball"], 3, Conditions())
     (first, outcome), (second, _) = tap(trial, [(NullDetector(), Grip()), (NullDetector(), RULE)])
     assert first.counts is second.counts
-    assert (first.counts == tap_trace(trial).counts).all()
+    assert (first.counts == simulated(trial).counts).all()
     assert outcome.ending == "missed"
     assert np.isnan(outcome.metrics["lead"])

@@ -1,11 +1,16 @@
-"""The paper's mallet tap: an object is gripped firmly, lifted, and hit on top and on the side.
+"""The paper's experiments: the mallet tap and the object lift.
 
-Both blows are drawn once, whatever they do. Each blow that moves the object must be registered as slip, and
-static after it. A softer blow, the lift and the hold move nothing: a slip registered there fails the trial.
+Tap: an object is gripped firmly, lifted, and hit on top and on the side. Both blows are drawn once, whatever
+they do. Each blow that moves the object must be registered as slip, and static after it. A softer blow, the
+lift and the hold move nothing: a slip registered there fails the trial.
+
+Lift: an object is gripped too weakly and lifted; more force must catch it. The same grasp is also lifted
+firmly. A slip registered there, or before anything slides, fails the trial.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
 
@@ -13,13 +18,15 @@ import numpy as np
 
 from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import PASSIVE_FRICTION, Tap, grip_model, surface
+from connectors.sim.scene import Travel
 from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial
+from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial, run_trial
+from operators.batch import Reals, s
 from operators.detectors import Detector
 from operators.grip import GripController
 
 BLOWS: Final = (HELD, 5.0, 6.0)  # s: a soft blow, then one on top and one on the side in either order
-END: Final = 7.0  # s
+TAP_END: Final = 7.0  # s
 SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at; assumed
 PROMPT: Final = 0.2  # s from the blow; the slip must be registered within this time
 RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
@@ -27,6 +34,14 @@ SECONDS: Final = 0.01  # s, duration of a blow
 KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative to static friction; assumed
 SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
 FINGERS: Final = 3  # springs that hold the object
+
+LIFT: Final = Travel(2.5)  # 50 mm at 50 mm/s, assumed; the gripper closes at 1 s
+LIFT_END: Final = 6.0  # s; the arm stopped 2.3 s before
+WEAK: Final = (0.4, 0.8)  # range of the initial force, relative to the least expected to hold; assumed
+ROOM: Final = 0.02  # m; a held object hangs at most this much lower than it was gripped
+RESTS: Final = 0.0005  # m; a held object slides at most this far in the last half second
+LATE: Final = 0.5  # s from the first sliding; a slip registered later counts as missed
+EARLY: Final = 0.02  # s; a slip may be registered this long before the sliding it belongs to
 
 
 class _Blow(NamedTuple):
@@ -37,14 +52,9 @@ class _Blow(NamedTuple):
 
 def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
     """Run one tap trial; the grip force is constant, so a rule only sets how slips register."""
-    trace = tap_trace(trial)
+    trace = trial.hold(_draw_blows(trial), TAP_END)
     traces = [(trace.scored(detector), rule) for detector, rule in methods]
     return [(scored, judge_tap(scored, rule)) for scored, rule in traces]
-
-
-def tap_trace(trial: Trial) -> Trace:
-    """Simulate a tap trial without a detector."""
-    return trial.hold(_draw_blows(trial), END)
 
 
 def _draw_blows(trial: Trial) -> list[Tap]:
@@ -77,7 +87,7 @@ def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float
 
 def judge_tap(trace: Trace, rule: GripController) -> Outcome:
     """Return the outcome of a tap trial."""
-    blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, END))]
+    blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, TAP_END))]
     moved = [blow for blow in blows if blow.slide >= MOVED]
     soft = [blow for blow in blows if blow.slide < STILL]
     false_firm = trace.false_slip(rule)
@@ -113,3 +123,67 @@ def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) ->
     if slide >= MOVED and onsets[0] > start + PROMPT:
         return _Blow("too late", slide, lead)
     return _Blow("not back to static" if trace.registered(rule)[rest].any() else "registered", slide, lead)
+
+
+def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
+    """Run one lift trial.
+
+    A delayed gripper closes later, so a rule also waits longer: scores before contact must not count.
+    """
+    firm, found = trial.hold((), HELD), list[tuple[Trace, Outcome]]()
+    delay = round(trial.conditions.delay * s)
+    weak = trial.expected_force * float(np.random.default_rng([trial.seed, 8]).uniform(*WEAK))  # N
+    for detector, usual in methods:
+        rule = replace(usual, force=weak, settle=usual.settle + delay)
+        false_firm = firm.scored(detector).false_slip(rule)
+        trace = run_trial(trial.grasp(LIFT), detector, rule, trial.conditions, LIFT_END)
+        found.append((trace, judge_lift(trace, rule, trial.least_force, false_firm=false_firm)))
+    return found
+
+
+def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: bool = False) -> Outcome:
+    """Return the outcome of a lift; its forces are relative to `least`, which just holds the object (N).
+
+    Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
+    ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
+    enough at some time; ``given up``, released by the controller; ``not lifted``, hangs too low, still slides
+    or stands on the table; else ``too late``.
+    """
+    lifting = trace.between(LIFT.start, LIFT_END + 1)
+    slides = trace.t[lifting][trace.speed[lifting] > SLIDING]
+    began = float(slides[0]) if len(slides) else math.inf
+    onsets = trace.onsets(rule)
+    answers = onsets[onsets >= began - EARLY]
+    delay = float(answers[0]) - began if len(answers) else math.nan
+    slide: Reals = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])  # (m,) mm
+    ending = _lift_ending(trace, rule, least, delay)
+    if false_firm or len(answers) < len(onsets):
+        ending = "false slip"
+    force = trace.force[trace.between(LIFT_END - 1, LIFT_END + 1)]
+    metrics = {
+        "false_firm": false_firm,  # a slip was registered in the firm lift
+        "slide": float(slide.max()),  # mm
+        "lead": -1000 * delay,  # ms from the first registered slip to the first sliding
+        "force": float(force.mean()) / least if _held(trace) else math.nan,  # mean of the last second
+        "peak": float(trace.force.max()) / least,
+    }
+    return Outcome(ending, ending == "held", metrics)
+
+
+def _lift_ending(trace: Trace, rule: GripController, least: float, delay: float) -> str:
+    if _held(trace):
+        return "held"
+    if trace.commanded[-1] <= rule.min_force:
+        return "given up"
+    if math.isnan(delay) or delay > LATE:
+        return "missed"
+    if not trace.dropped[-1]:
+        return "not lifted"
+    return "dropped after catch" if trace.force[~trace.dropped].max() >= least else "too late"
+
+
+def _held(trace: Trace) -> bool:
+    """Return whether the object hangs in the gripper at the end, and no longer slides."""
+    low = float(trace.gripper_height[-1] - trace.height[-1])
+    lifted = not trace.dropped[-1] and not trace.on_table[-1] and low < ROOM
+    return lifted and bool(np.ptp(trace.slide[trace.between(LIFT_END - 0.5, LIFT_END + 1)]) < RESTS)
