@@ -4,6 +4,7 @@ import asyncio
 import logging
 import os
 from collections.abc import AsyncIterator, Callable
+from contextlib import AsyncExitStack
 from pathlib import Path
 from secrets import token_hex
 from types import TracebackType
@@ -77,7 +78,6 @@ class Consumer(AsyncIterator[Event]):
         self._with_replays = rig != "+"
         self._position_file = Path(position_file) if position_file else None
         self._position = Position(everything=self._everything)
-        self._lock: int | None = None  # descriptor
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._pauses = Pauses()
@@ -95,14 +95,13 @@ class Consumer(AsyncIterator[Event]):
                 be read or written or is in use.
             InputError: if the file is not a position file, or a file with credentials cannot be read.
         """
-        try:
+        async with AsyncExitStack() as ends:
             if path := self._position_file:
-                self._lock = lock_position(path)  # not in a thread: a cancelled wait would leave it locked
+                ends.callback(os.close, lock_position(path))
                 self._position = await asyncio.to_thread(load, path, everything=self._everything)
             self._link = await self._connect()
-        except BaseException:
-            self._unlock()
-            raise
+            ends.push_async_callback(self._disconnect)
+            self._ends = ends.pop_all()
         return self
 
     async def __aexit__(
@@ -118,8 +117,7 @@ class Consumer(AsyncIterator[Event]):
             if self._saving:
                 await self._saving.end(None)
         finally:
-            self._unlock()
-            await self._disconnect()
+            await self._ends.aclose()
         if self._saving:
             self._saving.check()
 
@@ -247,11 +245,6 @@ class Consumer(AsyncIterator[Event]):
         if self._link:
             await self._link.disconnect()
         self._link = None
-
-    def _unlock(self) -> None:
-        if self._lock is not None:
-            os.close(self._lock)
-        self._lock = None
 
     def _save_position(self) -> None:
         """Start saving the position, if it has changed and is not being saved.

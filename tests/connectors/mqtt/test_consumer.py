@@ -133,15 +133,6 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
     assert f"ignoring malformed message: {UR10}/3/event: is 100000 bytes long; the limit is 65536" in reports
 
 
-async def test_since_start_delivers_all_kept_events(broker: TestBroker, run: Run) -> None:
-    async with publishing(broker, run) as sink:
-        for _ in range(4):
-            await sink.write(slips(*[1, 0] * 50))
-        await until(lambda: not inside(sink, "_outbox").waiting)
-        async with Consumer(broker.url, since="start") as events:
-            assert await take(events, 400) == list(range(1, 401))
-
-
 async def test_events_that_are_no_longer_kept_are_reported_as_lost(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -181,24 +172,6 @@ async def test_a_lost_outbox_is_reported_and_the_new_one_followed(
     assert reports == [f"lab/ur10: event 3 of epoch {epoch} is lost: no longer kept"]
 
 
-async def test_a_lost_broker_is_reported_and_missed_events_are_fetched(broker: TestBroker, run: Run) -> None:
-    reports = list[str]()
-    async with publishing(broker, run) as sink, Consumer(broker.url, report=reports.append) as events:
-        await following(events)
-        await sink.write(slips(1))
-        assert await take(events, 1) == [1]
-        coming = asyncio.create_task(take(events, 3))
-        broker.stop()
-        await until(lambda: len(reports) > 1)
-        await sink.write(slips(0, 1))
-        await asyncio.to_thread(broker.start)
-        await until(lambda: reports[-1].endswith("connected again"))
-        await sink.write(slips(0))
-        assert sorted(await coming) == [2, 3, 4]
-    assert "connection lost" in reports[0]
-    assert all(report.endswith("reconnecting") for report in reports[:-1])
-
-
 async def test_dropped_messages_are_reported_and_their_events_fetched(
     broker: TestBroker, run: Run, links: list[Link], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,18 +185,6 @@ async def test_dropped_messages_are_reported_and_their_events_fetched(
             assert sorted(await take(events, 40)) == list(range(1, 41))
     assert reports
     assert all("the consumer is behind: " in report for report in reports)
-
-
-async def test_an_event_in_progress_is_delivered_again(broker: TestBroker, tmp_path: Path) -> None:
-    for expected in ([1, 2], [2, 3], [3, 4]):
-        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
-            if expected[0] == 1:
-                publish(broker, 1)
-            else:  # the broker brings it again, as the rig would on request
-                publish(broker, expected[0] - 1)
-                publish(broker, expected[0])
-            publish(broker, expected[1])
-            assert await take(events, 2) == expected
 
 
 async def test_an_unwritable_position_file_is_reported_and_events_continue(
@@ -266,17 +227,6 @@ async def test_a_check_asks_at_most_100_rigs_and_the_next_one_asks_others() -> N
         vars(Consumer)["_check"](events, SimpleNamespace(post=posted.append))
         assert len({message.topic for message in posted}) == len(posted) == min(100 * checks, 301)
     assert f"{UR10}/replay/request" in {message.topic for message in posted}
-
-
-async def test_cancelling_a_wait_loses_no_event(broker: TestBroker) -> None:
-    async with Consumer(broker.url) as events:
-        for seq in range(1, 6):
-            waiting = asyncio.create_task(anext(events))
-            await asyncio.sleep(0)
-            waiting.cancel()
-            await asyncio.wait([waiting])
-            await asyncio.to_thread(publish, broker, seq)
-            assert await take(events, 1) == [seq]
 
 
 @pytest.mark.parametrize(

@@ -156,29 +156,6 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
     assert found[f"{RIG}/health"]["outbox"] == {"error": None, "waiting": 0, "refused": []}
 
 
-async def test_the_next_run_sends_unsent_events_and_begins_an_epoch(
-    broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
-) -> None:
-    sink = Mqtt(broker.url, rig="rig")
-    async with opened(sink, run):
-        await sink.write(slips(1))
-        await sent(sink)
-        broker.stop()
-        await sink.write(slips(0, 1))
-    assert (
-        f"2 unsent events remain in {inside(sink, '_outbox').path}; the next run sends them"
-        in caplog.messages[-1]
-    )
-    broker.start()
-    listener = broker.listen(f"{RIG}/+/event", f"{RIG}/0/state")
-    async with opened(sink, Run("run2", "live", run.clock, 0)):
-        await sink.write(slips(0))
-        await sent(sink)
-    found = [event(listener) for _ in range(3)]
-    assert [(each.seq, each.session) for each in found] == [(2, "run1"), (3, "run1"), (1, "run2")]
-    assert len({each.epoch for each in found}) == 2
-
-
 async def test_health_is_published_periodically(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -197,32 +174,6 @@ async def test_health_is_published_periodically(
         assert reports[-1]["degraded"] == {"0": [{"barometer": 3, "kind": "stuck"}]}
         clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
         assert reports[-1]["clock"] == clock
-
-
-async def test_an_idle_connection_is_restored_and_its_loss_logged_once(
-    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.01)
-    connect, failures = Link.connect, asyncio.Semaphore(0)
-
-    async def counted(self: Link) -> None:
-        try:
-            await connect(self)
-        except EndpointError:
-            failures.release()
-            raise
-
-    monkeypatch.setattr(Link, "connect", counted)
-    async with opened(Mqtt(broker.url, rig="rig"), run):
-        broker.stop()
-        for _ in range(3):
-            await failures.acquire()
-        await asyncio.to_thread(broker.start)
-        listener = await asyncio.to_thread(broker.listen, f"{RIG}/status")
-        assert read(await asyncio.to_thread(listener.next))["state"] == "online"
-    assert len(caplog.messages) == 2
-    assert caplog.messages[0].startswith(f"{broker.url}: connection lost")
-    assert caplog.messages[1] == f"{broker.url}: connected again, 0 events pending"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

@@ -245,20 +245,6 @@ async def test_damage_in_use_costs_one_event_and_at_the_start_the_rest_of_its_se
     ]
 
 
-async def test_a_cancelled_append_stores_all_events_or_none(tmp_path: Path) -> None:
-    async with opened(tmp_path / "outbox") as box:
-        for turns in range(6):
-            writing = asyncio.create_task(box.append([DRAFT, DRAFT]))
-            for _ in range(turns):
-                await asyncio.sleep(0)
-            writing.cancel()
-            await asyncio.wait([writing])
-        await box.append([DRAFT])
-        numbers = [int(each.rpartition("-")[2]) for each in await send(box)]
-        assert numbers == list(range(1, len(numbers) + 1))
-        assert len(numbers) % 2
-
-
 async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
     async def refusal(path: Path) -> str:
         with pytest.raises((EndpointError, InputError)) as caught:

@@ -218,20 +218,6 @@ async def test_events_wait_for_a_refused_event_but_not_for_a_refused_document(
     ]
 
 
-async def test_a_refused_request_topic_is_logged_once_and_events_are_sent(
-    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
-) -> None:
-    peer.refused.add(f"{RIG}/replay/request")
-    async with opened(tmp_path) as (sending, outbox):
-        await sending.start("me", WILL, ONLINE)
-        for _ in range(2):
-            await outbox.append([DRAFT])
-            await until(lambda: not outbox.waiting)
-            peer.connections[-1].lose()
-            await until(lambda: peer.connections[-1].alive)
-    assert sum("consumers cannot request missed events" in message for message in caplog.messages) == 1
-
-
 async def test_events_and_replies_get_a_share_of_each_turn(
     tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
