@@ -113,7 +113,7 @@ class SimulatedArm:
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        await self.stop()
+        self._halt()
 
     @property
     def state(self) -> ArmState:
@@ -177,10 +177,6 @@ class SimulatedArm:
             self.fault = reason
             log.error("%s is stopped: %s", NAME, reason)
             self._halt()
-
-    async def stop(self) -> None:
-        """Stop the arm."""
-        self._halt()
 
     async def _touch(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield a sample of each fingertip every 10 ms; a late one shows the instant at which it was due."""

@@ -89,23 +89,6 @@ class Scan(NamedTuple):
         return cls(time, counts, temperature, np.zeros((fingertips, BAROMETERS), np.bool_), error)
 
 
-def open_bus(path: str) -> SMBus:
-    """Open a bus and lock it against other programs that scan it.
-
-    Raises:
-        OSError: if the bus does not exist, cannot be accessed or is locked.
-    """
-    bus = SMBus()
-    try:
-        bus.open(path)
-        assert bus.fd is not None
-        fcntl.flock(bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BaseException:
-        bus.close()
-        raise
-    return bus
-
-
 def i2c_reason(error: OSError) -> str:
     """Return the reason of a bus error, with its likely cause or remedy."""
     text = _REASONS.get(error.errno or 0) or error.strerror or str(error)
@@ -129,8 +112,11 @@ class Scanner:
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
         self._rows, self._now = schedule.rows, now
         self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in self._rows]
-        self._bus = open_bus(schedule.path)
+        self._bus = SMBus()
         try:
+            self._bus.open(schedule.path)
+            assert self._bus.fd is not None
+            fcntl.flock(self._bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect_all()
             for row, known in zip(self._rows, schedule.coefficients, strict=True):

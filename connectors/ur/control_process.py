@@ -224,10 +224,8 @@ class ControlClient:
         process = context.Process(
             target=serve, args=(theirs, self._host, self._watchdog), name=f"arm {self._host}", daemon=True
         )
-        with theirs, ExitStack() as failing:
-            failing.enter_context(ours)  # closed if the process cannot be started
+        with theirs:
             process.start()
-            failing.pop_all()
         self._pipe, self.process = ours, process
         loop = asyncio.get_running_loop()
         self._replied = loop.time() + START_TIMEOUT

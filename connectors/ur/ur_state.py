@@ -60,11 +60,9 @@ class ArmState(NamedTuple):
             return reason
         return "" if self.robot_mode == RUNNING else f"the arm is not running (robot mode {self.robot_mode})"
 
-    def stands_at(self, pose: tuple[float, ...]) -> bool:
-        """Return True if the arm stands still at a pose (6,)."""
-        turn = hypot(
-            *rotation_difference((self.pose[3], self.pose[4], self.pose[5]), (pose[3], pose[4], pose[5]))
-        )
+    def stands_at(self, pose: Pose) -> bool:
+        """Return True if the arm stands still at a pose."""
+        turn = hypot(*rotation_difference(self.pose[3:], pose[3:]))
         near = dist(self.pose[:3], pose[:3]) < POSITION_TOLERANCE and turn < ROTATION_TOLERANCE
         return self.still and near
 
@@ -81,8 +79,8 @@ class Bounds:
     'at z 1.1000 m it is outside its workspace'
     """
 
-    low: tuple[float, float, float]  # m, base frame
-    high: tuple[float, float, float]  # m
+    low: Point  # m, base frame
+    high: Point  # m
     force: float = inf  # N
 
     def __post_init__(self) -> None:
@@ -108,10 +106,10 @@ def offset_pose(pose: Pose, offset: Point = (0.0, 0.0, 0.0), yaw: float = 0.0) -
     >>> [round(each, 6) for each in offset_pose((0.4, 0, 0.1, 3.141592653589793, 0, 0), (0, 0.01, -0.02))[:3]]
     [0.4, -0.01, 0.12]
     """
-    by = quaternion((pose[3], pose[4], pose[5]))
+    by = quaternion(pose[3:])
     x, y, z = rotate(offset, by)
     a, b, c = rotate((0.0, 0.0, yaw), by)
-    u, v, w = compose((pose[3], pose[4], pose[5]), by=(a, b, c)) if yaw else pose[3:]
+    u, v, w = compose(pose[3:], by=(a, b, c)) if yaw else pose[3:]
     return pose[0] + x, pose[1] + y, pose[2] + z, u, v, w
 
 
