@@ -45,8 +45,8 @@ class Fault(Document, frozen=True):
 class Model(Document, frozen=True):
     """Detector of an event."""
 
-    id: str
-    sha256: str | None = None  # of its weights; None: unknown
+    id: Annotated[str, Meta(min_length=1)]
+    sha256: Annotated[str, Meta(pattern="^[0-9a-f]{64}$")] | None = None  # of its weights; None: unknown
 
 
 class Event(Document, frozen=True, kw_only=True):

@@ -76,7 +76,8 @@ class Link:
     ) -> None:
         """Prepare to connect as client `identifier`, whose session the broker resumes.
 
-        The link sets `changed` when a message arrives or the connection is lost.
+        The broker retains `will` if the client disappears. The link sets `changed` when a message arrives or
+        the connection is lost.
 
         Raises:
             InputError: if the file with the password or the certificate authorities cannot be read.
@@ -323,14 +324,7 @@ def _refusal(code: ReasonCode) -> str:
 async def connect(
     broker: Broker, identifier: str, will: Message | None = None, changed: asyncio.Event | None = None
 ) -> Link:
-    """Connect once; `will` is the message that the broker retains if the client disappears.
-
-    The link sets `changed` when a message arrives or the connection is lost.
-
-    Raises:
-        EndpointError: if the broker is unreachable, does not respond or refuses the client.
-        InputError: if the file with the password or the certificate authorities cannot be read.
-    """
+    """Return a new connection, as `Link` and `Link.connect` make it."""
     link = Link(broker, identifier, will, changed)
     await link.connect()
     return link

@@ -2,10 +2,11 @@
 
 import asyncio
 import logging
-import re
 from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+
+import msgspec
 
 from connectors.events import Event, Fault, Model, encode, faults, finger_name, slips, timestamp
 from connectors.health_report import HealthReports, clock_report
@@ -66,12 +67,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def __post_init__(self) -> None:
         self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
         self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
-        name = self.model.get("id", "unknown")
-        valid = name and name.isprintable() and not set(self.model) - {"id", "sha256"}
-        if not valid or not re.fullmatch("[0-9a-f]{64}", self.model.get("sha256", "0" * 64)):
+        try:
+            self._model = msgspec.convert({"id": "unknown", **self.model}, Model)
+        except msgspec.ValidationError:
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
-            raise ParameterError("Mqtt", "model", dict(self.model), must_be)
-        self._model = Model(name, self.model.get("sha256"))
+            raise ParameterError("Mqtt", "model", dict(self.model), must_be) from None
         if self.threshold is not None:
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
         if self.consecutive is not None:

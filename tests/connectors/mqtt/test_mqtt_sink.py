@@ -258,7 +258,6 @@ def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None
         ("model", {"sha256": "0f"}),
         ("model", {"sha256": "G" * 64}),
         ("model", {"id": "a\nb"}),
-        ("model", {"id": "tcn", "version": "1"}),
         ("threshold", 1.5),
         ("threshold", float("nan")),
         ("consecutive", 0),
