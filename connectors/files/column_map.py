@@ -74,8 +74,6 @@ class ColumnMap:
         labels: Values of the label column that mean ``slip``, ``static`` or ``unknown``. If only those for
             slip are given, all others are static.
         labelled: Label of all rows, of a file without a column of labels.
-        slip_speed: Speed of the arm above which a row is slip, m/s, of a file without labels.
-        delay: Lag of the arm's motion for these labels, s.
         resolution: Units per stored count.
         offset: Counts that were subtracted from each cell, so that 16 bits suffice.
         layout: Rows of cell numbers, the top row first, as of a `Fingertip`.
@@ -83,7 +81,6 @@ class ColumnMap:
         rate: Rows per second, Hz: of a file without times, which begin at 0; otherwise the expected rate.
         zeroed: Readings are relative to the unloaded fingertip.
         missing: Readings that mean that there is none, such as -999.
-        finger: Number of the fingertip of ``counts``.
         separator: ``comma``, ``semicolon``, ``tab``, ``pipe`` or ``space``, of a CSV file.
         decimal: Sign of decimals, ``point`` or ``comma``.
         dates: Order in dates: ``ymd``, ``dmy`` or ``mdy``.
@@ -96,8 +93,6 @@ class ColumnMap:
     units: Mapping[str, str] = field(default_factory=dict[str, str])
     labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
     labelled: str | None = None
-    slip_speed: float = 0.003
-    delay: float = 0.0
     resolution: float | None = None
     offset: tuple[int, ...] | None = None
     layout: Layout | None = None
@@ -105,7 +100,6 @@ class ColumnMap:
     rate: float | None = None
     zeroed: bool | None = None
     missing: tuple[float, ...] | None = None
-    finger: int = 0
     separator: str | None = None
     decimal: str | None = None
     dates: str | None = None
@@ -113,9 +107,8 @@ class ColumnMap:
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
             _check_size(name, columns)
-        if self.columns.get(COUNTS) and f"{COUNTS}.{self.finger}" in self.columns:
-            given = ",".join(self.columns[COUNTS])
-            raise ParameterError(_OWNER, COUNTS, given, f"omitted, since {COUNTS}.{self.finger} is given")
+        if self.columns.get(COUNTS) and f"{COUNTS}.0" in self.columns:
+            raise ParameterError(_OWNER, COUNTS, ",".join(self.columns[COUNTS]), "omitted beside counts.0")
         for name, unit in self.units.items():
             check_choice(_OWNER, "quantity with a unit", name, UNITS)
             if name != COUNTS or not unit or unit.casefold() in {each.casefold() for each in UNITS[COUNTS]}:
@@ -129,8 +122,6 @@ class ColumnMap:
         self._check_values()
 
     def _check_values(self) -> None:
-        check_between(_OWNER, "slip_speed", self.slip_speed, 0, 1, unit="m/s")
-        check_between(_OWNER, "delay", self.delay, -1, 1, unit="s")
         for name in ("resolution", "rate"):
             if (value := getattr(self, name)) is not None:
                 check_above(_OWNER, name, value, 0)
@@ -216,9 +207,8 @@ class ColumnMap:
     @property
     def cells(self) -> dict[int, tuple[str, ...]]:
         """Columns of the cells by fingertip."""
-        found = {self.finger: self.columns.get(COUNTS, ())}
-        found |= {int(key[7:]): names for key, names in self.columns.items() if key.startswith(f"{COUNTS}.")}
-        return {finger: names for finger, names in found.items() if names} or {self.finger: ()}
+        keys = (key for key, names in self.columns.items() if names and key.partition(".")[0] == COUNTS)
+        return {int(key[7:] or 0): self.columns[key] for key in keys} or {0: ()}
 
     @property
     def cell_names(self) -> list[str]:
@@ -239,10 +229,6 @@ class ColumnMap:
     def decimal_sign(self) -> str:
         """Sign of decimals in texts."""
         return "," if self.decimal == "comma" else "."
-
-    def scale(self, name: str) -> float:
-        """Return the factor from the file's unit to ns or m/s."""
-        return UNITS[name][self.units[name]]
 
     @property
     def unit(self) -> str:
@@ -352,8 +338,6 @@ _CHOICES: Final[Mapping[str, Sequence[str]]] = {
     "dates": ("ymd", "dmy", "mdy"),
 }
 _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser and what the text must be
-    "slip_speed": (float, "a number, in m/s"),
-    "delay": (float, "a number, in s"),
     "resolution": (float, "a number"),
     "offset": (_numbers(int), "a whole number for each cell"),
     "layout": (
@@ -364,7 +348,6 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser an
     "rate": (float, "a number"),
     "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),
     "missing": (_numbers(float), "numbers such as -999"),
-    "finger": (int, "a whole number"),
     **dict.fromkeys(_CHOICES, (str, "")),
 }
 

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import polars as pl
 
-from connectors.files.column_map import LABEL, LABELS, MOTIONS, ColumnMap
+from connectors.files.column_map import LABEL, LABELS, MOTIONS, UNITS, ColumnMap
 from connectors.files.number_format import MISSING, with_decimal
 from connectors.files.raw_table import RawTable
 from connectors.files.readings import described, readings_of, reals_of
@@ -115,7 +115,7 @@ def _velocity(table: RawTable, columns: ColumnMap) -> Reals:
     for key in MOTIONS:
         if names := columns.columns.get(key):
             given = np.column_stack([reals_of(table, name, columns) for name in names])
-            given[:, :3] *= columns.scale(key)
+            given[:, :3] *= UNITS[key][columns.units[key]]
             return np.pad(given, ((0, 0), (0, 6 - len(names))))
     return np.full((len(table), 6), np.nan)
 

@@ -30,6 +30,7 @@ from storage.layout import SESSION, SESSIONS, may_exist, session_folder, session
 
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _DEFAULT: Final = ColumnMap()
+_LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
 
 
 @dataclass
@@ -73,12 +74,6 @@ class TraceImport:
     state: str = "checked"
 
     @property
-    def label(self) -> Label:
-        """Labels by the arm's speed."""
-        columns = self.trace.part.columns
-        return Label(speed=columns.slip_speed, delay=round(columns.delay * s))
-
-    @property
     def label_source(self) -> str:
         """Origin of the labels; empty if there are neither labels nor motion."""
         columns = self.trace.part.columns
@@ -86,8 +81,7 @@ class TraceImport:
             return "the file" if LABEL in columns.columns else "the map"
         if not len(self.trace.part.motion):
             return ""
-        delay = f", {self.label.delay / ms:g} ms after the sample" if self.label.delay else ""
-        return f"arm speed, slip above {1000 * self.label.speed:g} mm/s{delay}"
+        return f"arm speed, slip above {1000 * _LABEL.speed:g} mm/s"
 
     def flow(self, out: Path) -> Flow:
         """Return the flow that writes the dataset `out`."""
@@ -98,7 +92,7 @@ class TraceImport:
         if len(part.motion):
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
-            samples = (touch | Zero()) & motion | Align(within=20 * ms) | self.label
+            samples = (touch | Zero()) & motion | Align(within=20 * ms) | replace(_LABEL)
             (samples if self.label_source.startswith("arm") else samples | attach).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
@@ -177,8 +171,8 @@ class TraceImport:
         if (part.resolution, unit) != (1, "counts"):
             lines.append(f"  stored in steps of {part.resolution:g} {found['unit']}")
         if len(speeds := speeds_of(part.motion)):  # (n,) m/s
-            moving = f"{np.sum(speeds > self.label.speed)} of {len(speeds)} rows"
-            moving += f", above {self.label.speed:g} m/s, at up to {speeds.max():.3g} m/s"
+            moving = f"{np.sum(speeds > _LABEL.speed)} of {len(speeds)} rows"
+            moving += f", above {_LABEL.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")
         if self.label_source and not self.label_source.startswith("arm"):
             labels = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)

@@ -12,7 +12,7 @@ from operators.errors import InputError, ParameterError
 
 TEXT = (
     "time=my t, counts=a,b,c3..c1,d,label=,speed = v,units.time=ms,units.speed=mm/s,labels.slip=1,2,"
-    "layout=5,4,3/0,1,2,range=1023:0,rate=100,zeroed=true,finger=2,resolution=0.5"
+    "layout=5,4,3/0,1,2,range=1023:0,rate=100,zeroed=true,resolution=0.5"
 )
 FILE = """
 time = "my t"
@@ -23,7 +23,6 @@ layout = "5,4,3/0,1,2"
 range = "1023:0"
 rate = 100
 zeroed = true
-finger = 2
 resolution = 0.5
 units = { time = "ms", speed = "mm/s" }
 labels = { slip = [1, "2"] }
@@ -43,9 +42,7 @@ def test_a_text_and_a_file_have_the_same_keys(tmp_path: Path) -> None:
         range=(1023, 0),
         rate=100,
         zeroed=True,
-        finger=2,
     )
-    assert (found.scale("time"), found.scale("speed")) == (1e6, 0.001)
 
 
 @pytest.mark.parametrize(
@@ -91,8 +88,8 @@ def test_an_invalid_file_is_named(tmp_path: Path, content: bytes, complaint: str
         ("range=0:nan:1", "range is '0:nan:1', must be LOW:HIGH"),
         ("range=0:nan", "range is '0:nan', must be LOW:HIGH"),
         ("rate=0", "rate is 0.0, must be above 0"),
-        ("finger=-1", "finger is -1, must be from 0 to 32767"),
-        ("finger=1.5", "finger is '1.5', must be a whole number"),
+        ("counts.99999=a", "finger is 99999, must be from 0 to 32767"),
+        ("counts=a,counts.0=b", "counts is 'a', must be omitted beside counts.0"),
         ("zeroed=yes", "zeroed is 'yes', must be true or false"),
     ],
 )

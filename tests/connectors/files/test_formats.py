@@ -227,10 +227,10 @@ def test_ordered_times_are_not_changed(steps: list[int]) -> None:
     ("columns", "stated"),
     [
         ({"t": [*range(60)]}, "layout=1x2,range=0:4000"),
-        ({"t": ["14:29"] * 60}, "finger=3"),
+        ({"t": ["14:29"] * 60}, "labelled=slip"),
         ({"t": [f"03/04/2025 10:00:{k / 10:04.1f}" for k in range(60)]}, "missing=-7,-8"),
         ({"clock": [k / 100 for k in range(60)]}, "units.time=s"),
-        ({"t": [k / 100 for k in range(60)], "label": ["north", "none", "west"] * 20}, "delay=0.1"),
+        ({"t": [k / 100 for k in range(60)], "label": ["north", "none", "west"] * 20}, "resolution=0.5"),
         ({"p": ["x"] * 60}, "zeroed=true"),
     ],
 )

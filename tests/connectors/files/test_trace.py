@@ -74,7 +74,7 @@ def test_columns_have_their_usual_names(write: Write, header: str) -> None:
 def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
     names = [f"cell {i}" for i in range(6)]
     path = write(",".join(["truth", *reversed(names), "stamp_ns"]), "1,6,5,4,3,2,1,1700000000123456789")
-    columns = ColumnMap({"time": ("stamp_ns",), "counts": tuple(names), "label": ("truth",)}, finger=3)
+    columns = ColumnMap({"time": ("stamp_ns",), "counts.3": tuple(names), "label": ("truth",)})
     trace = Trace(path, columns)
     assert trace.touch.time.tolist() == [1700000000123456789]
     assert trace.touch.counts.tolist() == [[1, 2, 3, 4, 5, 6]]

@@ -23,9 +23,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     assert "labels of the file: 150 slip, 150 static" in checked.stdout
     assert "dry run: nothing written" in checked.stderr
     assert not (tmp_path / "out").exists()
-    (tmp_path / "pad.toml").write_text(
-        'time = "t"\ncounts = "p0..p5"\nlabel = "slip"\nrate = 100\nfinger = 2'
-    )
+    (tmp_path / "pad.toml").write_text('time = "t"\ncounts.2 = "p0..p5"\nlabel = "slip"\nrate = 100')
     done = slipflow("import", "lab.csv", "out", "--map", "pad.toml", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     [file] = json.loads(done.stdout)["files"]
@@ -45,7 +43,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
         (["import", "lab.csv", "out", "--map", "time"], "must be written as time=t,counts=p0..p5"),
         (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: has '500', '501'"),
         (["import", "lab.csv", "out", "--map", "mine.toml"], "mine.toml: cannot be read: No such file"),
-        (["import", "lab.csv", "out", "--map", "delay=soon"], "delay is 'soon', must be a number, in s"),
+        (["import", "lab.csv", "out", "--map", "rate=soon"], "rate is 'soon', must be a number"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
         (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
         (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
