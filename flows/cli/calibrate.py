@@ -59,7 +59,7 @@ def calibrate(
       slipflow calibrate tcn --on lab --on simulated --false-alarms 6/h -o quiet.safetensors
     """
     from flows.graph.quantity import parse_quantity
-    from flows.learn.alarms.calibrated_model import calibrate_model
+    from flows.learn.alarm_calibration import calibrate_model
     from operators import minute
     from operators.checks import check_above, check_between
 

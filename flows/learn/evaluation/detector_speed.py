@@ -21,7 +21,6 @@ from operators.batch import Counts
 from operators.detectors.detector import Detector, Streaming
 
 SPEED: Final[Mapping[str, Statistic]] = {"us/sample": median_of("us/sample")}
-SPEED_DECIMALS: Final[Mapping[str, int | None]] = dict.fromkeys(SPEED)
 
 _LEAST: Final = 1_000  # ns, resolution
 _WINDOWS: Final = 100  # number of different windows in a cycle

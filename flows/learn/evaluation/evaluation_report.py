@@ -7,7 +7,7 @@ from typing import Final
 import polars as pl
 
 from flows.learn.evaluation import evaluation_figures as figures
-from flows.learn.evaluation.detector_speed import SPEED, SPEED_DECIMALS
+from flows.learn.evaluation.detector_speed import SPEED
 from flows.learn.evaluation.evaluation_study import Evaluation
 from flows.learn.evaluation.published import PAPER_ROWS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.stress_study import FIELDS, NOMINAL, condition_name, every_condition
@@ -155,7 +155,7 @@ def _speed(of: Evaluation) -> Section:
     points = found.pivot("statistic", index="method", values="value").sort("us/sample")
     front = figures.pareto_front(points)
     order = points["method"].to_list()
-    table = estimate_table(found, SPEED_DECIMALS)
+    table = estimate_table(found, DECIMALS)
     table = replace(table, rows=sorted(table.rows, key=lambda row: order.index(row[0])))
     tables = [_with_column(table, len(table.head), "front", dict.fromkeys(front, "yes"))]
     title = "Speed against accuracy"

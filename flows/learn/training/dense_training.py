@@ -17,7 +17,6 @@ from torch.nn import functional, utils
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.sampling import WARM_UP
-from flows.learn.training.augmentation import augmented
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Arrays, Progress
 from flows.learn.training.training_loop import (
@@ -25,6 +24,7 @@ from flows.learn.training.training_loop import (
     Network,
     Trained,
     TrainingTask,
+    augmented,
     fit,
     set_seed,
     training_device,

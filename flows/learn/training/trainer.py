@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import chain
+from itertools import accumulate, chain, pairwise
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -161,11 +161,11 @@ def _in_time(
     recordings: Sequence[LabelledRecording], shares: Mapping[str, float]
 ) -> dict[str, list[LabelledRecording]]:
     """Divide each recording in time, into consecutive splits of these shares."""
-    ends = np.cumsum([0.0, *shares.values()])
+    spans = dict(zip(shares, pairwise(accumulate(shares.values(), initial=0.0)), strict=True))
     pieces = [
-        replace(each.piece(slice(*np.rint(len(each) * ends[place : place + 2]).astype(int))), split=split)
+        replace(each.piece(slice(round(begin * len(each)), round(end * len(each)))), split=split)
         for each in recordings
-        for place, split in enumerate(shares)
+        for split, (begin, end) in spans.items()
     ]
     return by_split(pieces)
 

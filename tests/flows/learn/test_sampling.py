@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from flows.learn.alarms.alarm_calibration import PATH, try_settings
+from flows.learn.alarm_calibration import PATH, try_settings
 from flows.learn.event_metrics import Slips, tuned
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import judged

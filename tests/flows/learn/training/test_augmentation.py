@@ -3,8 +3,8 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from flows.learn.training.augmentation import augmented
 from flows.learn.training.recipe import PAPER_TOUCH, Augmentation
+from flows.learn.training.training_loop import augmented
 
 COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)
 

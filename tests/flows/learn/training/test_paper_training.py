@@ -11,8 +11,7 @@ from torch import Tensor
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import balanced, confusion
 from flows.learn.training import training_loop
-from flows.learn.training.paper_networks import PaperNetwork, paper_network
-from flows.learn.training.paper_training import Windows, train_windowed
+from flows.learn.training.paper_training import PaperNetwork, Windows, paper_network, train_windowed
 from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Trained

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from flows.learn.alarms.alarm_calibration import (
+from flows.learn.alarm_calibration import (
     PATH,
     TooLittleDataError,
     Trials,

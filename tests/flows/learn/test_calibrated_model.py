@@ -4,8 +4,7 @@ from pathlib import Path
 import pytest
 
 from flows.graph.loading import load as load_flow
-from flows.learn.alarms.alarm_calibration import TooLittleDataError
-from flows.learn.alarms.calibrated_model import calibrate_model
+from flows.learn.alarm_calibration import TooLittleDataError, calibrate_model
 from flows.learn.labelled_recordings import load
 from flows.learn.training.trained_model import provenance
 from operators import Debounce, minute

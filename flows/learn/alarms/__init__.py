@@ -1,1 +1,0 @@
-"""A stated rate of false alarms: settings of `Debounce` that keep it with a stated confidence."""
