@@ -56,8 +56,6 @@ _PART_SPAN: Final = 3600 * s  # ns, longer than any recording, so that each tabl
 class PlannedRecording:
     """One recording of a plan."""
 
-    plan: str
-    plan_seed: int
     session: str  # identifier
     scene: Scene | None  # None: a grasp
     seed: int  # of the scene, or number of the grasp
@@ -79,9 +77,7 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     check_at_least("simulate", "seed", seed, 0)
     if plan == GRASPS:
         return [
-            PlannedRecording(
-                plan, seed, f"grasp-{n:03d}", None, n, _start(seed, n, _GRASPS), TURNS[n % len(TURNS)]
-            )
+            PlannedRecording(f"grasp-{n:03d}", None, n, _start(seed, n, _GRASPS), TURNS[n % len(TURNS)])
             for n in range(_GRASPS)
         ]
     first = seed + _SEED_OFFSET.get(plan, 0)
@@ -93,7 +89,7 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
         session = f"{group}-{counts[group]:02d}"
         own_seed = int(np.random.SeedSequence([first, number]).generate_state(1)[0])
         start = _start(seed, number, len(scenes))
-        planned.append(PlannedRecording(plan, seed, session, scene, own_seed, start, split))
+        planned.append(PlannedRecording(session, scene, own_seed, start, split))
     return planned
 
 
@@ -140,25 +136,25 @@ def simulate(
     """
     planned = planned_recordings(plan, seed)
     with partial_folder(out.resolve()) as root:
-        work = partial(_record, root)
+        work = partial(_record, root, plan, seed)
         for _ in map_tasks(work, planned, executor, progress=progress):
             pass
         remove_partial(root, (each.session for each in planned))
     return out
 
 
-def _record(root: Path, planned: PlannedRecording) -> None:
+def _record(root: Path, plan: str, seed: int, planned: PlannedRecording) -> None:
     """Record one session of a dataset."""
     with new_session(root, planned.session) as scratch:
-        asyncio.run(_run(scratch, planned))
+        asyncio.run(_run(scratch, plan, seed, planned))
 
 
-async def _run(root: Path, planned: PlannedRecording) -> None:
+async def _run(root: Path, plan: str, seed: int, planned: PlannedRecording) -> None:
     """Replay what was simulated through a flow that records it; describe it as a live run would."""
     flow, dataset = Flow("simulate"), Dataset(root, part_span=_PART_SPAN, host="simulated")
     sources: dict[str, dict[str, Any]]
     if planned.scene is None:
-        streams = _shifted(simulate_grasp(planned.plan_seed, planned.seed), planned.start)
+        streams = _shifted(simulate_grasp(seed, planned.seed), planned.start)
         _declare_grasp(flow, dataset)
         fingertip, sources = TAKKTILE, {"touch": {"sensor": "TakkTile 2x3, simulated"}}
     else:
@@ -175,8 +171,8 @@ async def _run(root: Path, planned: PlannedRecording) -> None:
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))
     sources["touch"] |= {
         "fingertip": fingertip.describe(),
-        "plan": planned.plan,
-        "plan_seed": planned.plan_seed,
+        "plan": plan,
+        "plan_seed": seed,
         "split": planned.split,
     }
     runner.run.describe |= sources

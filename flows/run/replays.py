@@ -30,12 +30,10 @@ from flows.run.executor import LocalProcesses, map_tasks
 from flows.run.log_events import reason_of
 from flows.run.replay_runner import ReplayRunner, first_time, log_replay_destinations, replayed
 from flows.run.run_summary import Summary
-from flows.run.session_output import new_session, remove_partial, write_errors
+from flows.run.session_output import new_session, remove_partial
 from operators.errors import FlowError, InputError, SlipflowError
 from operators.ports import Recording
 from storage import Dataset, Session
-from storage.description import describe_dataset
-from storage.files import make_folder
 from storage.layout import SESSION, SESSIONS, session_folder, session_folders
 
 _UNPACKED: Final = list[TemporaryDirectory[str]]()  # the folder of the flow files that this process received
@@ -164,7 +162,7 @@ class Replays:
 
         Raises:
             FlowError: if there is an executor and an exclusive sink.
-            EndpointError: if a dataset cannot be written to, or the scheduler of a cluster was lost.
+            EndpointError: if the scheduler of a cluster was lost.
         """
         if executor is not None and (exclusive := self.exclusive_sinks):
             reason = "cannot be shared by processes: replay with --jobs 1 and without --cluster"
@@ -175,9 +173,6 @@ class Replays:
         paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
         with ExitStack() as stack:
             for root in self._roots:
-                with write_errors(root):
-                    make_folder(root, parents=True)
-                    describe_dataset(root)
                 stack.callback(remove_partial, root, names)
             yield from map_tasks(
                 partial(replay, source),

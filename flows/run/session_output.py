@@ -27,7 +27,7 @@ def new_session(root: Path, session: str) -> Generator[Path]:
         EndpointError: if it cannot be written to.
     """
     scratch, target = root / _PARTIAL / session / uuid4().hex, session_folder(root, session)
-    with write_errors(root):
+    with _write_errors(root):
         make_folder(root, parents=True)
         describe_dataset(root)
         make_folder(root / SESSIONS)
@@ -35,7 +35,7 @@ def new_session(root: Path, session: str) -> Generator[Path]:
     try:
         yield scratch
         complete = session_folder(scratch, session)
-        with write_errors(root):
+        with _write_errors(root):
             if not target.exists():
                 sync_tree(complete)
                 os.rename(complete, target)  # noqa: PTH104 - unlike Path.replace, never replaces files
@@ -55,7 +55,7 @@ def remove_partial(root: Path, sessions: Iterable[str]) -> None:
 
 
 @contextmanager
-def write_errors(root: Path) -> Generator[None]:
+def _write_errors(root: Path) -> Generator[None]:
     """Convert errors of the operating system to that of a dataset.
 
     Raises:

@@ -139,9 +139,6 @@ class Trace:
     on_table: Flags  # (n,)
     dropped: Flags  # (n,)
 
-    def __len__(self) -> int:
-        return len(self.t)
-
     def between(self, start: float, end: float) -> slice:
         """Return the samples from `start` to `end` (s)."""
         first, last = np.searchsorted(self.t, [start, end]).tolist()
@@ -152,7 +149,7 @@ class Trace:
         time, valid = np.rint(self.t * s).astype(np.int64), np.ones(self.counts.shape, np.bool_)
         zeroed = Zeroed(time, self.counts, np.zeros_like(self.counts), valid)
         scores = Score(detector).push(zeroed)
-        probability = np.concatenate((np.full(len(self) - len(scores), np.nan), scores.probability))
+        probability = np.concatenate((np.full(len(self.t) - len(scores), np.nan), scores.probability))
         return replace(self, probability=probability)
 
     def registered(self, rule: GripController) -> Flags:
