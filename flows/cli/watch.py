@@ -11,8 +11,7 @@ from flows.cli.terminal import note
 if TYPE_CHECKING:
     from connectors.events import Event
 
-_SECOND: Final = 10**9  # ns
-_DAY: Final = 86_400 * _SECOND
+_DAY: Final = 86_400 * 10**9  # ns
 
 
 def watch(
@@ -80,15 +79,6 @@ def _line(event: "Event", now: int) -> str:
     when = timestamp(event.time)[:23].replace("T", " ")
     delays = [] if event.latency is None else [f"sensor to event {event.latency:.1f} ms"]
     if not is_replay(event.rig) and abs(now - event.time) < _DAY:
-        delays.append(f"sensor to here {span(now - event.time)}")
+        delays.append(f"sensor to here {(now - event.time) / 1e6:.1f} ms")
     delay = f"  {', '.join(delays)}" if delays else ""
     return f"{when}  {where}  slip {event.state:5}{probability}{delay}{quality}"
-
-
-def span(time: int) -> str:
-    """Return a time span (ns) in ms, or in s from 1 s.
-
-    >>> span(12_340_000), span(-3_000_000), span(4 * 10**9)
-    ('12.3 ms', '-3.0 ms', '4.0 s')
-    """
-    return f"{time / 1e6:.1f} ms" if abs(time) < _SECOND else f"{time / _SECOND:.1f} s"
