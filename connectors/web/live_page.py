@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from connectors.events import Fault, encode, faults, finger_name, quality, slips
-from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
 from connectors.web.curves import curve_json, event_json, faults_json, plotted, thin_curve
 from operators.batch import Faults, Motion, Reals, Scores, Slips, Times, Touch, Zeroed, ms, s
@@ -147,7 +146,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
     async def _follow(self, socket: "WebSocketResponse") -> None:
         """Answer each request of a browser with what is new for it, until it leaves or the run ends."""
-        frames, reports, clock = self._frames, HealthReports(self._run), asyncio.get_running_loop().time
+        frames, clock = self._frames, asyncio.get_running_loop().time
         seen, next_report = -1, clock()
         async for _ in socket:
             while True:
@@ -160,7 +159,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
                 frame["run"] = self._about()
             if clock() >= next_report:
                 next_report = clock() + REPORT_EVERY
-                frame["report"] = self._health(reports)
+                frame["report"] = self._health()
             if ended:
                 frame["end"] = {"error": self._run.error or None}
             seen = frames.count
@@ -185,17 +184,13 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             "zeroed": self._zeroed,
         }
 
-    def _health(self, reports: HealthReports) -> dict[str, Json]:
-        """Return the health of the run, with its error texts, lost rows and recorders."""
-        sources, sinks = self._run.sources, self._run.sinks
-        return {
-            **reports.next(),
-            "errors": {name: source.error or None for name, source in sources.items()},
-            "declared_hz": {name: source.declared_rate for name, source in sources.items()},
-            "lost": {name: source.lost for name, source in sources.items()},
-            "waiting": {name: sink.waiting for name, sink in sinks.items()},
-            "recorders": [name for name, sink in sinks.items() if sink.records],
+    def _health(self) -> dict[str, Json]:
+        """Return the state of all sources and sinks, with their error texts."""
+        sources: dict[str, Json] = {
+            name: {**vars(each), "gaps": len(each.gaps), "lost": each.lost, "newest": each.newest / ms}
+            for name, each in self._run.sources.items()
         }
+        return {"sources": sources, "sinks": {name: vars(each) for name, each in self._run.sinks.items()}}
 
 
 class Frames:

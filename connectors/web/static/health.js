@@ -2,29 +2,33 @@
 
 import { $, element, line, number, title, write } from "./dom.js";
 
-// Show a report of the server.
-export function showHealth({ sources, sinks, errors, lost, waiting, declared_hz: declared, recorders }) {
+let before = { now: 0, sources: {} }; // the previous report
+
+// Show the state of sources and sinks at a time, ms since 1970; rates are those since the previous report.
+export function showHealth({ sources, sinks }, now) {
   $("sources").replaceChildren(...Object.entries(sources).map(([name, source]) => {
-    const wanted = declared[name] === null ? "" : ` of ${number.format(declared[name])}`;
+    const wanted = source.declared_rate === null ? "" : ` of ${number.format(source.declared_rate)}`;
+    const rows = before.sources[name]?.rows, rate = rows && rows <= source.rows ? (1000 * (source.rows - rows)) / (now - before.now) : null;
     return line(
       element("td", "", name),
-      state(source.state === "up", source.state === "up" ? up(source) : source.state === "stale" ? "no data" : errors[name] ? `down: ${errors[name]}` : "down"),
-      element("td", "number", source.rate_hz === null ? "–" : `${source.rate_hz.toFixed(1)}${wanted} Hz`),
-      element("td", "number", source.lag_ms === null ? "–" : `${number.format(Math.round(source.lag_ms))} ms`),
-      element("td", "number", number.format(lost[name])),
+      state(source.up, source.up ? up(source) : source.stale ? "no data" : source.error ? `down: ${source.error}` : "down"),
+      element("td", "number", rate === null ? "–" : `${rate.toFixed(1)}${wanted} Hz`),
+      element("td", "number", source.newest ? `${number.format(Math.round(now - source.newest))} ms` : "–"),
+      element("td", "number", number.format(source.lost)),
     );
   }));
+  before = { now, sources };
   $("sinks").replaceChildren(...Object.entries(sinks).map(([name, sink]) => {
-    const events = waiting[name] === null ? "" : ` + ${number.format(waiting[name])} events`;
+    const events = sink.waiting === null ? "" : ` + ${number.format(sink.waiting)} events`;
     return line(
       element("td", "", name),
-      state(!sink.error, sink.error ?? "works"),
+      state(!sink.error, sink.error || "works"),
       element("td", "number", number.format(sink.rows)),
       element("td", "number", `${number.format(sink.queued)}${events}`),
       element("td", "number", number.format(sink.dropped)),
     );
   }));
-  const recording = recorders.map((name) => sinks[name]), chip = $("recording");
+  const recording = Object.values(sinks).filter((sink) => sink.records), chip = $("recording");
   const [rows, dropped] = ["rows", "dropped"].map((each) => recording.reduce((sum, sink) => sum + sink[each], 0));
   const error = recording.find((sink) => sink.error)?.error;
   chip.hidden = false;

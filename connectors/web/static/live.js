@@ -77,7 +77,7 @@ export function live(view) {
     if (added && !frame.run) write($("announce"), `slip ${added.onset ? "onset" : "end"}: ${title(added.finger).toLowerCase()}`);
     view.events.show(when);
     if (frame.report) {
-      showHealth(frame.report);
+      showHealth(frame.report, run.start + frame.now);
       showCells(view.faults);
     }
     if (frame.end) {
