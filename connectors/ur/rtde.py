@@ -71,15 +71,6 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
     return _HEADER.pack(_HEADER.size + len(payload), kind) + payload
 
 
-def names(payload: bytes) -> tuple[str, ...]:
-    """Parse names or types separated by commas; a trailing comma is allowed.
-
-    >>> names(b"timestamp,actual_q,")
-    ('timestamp', 'actual_q')
-    """
-    return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
-
-
 def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     r"""Return the number of the recipe that a controller's answer grants.
 
@@ -93,20 +84,20 @@ def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     >>> granted_recipe({"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}, b"\1DOUBLE,VECTOR6D")
     1
     """
-    number, types = payload[:1], names(payload[1:])
+    number, kinds = payload[:1], payload[1:].decode("ascii", "replace").split(",")
+    types = [kind.strip() for kind in kinds if kind.strip()]
     refusals = [f"{name} {kind}" for name, kind in zip(asked, types, strict=False) if kind in _REFUSALS]
     if refusals:
         raise RtdeError(f"the controller refused {', '.join(refusals)}")
     if number in (b"", b"\0"):
         raise RtdeError(f"the controller refused {', '.join(asked)}: does another program use them?")
-    if len(types) != len(asked):
-        raise RtdeError(f"{len(asked)} fields cannot have the types {', '.join(types)}")
-    wrong = ", ".join(
-        f"{name} as {found}, must be {expected}"
-        for (name, expected), found in zip(asked.items(), types, strict=True)
-        if found != expected
-    )
-    if wrong:
+    if types != [*asked.values()]:
+        sent = [
+            f"{name} as {found}, must be {expected}"
+            for (name, expected), found in zip(asked.items(), types, strict=False)
+            if found != expected
+        ]
+        wrong = ", ".join(sent) or f"{len(types)} fields of {len(asked)}"
         raise RtdeError(f"the controller sends {wrong}: slipflow does not support its software version")
     return number[0]
 

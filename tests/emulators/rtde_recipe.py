@@ -7,7 +7,7 @@ from struct import Struct, error
 from types import MappingProxyType
 from typing import Final, NamedTuple, TypeAlias
 
-from connectors.ur.rtde import LARGEST, RtdeError, Version, names
+from connectors.ur.rtde import LARGEST, RtdeError, Version
 
 Value: TypeAlias = float | tuple[float, ...]  # includes integers and flags
 
@@ -60,6 +60,15 @@ class Packages:
                 yield Package(kind, data[begin - size + HEADER.size : begin])
         finally:
             self._rest = data[begin:]
+
+
+def names(payload: bytes) -> tuple[str, ...]:
+    """Parse names or types separated by commas; a trailing comma is allowed.
+
+    >>> names(b"timestamp,actual_q,")
+    ('timestamp', 'actual_q')
+    """
+    return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
 
 
 class Request(IntEnum):

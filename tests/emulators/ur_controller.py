@@ -12,10 +12,18 @@ from collections.abc import Callable, Mapping
 from time import time_ns
 from typing import Final, NamedTuple, Self, cast
 
-from connectors.ur.rtde import PROTOCOL, Kind, RtdeError, Version, names, pack
+from connectors.ur.rtde import PROTOCOL, Kind, RtdeError, Version, pack
 from operators.batch import Reals, s
 from storage.background_task import BackgroundTask
-from tests.emulators.rtde_recipe import Package, Packages, Recipe, Request, outputs_asked, version_payload
+from tests.emulators.rtde_recipe import (
+    Package,
+    Packages,
+    Recipe,
+    Request,
+    names,
+    outputs_asked,
+    version_payload,
+)
 from tests.emulators.ur_control_box import GREETING, INPUTS, OUTPUTS, ControlBox, answer
 
 log = logging.getLogger("slipflow")

@@ -4,14 +4,16 @@ import asyncio
 import math
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final, TypeAlias, cast
 
 import numpy as np
 
-from connectors.sim.scene import Moves, Scene, Vibration
+from connectors.sim.scene import MotionKind, Move, Moves, Scene, Vibration
 from connectors.sim.simulated_arm import SimulatedArm
+from connectors.sim.simulated_rig import episode
 from connectors.ur.ur_arm import UrArm
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
@@ -33,7 +35,7 @@ from operators import (
     ms,
     s,
 )
-from operators.batch import MOTIONS, SURFACES, Episodes
+from operators.batch import Episodes
 from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Description, Run
 from storage import Dataset, arrow
@@ -266,23 +268,13 @@ class Collector(Source[Episodes]):
 
 def _episode(series: StrokeSeries, stroke: Stroke | None, start: int, end: int) -> Episodes:
     """Return an episode from `start` to `end` (ns) as a row; `stroke` None: the baseline."""
-    motion, speed, rotates = "hold", 0.0, False
+    move, depth = Move("hold", (end - start) / s), math.nan
     if stroke:
-        motion, speed, rotates = "rotation" if stroke.rotates else "translation", stroke.speed, stroke.rotates
-    values = (
-        stroke.direction if stroke else 0.0,
-        0.0 if rotates else speed,
-        speed if rotates else 0.0,
-        series.plan.path.depth if stroke else math.nan,
-        math.nan,  # the force is not measured
-    )
-    return Episodes(
-        np.array([start]),
-        np.array([end]),
-        np.array([MOTIONS.index(motion)], np.int8),
-        np.array([SURFACES.index(series.surface.shape)], np.int8),
-        *(np.array([value]) for value in values),
-    )
+        kind: MotionKind = "rotation" if stroke.rotates else "translation"
+        degrees, depth = math.degrees(stroke.direction), series.plan.path.depth
+        move = replace(move, motion=kind, direction_deg=degrees, speed=stroke.speed)
+    row = episode(move, 0.0, start, Scene(curvature=series.surface.shape))
+    return replace(row, end=np.array([end]), depth=np.array([depth]))
 
 
 async def virtual_arm(path: PlannedPath, clock: Clock, fingers: tuple[int, ...] = (0,)) -> SimulatedArm:

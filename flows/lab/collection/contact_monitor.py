@@ -21,7 +21,7 @@ class ContactMonitor(Sink[Touch]):
 
     def __init__(self) -> None:
         self.newest = dict[int, int]()
-        self._sums, self._counts = dict[int, Reals](), dict[int, Reals]()  # (6,) each, by finger
+        self._sums = dict[int, Reals]()  # (2, 6) sums of counts and numbers of valid samples, by finger
         self._baseline = dict[int, Reals]()  # (6,) counts, by finger
 
     @property
@@ -40,15 +40,13 @@ class ContactMonitor(Sink[Touch]):
         """Store the time of the newest valid sample, and add the counts to the means."""
         if batch.valid[-1].any():
             self.newest[batch.finger] = int(batch.time[-1])
-        total = np.where(batch.valid, batch.counts, 0).sum(axis=0, dtype=np.float64)  # (6,)
-        self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros(6)) + total
-        self._counts[batch.finger] = self._counts.get(batch.finger, np.zeros(6)) + batch.valid.sum(axis=0)
+        more = np.stack([batch.counts * batch.valid, batch.valid]).sum(axis=1, dtype=np.float64)
+        self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros((2, 6))) + more
         return True
 
     def restart(self) -> None:
         """Reset the means."""
         self._sums.clear()
-        self._counts.clear()
 
     def set_baseline(self) -> None:
         """Store the current means as the baseline without contact."""
@@ -67,4 +65,4 @@ class ContactMonitor(Sink[Touch]):
     def _means(self) -> dict[int, Reals]:
         """Return the mean of each cell (6,), by finger; NaN without samples."""
         with np.errstate(invalid="ignore"):
-            return {finger: total / self._counts[finger] for finger, total in self._sums.items()}
+            return {finger: total / number for finger, (total, number) in self._sums.items()}

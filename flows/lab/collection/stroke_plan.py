@@ -203,48 +203,42 @@ class CollectionPlan:
     def _strokes(
         self, surface: Surface, speed: float | None, random: np.random.Generator
     ) -> Iterator[Stroke]:
+        path = self.path
         for _ in range(self.rounds):
             for number, direction in enumerate(random.permutation(_DIRECTIONS).tolist()):
                 if speed is None:
-                    spin = self.path.rotation_speed
-                    yield self._rotation(surface, spin if number % 2 else -spin)
+                    spin = path.rotation_speed if number % 2 else -path.rotation_speed
+                    turn = Turn(spin, path.rotation_time, path.rotation_acceleration)
+                    begin = replace(surface, pose=offset_pose(surface.middle, yaw=-turn.angle / 2))
+                    end = replace(surface, pose=turn.end(begin.middle))
+                    yield self._stroke(0.0, spin, turn, (begin, 0.0, 0.0), (end, 0.0, 0.0))
                 else:
-                    yield self._translation(surface, math.radians(45.0 * direction), speed)
+                    heading, half = math.radians(45.0 * direction), speed * path.slide_time / 2
+                    x, y = half * math.cos(heading), half * math.sin(heading)
+                    points = surface.waypoints(x, y)
+                    poses = tuple(surface.at(part * x, part * y, path.depth) for part in points)
+                    slide = Line(poses, speed, path.acceleration)
+                    yield self._stroke(heading, speed, slide, (surface, -x, -y), (surface, x, y))
 
-    def _rotation(self, surface: Surface, spin: float) -> Stroke:
-        turn = Turn(spin, self.path.rotation_time, self.path.rotation_acceleration)
-        begin = replace(surface, pose=offset_pose(surface.middle, yaw=-turn.angle / 2))
-        end = replace(surface, pose=turn.end(begin.middle))
-        return Stroke(
-            0.0,
-            spin,
-            rotates=True,
-            approach=self._approach(begin, 0.0, 0.0),
-            contact=(Wait(self.path.rest), turn, Wait(self.path.rest)),
-            retreat=(self._retreat(end, 0.0, 0.0),),
-        )
-
-    def _translation(self, surface: Surface, direction: float, speed: float) -> Stroke:
-        half = speed * self.path.slide_time / 2
-        x, y = half * math.cos(direction), half * math.sin(direction)
-        poses = tuple(surface.at(part * x, part * y, self.path.depth) for part in surface.waypoints(x, y))
-        slide = Line(poses, speed, self.path.acceleration)
+    def _stroke(
+        self,
+        direction: float,
+        speed: float,
+        move: Line | Turn,
+        begin: tuple[Surface, float, float],
+        end: tuple[Surface, float, float],
+    ) -> Stroke:
+        """Return a stroke between offsets (m) from the middle of a surface."""
+        path, (surface, x, y) = self.path, begin
+        down = Line((surface.at(x, y, path.depth),), path.press_speed, path.acceleration)
         return Stroke(
             direction,
             speed,
-            rotates=False,
-            approach=self._approach(surface, -x, -y),
-            contact=(Wait(self.path.rest), slide, Wait(self.path.rest)),
-            retreat=(self._retreat(surface, x, y),),
+            rotates=isinstance(move, Turn),
+            approach=(self._through_air(*begin), down),
+            contact=(Wait(path.rest), move, Wait(path.rest)),
+            retreat=(replace(self._through_air(*end), speed=path.press_speed),),
         )
-
-    def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:
-        """Return the steps through the air to above an offset (m) from the middle, and down onto it."""
-        down = Line((surface.at(x, y, self.path.depth),), self.path.press_speed, self.path.acceleration)
-        return self._through_air(surface, x, y), down
-
-    def _retreat(self, surface: Surface, x: float, y: float) -> Line:
-        return replace(self._through_air(surface, x, y), speed=self.path.press_speed)
 
     def _through_air(self, surface: Surface, x: float, y: float) -> Line:
         """Return the move to above an offset (m) from the middle; all are at one height, above the middle."""
