@@ -142,23 +142,13 @@ def import_(
         note(f"dry run: nothing written; next: {shlex.join(again)}")
         return
     if flow and not flow.exists():
-        note(f"{flow} follows such a file live, by the map {write_flow(flow, files[0], found_map)}")
+        note(f"{flow} follows such a file live, by the map {_write_flow(flow, files[0], found_map)}")
     if states[0] == "written":
         note(f"next: slipflow show {shlex.quote(str(out / 'sessions' / listed[0]['session']))}")
 
 
-def write_flow(path: Path, source: Path, columns: "ColumnMap") -> Path:
-    """Write a flow file and, next to it, the map; return the path of the map.
-
-    Args:
-        path: The flow file; its name is that of the flow.
-        source: File that the flow follows by default.
-        columns: Complete map.
-
-    Raises:
-        ParameterError: if the name is no name of a function in Python, or the file exists.
-        EndpointError: if a file cannot be written.
-    """
+def _write_flow(path: Path, source: Path, columns: "ColumnMap") -> Path:
+    """Write a flow file that follows `source` by default and, next to it, the map; return its path."""
     from operators.errors import EndpointError, ParameterError, os_error_reason
 
     if path.suffix != ".py" or not path.stem.isidentifier():

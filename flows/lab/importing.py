@@ -19,6 +19,7 @@ from connectors.files.interpretation import Part, speeds_of
 from connectors.files.trace import interpreted
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
+from flows.run.replays import session_of
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Labelled, Motion, Touch, s
@@ -28,7 +29,6 @@ from storage import Dataset
 from storage.description import read_session
 from storage.layout import SESSION, SESSIONS, may_exist, session_folder, session_folders
 
-_UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _DEFAULT: Final = ColumnMap()
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
 
@@ -47,12 +47,11 @@ class AttachLabels(Operator[Zeroed, Labelled]):
         """Return the labelled rows."""
         label = np.array(self.labels[self._next : self._next + len(batch)], np.int8)
         self._next += len(batch)
-        unknown = np.full((len(batch), 6), np.nan)
-        velocity, pose, speed, matched = unknown, unknown, unknown[:, 0], np.zeros(len(batch), np.bool_)
         if isinstance(batch, Labelled):
-            velocity, pose, speed, matched = batch.velocity, batch.pose, batch.speed, batch.matched
+            return replace(batch, label=label)
         touch = batch.time, batch.counts, batch.temperature, batch.valid
-        return Labelled(*touch, velocity, pose, matched, speed, label, finger=batch.finger)
+        unknown, unmatched = np.full((len(batch), 6), np.nan), np.zeros(len(batch), np.bool_)
+        return Labelled(*touch, unknown, unknown, unmatched, unknown[:, 0], label, finger=batch.finger)
 
 
 @dataclass
@@ -249,8 +248,8 @@ def import_files(
         raise ParameterError("import", "OUT", str(out), "a folder: the last argument is the dataset to write")
     if session and len(paths) > 1:
         raise ParameterError("import", "--session", session, "left out if there are several files")
-    names = [session] if session else sessions_of(paths)
-    groups = [group_of(path, group) for path in paths]
+    names = [session] if session else _session_names(paths)
+    groups = [_group_of(path, group) for path in paths]
     steps = _resolutions(out)
     for path, name, surface in zip(paths, names, groups, strict=True):
         try:
@@ -302,55 +301,26 @@ def _is_present(out: Path, session: str, sha256: str) -> bool:
     return True
 
 
-def sessions_of(paths: Sequence[Path]) -> list[str]:
-    """Return a session name for each file; files of the same name get that of their folder too.
-
-    >>> sessions_of([Path("a/1.csv"), Path("b/1.csv"), Path("b/2.csv")])
-    ['a-1', 'b-1', '2']
-
-    Raises:
-        InputError: if two names are still the same.
-    """
-    names = [session_name(str(path)) for path in paths]
-    often = Counter(names)
-    names = [
-        session_name(f"{path.parent.name}-{path.name}") if often[name] > 1 else name
-        for path, name in zip(paths, names, strict=True)
-    ]
-    seen = dict[str, Path]()
-    for path, name in zip(paths, names, strict=True):
-        if (other := seen.setdefault(name.casefold(), path)) is not path:
-            raise InputError(str(path), f"has the same session name as {other}: {name}; rename one")
+def _session_names(paths: Sequence[Path]) -> list[str]:
+    """Return a session name for each file; files of the same name get that of their folder too."""
+    often = Counter(map(session_of, paths))
+    names, seen = list[str](), dict[str, Path]()
+    for path in paths:
+        alike = often[session_of(path)] > 1
+        names.append(session_of(Path(f"{path.parent.name}-{path.name}") if alike else path))
+        if (other := seen.setdefault(names[-1].casefold(), path)) is not path:
+            raise InputError(str(path), f"has the same session name as {other}: {names[-1]}; rename one")
     return names
 
 
-def session_name(file: str) -> str:
-    """Return the name of the session of a file.
-
-    >>> session_name("data/lab 3, night.csv")
-    'lab-3-night'
-    """
-    stem = Path(file.removesuffix(".gz")).stem
-    return _UNSAFE.sub("-", stem).strip("-._")[:128] or "trace"
-
-
-def group_of(path: Path, pattern: str) -> str | None:
-    """Return the surface or object that a file's name states; None without a pattern.
-
-    >>> group_of(Path("data/steel_vel3.csv"), "(.+)_vel"), group_of(Path("12_wood.csv"), "[a-z]+")
-    ('steel', 'wood')
-
-    Raises:
-        InputError: if the name does not match.
-        ParameterError: if the pattern is invalid.
-    """
+def _group_of(path: Path, pattern: str) -> str | None:
+    """Return the surface or object that a file's name states; None without a pattern."""
     if not pattern:
         return None
     try:
         match = re.search(pattern, path.name)
     except re.error as error:
         raise ParameterError("import", "--group", pattern, f"a regular expression: {error}") from None
-    group = match and match[min(1, match.re.groups)]
-    if not group:
-        raise InputError(str(path), f"has no group: its name does not match --group {pattern!r}")
-    return group
+    if group := match and match[min(1, match.re.groups)]:
+        return group
+    raise InputError(str(path), f"has no group: its name does not match --group {pattern!r}")

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib import invalidate_caches
 from io import StringIO
+from os.path import abspath
 from pathlib import Path
 from re import sub
 from tempfile import TemporaryDirectory
@@ -246,13 +247,13 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
 
 
 def session_of(recording: Path) -> str:
-    """Return the name of the session that a replay of a recording writes.
+    """Return the name of the session that a replay or an import of a recording writes.
 
-    >>> session_of(Path("lab/sessions/plane-050-01")), session_of(Path("data/grip 3.csv"))
+    >>> session_of(Path("lab/sessions/plane-050-01")), session_of(Path("data/grip 3.csv.gz"))
     ('plane-050-01', 'grip-3')
     """
-    name = recording.resolve().name
-    stem = name if (recording / SESSION).exists() else name.removesuffix(recording.suffix)
+    name = Path(abspath(recording)).name  # noqa: PTH100 - a link keeps its name
+    stem = name if (recording / SESSION).exists() else Path(name.removesuffix(".gz")).stem
     return sub(r"[^A-Za-z0-9._-]+", "-", stem).lstrip("._-")[:128] or "recording"
 
 

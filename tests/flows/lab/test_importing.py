@@ -23,10 +23,10 @@ from flows.lab.importing import (
     TraceImport,
     import_files,
     import_frame,
-    session_name,
 )
 from flows.learn.labelled_recordings import load
 from flows.run.replay_runner import ReplayRunner
+from flows.run.replays import session_of
 from operators import Zero
 from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms
 from operators.errors import InputError, ParameterError
@@ -52,7 +52,7 @@ def counts(row: int, base: int = 500) -> str:
 
 
 def read(path: Path, out: Path, columns: ColumnMap = GUESS) -> TraceImport:
-    return TraceImport(Trace(path, columns), out, session_name(str(path)))
+    return TraceImport(Trace(path, columns), out, session_of(path))
 
 
 def imported(trace_import: TraceImport) -> Session:
