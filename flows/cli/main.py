@@ -72,6 +72,7 @@ for functions in PANELS.values():
         app.command(function.__name__.rstrip("_"), help=text.rstrip(), epilog=epilog)(function)
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 _NO_MEMORY: Final = ("failed to map segment", "cannot allocate memory", "can't start new thread")
+_SMALL: Final = {"numba", "polars", "scipy"}  # a small installation lacks them, see deploy/edge.txt
 _debug = False
 
 
@@ -141,24 +142,18 @@ def explanation(error: Exception) -> tuple[int, str]:
         text = str(error)
     elif isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
         text = f"{error.filename or 'standard output'}: {os_error_reason(error)}"
+    elif isinstance(error, ModuleNotFoundError) and error.name and error.name.partition(".")[0] in _SMALL:
+        package = error.name.partition(".")[0]
+        text = f"{package} is not installed: {sys.executable} -m pip install {package}"
     else:
-        text = _missing_package(error)
-    return (2, f"error: {text}") if text else (0, "")
+        return 0, ""
+    return 2, f"error: {text}"
 
 
 def _lacks_memory(error: Exception) -> bool:
     """Return true for an error that a lack of memory has caused, also in an import or by a new thread."""
     text = f"{error} {error.__cause__}".lower()
     return isinstance(error, MemoryError) or any(each in text for each in _NO_MEMORY)
-
-
-def _missing_package(error: Exception) -> str:
-    """Return how to install a missing package that slipflow needs; empty if that is not the error."""
-    if isinstance(error, ModuleNotFoundError):
-        package = (error.name or "").partition(".")[0]
-        if package in {"numba", "polars", "scipy"}:  # a small installation lacks them, see deploy/edge.txt
-            return f"{package} is not installed: {sys.executable} -m pip install {package}"
-    return ""
 
 
 def _interrupted(error: BaseException | None) -> bool:

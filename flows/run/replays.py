@@ -61,13 +61,8 @@ class FlowSource:
     directory: str = field(default_factory=lambda: str(Path.cwd()))
 
     def with_files(self) -> "FlowSource":
-        """Return this flow with its files, for machines that do not have them; a shipped flow needs none.
-
-        Raises:
-            SlipflowError: if the flow cannot be built.
-        """
+        """Return this flow, which was built here, with its files; a shipped flow needs none."""
         declaration = load(self.target)
-        declaration.flow(dict(self.settings))  # may import more modules
         file = declaration.file
         if file.parent == SHIPPED:
             return self
