@@ -141,23 +141,7 @@ class Turn:
         return self.time + min(self.time, self._ramp)
 
 
-@dataclass(frozen=True, slots=True)
-class Wait:
-    """Standstill."""
-
-    time: float  # s
-
-    def end(self, start: Pose) -> Pose:
-        """Return the pose at the end."""
-        return start
-
-    def seconds(self, start: Pose) -> float:
-        """Return the duration."""
-        del start
-        return self.time
-
-
-Step: TypeAlias = Line | Turn | Wait
+Step: TypeAlias = Line | Turn | float  # a number: standstill, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,8 +157,11 @@ class Extent:
         """Return the extent of steps from a pose."""
         seconds, points, pose = 0.0, [start[:3]], start
         for step in steps:
-            seconds += step.seconds(pose)
-            pose = step.end(pose)
-            points += [each[:3] for each in (step.poses if isinstance(step, Line) else (pose,))]
+            if isinstance(step, Line | Turn):
+                seconds += step.seconds(pose)
+                pose = step.end(pose)
+                points += [each[:3] for each in (step.poses if isinstance(step, Line) else (pose,))]
+            else:
+                seconds += step
         low, high = (tuple(map(each, zip(*points, strict=True))) for each in (min, max))
         return cls(seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2]))

@@ -17,7 +17,7 @@ from connectors.sim.simulated_rig import episode
 from connectors.ur.ur_arm import UrArm
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.lab.collection.arm_path import Line, Step, Turn, Wait
+from flows.lab.collection.arm_path import Line, Step, Turn
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
@@ -198,7 +198,7 @@ class Collector(Source[Episodes]):
         try:
             await self._wait_for_first_samples(monitor)
             monitor.restart()
-            await self._follow_as_episode([self._series.baseline])
+            await self._follow_as_episode([self.path.plan.path.baseline])
             monitor.set_baseline()
             for stroke in self._series.strokes:
                 await self._make(stroke, monitor)
@@ -240,8 +240,8 @@ class Collector(Source[Episodes]):
                     await self.arm.line(poses, speed, acceleration, seconds)
                 case Turn(spin, time, acceleration):
                     await self.arm.turn(spin, time, acceleration)
-                case Wait(time):
-                    await self.arm.wait(time)
+                case standstill:
+                    await self.arm.wait(standstill)
 
     async def _make(self, stroke: Stroke, monitor: ContactMonitor) -> None:
         await self._follow(stroke.approach)

@@ -19,7 +19,7 @@ import numpy as np
 from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_state import Bounds, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
-from flows.lab.collection.arm_path import Extent, Line, Step, Surface, Turn, Wait
+from flows.lab.collection.arm_path import Extent, Line, Step, Surface, Turn
 from flows.learn.labelled_recordings import TURNS
 from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
@@ -91,9 +91,9 @@ class Stroke:
     direction: float  # rad, in the fingertip's plane, anticlockwise from x
     speed: float  # m/s; rad/s of a rotation, anticlockwise
     rotates: bool
-    approach: tuple[Step, ...]  # through the air, and down
+    approach: tuple[Line, ...]  # through the air, and down
     contact: tuple[Step, ...]
-    retreat: tuple[Step, ...]
+    retreat: tuple[Line, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,15 +109,10 @@ class StrokeSeries:
     plan: "CollectionPlan"
 
     @property
-    def baseline(self) -> Wait:
-        """Standstill in the air before the strokes."""
-        return Wait(self.plan.path.baseline)
-
-    @property
     def steps(self) -> tuple[Step, ...]:
         """Steps of the whole path, from any pose; it ends in the air."""
         parts = chain.from_iterable((each.approach, each.contact, each.retreat) for each in self.strokes)
-        return self.begin, self.baseline, *chain.from_iterable(parts)
+        return self.begin, self.plan.path.baseline, *chain.from_iterable(parts)
 
     def describe(self) -> dict[str, Json]:
         """Return surface, speed, press and number of strokes as JSON data."""
@@ -236,7 +231,7 @@ class CollectionPlan:
             speed,
             rotates=isinstance(move, Turn),
             approach=(self._through_air(*begin), down),
-            contact=(Wait(path.rest), move, Wait(path.rest)),
+            contact=(path.rest, move, path.rest),
             retreat=(replace(self._through_air(*end), speed=path.press_speed),),
         )
 
