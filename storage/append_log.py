@@ -100,7 +100,7 @@ class LogReader:
             return
         self.damage, self._size = None, os.fstat(self._file).st_size
         self.end = self._start if offset is None else offset
-        self.crc = _to_int(os.pread(self._file, _CRC, self.end - _CRC))
+        self.crc = int.from_bytes(os.pread(self._file, _CRC, self.end - _CRC), "little")
         while self.end < self._size:
             found = self._frame(self.end, self.crc)
             if found is None:
@@ -133,7 +133,7 @@ class LogReader:
             if magic[:-1] == _MAGIC and length <= min(LIMIT, self._size - _HEAD.size - _CRC):
                 rest = os.pread(self._file, length + _CRC, _HEAD.size)
                 crc = zlib.crc32(rest[:length], zlib.crc32(head))
-                if _to_int(rest[length:]) == crc:
+                if rest[length:] == crc.to_bytes(_CRC, "little"):
                     self.identity = rest[:length]
                     self._start = self.end = _HEAD.size + length + _CRC
                     return crc
@@ -151,7 +151,7 @@ class LogReader:
         rest = os.pread(self._file, length + _CRC, offset + _PREFIX.size)
         record = rest[:length]
         crc = _checksum(prefix, record, _POSITION.pack(offset, before), self.seed)
-        return (record, crc) if _to_int(rest[length:]) == crc and len(rest) == length + _CRC else None
+        return (record, crc) if rest[length:] == crc.to_bytes(_CRC, "little") else None
 
     def _is_torn(self, offset: int) -> bool:
         """Return true if the frame at `offset` reaches beyond the end, or only zeros follow."""
@@ -191,7 +191,7 @@ class AppendLog:
         """
         head = _HEAD.pack(_MAGIC + bytes([VERSION]), os.urandom(16), len(identity)) + identity
         seed = zlib.crc32(head)
-        head += _to_bytes(seed)
+        head += seed.to_bytes(_CRC, "little")
         data, _, crc = _frames(records, len(head), seed, seed)
         files.put(path, head + data)
         return cls(path, len(head) + len(data), crc, seed)
@@ -255,7 +255,7 @@ def _frames(records: Iterable[bytes], offset: int, crc: int, seed: int) -> tuple
             raise ValueError(f"a record has {len(record)} bytes, at most {LIMIT} are allowed")
         prefix = _PREFIX.pack(_FRAME_MAGIC, len(record))
         crc = _checksum(prefix, record, _POSITION.pack(offset, crc), seed)
-        parts += [prefix, record, _to_bytes(crc)]
+        parts += [prefix, record, crc.to_bytes(_CRC, "little")]
         offsets.append(offset)
         offset += _OVERHEAD + len(record)
     return b"".join(parts), offsets, crc
@@ -264,11 +264,3 @@ def _frames(records: Iterable[bytes], offset: int, crc: int, seed: int) -> tuple
 def _checksum(prefix: bytes, record: bytes, position: bytes, seed: int) -> int:
     """Return the CRC of a frame at a position in a log whose header has the CRC `seed`."""
     return zlib.crc32(record, zlib.crc32(prefix, zlib.crc32(position, seed)))
-
-
-def _to_bytes(crc: int) -> bytes:
-    return crc.to_bytes(_CRC, "little")
-
-
-def _to_int(data: bytes) -> int:
-    return int.from_bytes(data, "little")

@@ -10,10 +10,9 @@ from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, T
 from operators.checks import check_at_least, check_between
 from operators.errors import EndpointError
 from operators.ports import Clock, Finding, Run, Sink
-from storage import arrow
 from storage.background_task import BackgroundTask
 from storage.files import check_disk
-from storage.journal import APPEND_AT
+from storage.journal import APPEND_AT, Journal
 from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
@@ -65,7 +64,7 @@ class Dataset(Sink[Recordable]):
         self._tasks: tuple[BackgroundTask, ...] = ()  # that append and sync rows of a live run
         self._committing: asyncio.Task[None] | None = None
         self._appending = asyncio.Lock()  # held during an append, and a commit that allows none
-        self._waiting, self._urgent = asyncio.Event(), asyncio.Event()  # rows are to be appended; at once
+        self._urgent = asyncio.Event()  # rows are to be appended at once
 
     @property
     def destination(self) -> str:
@@ -100,11 +99,12 @@ class Dataset(Sink[Recordable]):
             InputError: if dataset.json or the description of a source is invalid, or the folder has other
                 files and is not a dataset.
         """
-        self._writer = await asyncio.to_thread(self._begin, run)
+        bounds = self._part_span, self._part_rows
+        self._writer = await asyncio.to_thread(SessionWriter, self._root, run, *bounds, self._host)
         self._tasks, self._appending = (), asyncio.Lock()  # a later run may have another event loop
-        self._waiting, self._urgent = asyncio.Event(), asyncio.Event()
-        if self._writer.journalled:
-            works = self._keep_appending(self._writer), self._keep_syncing(self._writer)
+        self._urgent = asyncio.Event()
+        if journal := self._writer.journal:
+            works = self._keep_appending(self._writer, journal), self._keep_syncing(journal)
             self._tasks = tuple(
                 BackgroundTask(self.destination, "the writing of new rows", each) for each in works
             )
@@ -162,10 +162,8 @@ class Dataset(Sink[Recordable]):
             task.check()
 
     def _notice(self, writer: SessionWriter) -> None:
-        """Wake up the task that appends, if rows wait."""
-        if writer.waiting:
-            self._waiting.set()
-        if writer.waiting >= APPEND_AT:
+        """Wake up the task that appends, if many rows wait."""
+        if writer.journal and writer.journal.waiting >= APPEND_AT:
             self._urgent.set()
 
     async def _append(self, writer: SessionWriter, batch: Recordable | None = None) -> None:
@@ -185,25 +183,22 @@ class Dataset(Sink[Recordable]):
         self._notice(writer)
         appending.result()
 
-    async def _keep_appending(self, writer: SessionWriter) -> None:
+    async def _keep_appending(self, writer: SessionWriter, journal: Journal) -> None:
         while True:
-            await self._waiting.wait()
             with suppress(TimeoutError):
                 async with asyncio.timeout(APPEND_INTERVAL):
                     await self._urgent.wait()
-            self._waiting.clear()
             self._urgent.clear()
-            try:
-                await self._append(writer)
-            except EndpointError:  # the next write reports it
-                self._waiting.set()
+            if journal.waiting:
+                with suppress(EndpointError):  # the next write reports it
+                    await self._append(writer)
 
-    async def _keep_syncing(self, writer: SessionWriter) -> None:
+    async def _keep_syncing(self, journal: Journal) -> None:
         while True:
             await asyncio.sleep(SYNC_INTERVAL)
-            if writer.unsynced:
-                with suppress(EndpointError):  # the next write commits all rows from memory
-                    await asyncio.to_thread(writer.sync)
+            if journal.unsynced:
+                with suppress(OSError):  # the next write commits all rows from memory
+                    await asyncio.to_thread(journal.sync)
 
     def _commit_meanwhile(self, writer: SessionWriter, batch: Recordable) -> bool:
         """Commit the buffered rows in the background; return true if a batch may be added meanwhile.
@@ -237,10 +232,6 @@ class Dataset(Sink[Recordable]):
                 await asyncio.to_thread(writer.commit)
                 return
         await asyncio.to_thread(writer.commit)
-
-    def _begin(self, run: Run) -> SessionWriter:
-        arrow.load()
-        return SessionWriter(self._root, run, self._part_span, self._part_rows, self._host)
 
 
 def _ignore_failure(task: asyncio.Task[None]) -> None:

@@ -172,8 +172,8 @@ class Journal:
 
     @property
     def unsynced(self) -> bool:
-        """True if appended rows are not durable."""
-        return any(log.unsynced for log in self._segments)
+        """True if `sync` has rows to make durable."""
+        return not self.suspect and any(log.unsynced for log in self._segments)
 
     def add(self, rows: NumberedRows) -> bool:
         """Queue rows; return false if too many wait, and they were not queued."""

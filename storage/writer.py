@@ -11,7 +11,7 @@ from shutil import rmtree
 from operators.batch import EVERY, Batch
 from operators.errors import EndpointError, ParameterError, os_error_reason
 from operators.ports import Description, Run
-from storage import files
+from storage import arrow, files
 from storage.description import describe_dataset, describe_session
 from storage.files import lock
 from storage.journal import Buffer, Journal, NumberedRows, delete_journal
@@ -23,10 +23,10 @@ from storage.schema import to_arrow
 class SessionWriter:
     """Writer of one session, for a caller that decides when to append, sync and commit; it has no threads.
 
-    Only `full`, `add` and `begin_commit` do not wait for the disk. `append`, `sync` and `commit` may run in
-    other threads, each once at a time. All tables are committed together, so that their parts cover the same
-    time. The rows of a live run are in a journal until then. A replay can be repeated, so nothing
-    of it is made durable.
+    Only `full`, `add` and `begin_commit` do not wait for the disk. `append`, `commit` and a sync of the
+    journal may run in other threads, each once at a time. All tables are committed together, so that their
+    parts cover the same time. The rows of a live run are in a journal until then. A replay can be repeated,
+    so nothing of it is made durable.
 
     Args:
         root: Folder of the dataset.
@@ -34,6 +34,11 @@ class SessionWriter:
         part_span: Longest event time span of a part, ns.
         part_rows: Maximum number of rows of a part.
         host: Name of the machine; default: its host name.
+
+    Attributes:
+        folder: Folder of the session.
+        journal: Journal of a live run, with which buffered rows survive a crash: then commits may run in the
+            background.
 
     Raises:
         EndpointError: if the dataset cannot be written, or has a session of that name.
@@ -43,6 +48,7 @@ class SessionWriter:
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
+        arrow.load()
         self.folder = new_session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
@@ -53,7 +59,7 @@ class SessionWriter:
         self._failed = False  # the last commit failed: it must succeed before more rows are added
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
-        self._journal: Journal | None = None
+        self.journal: Journal | None = None
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
@@ -71,40 +77,25 @@ class SessionWriter:
                 self._describe()
                 self._write_manifest()
                 if run.live:
-                    self._journal = Journal(self.folder, run.session)
+                    self.journal = Journal(self.folder, run.session)
             except BaseException:
                 if held is not None:
                     os.close(held)
                 rmtree(self.folder, ignore_errors=True)
                 raise
-        self._release = weakref.finalize(self, _release, self._journal, held)
-
-    @property
-    def journalled(self) -> bool:
-        """True if buffered rows survive a crash: then commits run in the background."""
-        return self._journal is not None
+        self._release = weakref.finalize(self, _release, self.journal, held)
 
     @property
     def exclusive(self) -> bool:
         """True if no rows may be added or appended while the rows of `begin_commit` are committed."""
-        return self._failed or not self._journal or self._journal.suspect
-
-    @property
-    def waiting(self) -> int:
-        """Largest number of rows of a table that are to be appended to the journal."""
-        return self._journal.waiting if self._journal else 0
+        return self._failed or not self.journal or self.journal.suspect
 
     @property
     def pending(self) -> int:
         """Rows that are in no part and not safe in the journal."""
-        if self._journal and not self._journal.suspect:
-            return self._journal.pending
+        if self.journal and not self.journal.suspect:
+            return self.journal.pending
         return sum(each.rows for each in (*self._buffers.values(), *(self._committing or {}).values()))
-
-    @property
-    def unsynced(self) -> bool:
-        """True if `sync` has something to make durable."""
-        return bool(self._journal and self._journal.unsynced and not self._journal.suspect)
 
     def full(self, batch: Batch) -> bool:
         """Return true if a commit is needed before `batch` is added.
@@ -128,7 +119,7 @@ class SessionWriter:
         if rows and buffer is not None and buffer.cells != batch.cells:
             must_be = f"{buffer.cells}, as in the previous rows: record other fingertips in another session"
             raise ParameterError("Dataset", f"number of cells of a {kind.__name__}", batch.cells, must_be)
-        if self._failed or (self._journal and self._journal.suspect):
+        if self._failed or (self.journal and self.journal.suspect):
             return True
         if not rows or not table.parted or buffer is None or not buffer.rows:
             return False
@@ -148,7 +139,7 @@ class SessionWriter:
         """
         if len(batch):
             buffer = self._buffer(batch)
-            if self._journal and not self._journal.add(NumberedRows(buffer.end, batch)):
+            if self.journal and not self.journal.add(NumberedRows(buffer.end, batch)):
                 return False
             buffer.add(batch)
         return True
@@ -159,24 +150,14 @@ class SessionWriter:
         Raises:
             EndpointError: if they cannot be written; the batch was not buffered.
         """
-        assert self._journal, "without a journal no rows wait"
+        assert self.journal, "without a journal no rows wait"
         with self._reporting():
             if batch is None:
-                self._journal.append()
+                self.journal.append()
             else:
                 buffer = self._buffer(batch)
-                self._journal.append(NumberedRows(buffer.end, batch))
+                self.journal.append(NumberedRows(buffer.end, batch))
                 buffer.add(batch)
-
-    def sync(self) -> None:
-        """Make the journal durable.
-
-        Raises:
-            EndpointError: if that fails; the next commit writes the rows again from memory.
-        """
-        assert self._journal, "only a journal is made durable"
-        with self._reporting():
-            self._journal.sync()
 
     def begin_commit(self, *, final: bool = False) -> None:
         """Select the buffered rows for the next commit; single-file tables only if it is `final`."""
@@ -192,9 +173,9 @@ class SessionWriter:
             self._buffers = {}
         for name, buffer in self._committing.items() if not final else ():
             self._buffers[name] = Buffer(buffer.kind, buffer.end, buffer.cells)
-        if self._journal:
+        if self.journal:
             self._single = [rows for buffer in single for rows in buffer.numbered()]
-            self._journal.begin_commit()
+            self.journal.begin_commit()
 
     def commit(self, *, final: bool = False) -> None:
         """Write the selected rows, by default all buffered ones, as parts, then the manifest.
@@ -217,16 +198,16 @@ class SessionWriter:
         Raises:
             EndpointError: it may be called again.
         """
-        if self._journal:
+        if self.journal:
             with suppress(OSError):  # they are committed from memory
-                self._journal.append()
+                self.journal.append()
         if self._committing is not None:
             self.commit()
         self.commit(final=True)
         with self._reporting():
             self._describe(ended=True)
-            if self._journal:
-                self._journal.close()
+            if self.journal:
+                self.journal.close()
                 delete_journal(self.folder)
         self._release()
 
@@ -252,8 +233,8 @@ class SessionWriter:
                 self._commit_rows(table, buffer)
                 del self._committing[table.name]
         self._write_manifest()
-        if self._journal and not final:
-            self._journal.rotate(self._single)
+        if self.journal and not final:
+            self.journal.rotate(self._single)
         self._committing = None
 
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:

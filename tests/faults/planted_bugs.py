@@ -41,8 +41,8 @@ def _put_without_fsync(path: Path, data: bytes, *, durable: bool = True) -> None
 
 
 def _delete_journal_first(self: Any, **options: Any) -> None:
-    if self._journal and self._committing:
-        self._journal.rotate(self._single)
+    if self.journal and self._committing:
+        self.journal.rotate(self._single)
     _COMMIT_SELECTED(self, **options)
 
 

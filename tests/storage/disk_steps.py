@@ -101,11 +101,11 @@ def record(root: Path, run: Run, taken: list[int], durable: list[int] | None = N
                 writer.commit()
             if not writer.add(batch):
                 writer.append(batch)
-        if writer.journalled and number % APPEND_AT == APPEND_AT - 1:
+        if writer.journal and number % APPEND_AT == APPEND_AT - 1:
             writer.append()
-        if writer.journalled and number % SYNC_EVERY == 0:
+        if writer.journal and number % SYNC_EVERY == 0:
             writer.append()
-            writer.sync()
+            writer.journal.sync()
             if durable is not None:
                 durable.append(number + 1)
         taken.append(number)

@@ -1,5 +1,4 @@
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -37,9 +36,6 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
             failures += 1
         else:
             todo.pop(0)
-        with suppress(EndpointError):
-            if writer.unsynced:
-                writer.sync()
     try:
         writer.close()
     except EndpointError:
