@@ -279,16 +279,6 @@ async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
     assert logged == ["has restarted: activating it again"]
 
 
-async def test_a_command_to_a_restarted_gripper_is_sent_once_it_is_ready() -> None:
-    async with lab() as at, at.gripping(force=15.0) as gripper:
-        await asyncio.sleep(5.05)  # between two status requests
-        at.server.restart(drop=False)
-        await gripper.write(commands(30.0))  # starts the activation
-        await asyncio.sleep(10)
-        assert at.forces == [15.0, 0.0, register_force(85)]
-        assert [each.force for each in at.writes[2:]] == [85, 85]
-
-
 async def test_an_activation_that_takes_too_long_fails() -> None:
     async with lab(activation=3600.0) as at:
         loop = asyncio.get_running_loop()

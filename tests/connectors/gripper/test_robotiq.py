@@ -5,24 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.gripper.robotiq import FAULTS, Fingers, Phase, Request, Status, force_register, register_force
+from connectors.gripper.robotiq import FAULTS, Fingers, Phase, Status, force_register, register_force
 
 
 def registers(data: str) -> list[int]:
     """Return the registers of bytes in hexadecimal."""
     octets = bytes.fromhex(data)
     return [int.from_bytes(octets[start : start + 2], "big") for start in range(0, len(octets), 2)]
-
-
-@pytest.mark.parametrize(
-    ("frame", "request_"),
-    [
-        ("01 00 00 00 00 00", Request(active=True)),
-        ("09 00 00 FF FF FF", Request(active=True, force=255)),
-    ],
-)
-def test_requests_have_the_bytes_in_the_manual(frame: str, request_: Request) -> None:
-    assert request_.encode() == registers(frame)
 
 
 @pytest.mark.parametrize(

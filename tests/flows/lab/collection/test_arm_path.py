@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Line, Turn
+from flows.lab.collection.arm_path import STEEPEST, Line, Surface, Turn
+from operators import ParameterError
 from operators.rotation import rotation_difference
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
@@ -35,3 +36,39 @@ def test_an_offset_is_in_the_frame_of_the_pose(pose: Pose) -> None:
     assert math.dist(pose[:3], offset_pose(pose, (0.01, -0.02, 0.03))[:3]) == pytest.approx(
         0.0374166, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("place", [START, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
+def test_the_fingertip_stays_on_a_sphere(place: Pose) -> None:
+    surface = Surface("sphere", 0.05, place)
+    centre = np.array(Surface("plane", pose=place).at(0.0, 0.0, 0.05)[:3])
+    for x, y in ((0.0, 0.0), (0.02, -0.01), (-0.03, 0.0)):
+        for depth in (0.0, 0.002):
+            *here, a, b, c = surface.at(x, y, depth)
+            inward = np.array(Surface("plane", pose=place).at(0.0, 0.0, depth)[:3]) - place[:3]
+            assert math.dist(np.array(here) - inward, centre) == pytest.approx(0.05)
+            assert (a, b, c) == place[3:]
+
+
+def test_a_path_is_straight_along_a_cylinder_and_bent_across() -> None:
+    surface = Surface("cylinder_x")
+    assert surface.waypoints(0.03, 0.0) == [1.0]
+    across = surface.waypoints(0.0, -0.03)
+    assert across[-1] == 1.0
+    assert min(across) > -1.0
+    assert np.diff(across).max() * 0.03 <= 0.002 + 1e-12
+
+
+def test_too_steep_a_path_is_refused_with_the_least_radius() -> None:
+    Surface("sphere", 0.03 / math.sin(STEEPEST) * 1.001).waypoints(0.03, 0.0)
+    with pytest.raises(ParameterError, match=r"0\.0424 m for strokes of 0\.0300 m"):
+        Surface("sphere", 0.04).waypoints(0.03, 0.0)
+    with pytest.raises(ParameterError, match=r"0\.0300 m for strokes of 0\.0300 m"):
+        Surface("cylinder_y", 0.02).waypoints(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
+    Surface("cylinder_x", 0.02).waypoints(0.03, 0.0)  # along its axis
+
+
+@pytest.mark.parametrize("radius", [0.0, -0.06, math.inf, math.nan])
+def test_an_invalid_radius_is_refused(radius: float) -> None:
+    with pytest.raises(ParameterError, match="radius"):
+        Surface("sphere", radius)
