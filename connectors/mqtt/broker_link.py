@@ -145,10 +145,6 @@ class Link:
             self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
 
-    def post(self, message: Message) -> None:
-        """Publish a message without waiting for its acknowledgement, which may never come."""
-        self._publish(message)
-
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
 
@@ -158,7 +154,7 @@ class Link:
         Raises:
             EndpointError: if the connection is lost; the broker may have received any of the messages.
         """
-        answers = [self._publish(message) for message in messages]
+        answers = [self.publish(message) for message in messages]
         unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
         if unanswered:
             self._lose(_reason(TimeoutError()))
@@ -251,8 +247,8 @@ class Link:
         self._answers.clear()
         self._changed.set()
 
-    def _publish(self, message: Message) -> "asyncio.Future[ReasonCode | None]":
-        """Return the future answer of the broker; its result is None if the connection is lost."""
+    def publish(self, message: Message) -> "asyncio.Future[ReasonCode | None]":
+        """Publish a message; return the future answer of the broker, None if the connection is lost."""
         answer: asyncio.Future[ReasonCode | None] = self._loop.create_future()
         properties = None
         if message.content_type:

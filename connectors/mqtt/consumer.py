@@ -209,7 +209,7 @@ class Consumer(AsyncIterator[Event]):
             return False
         topic = rig_topic("Consumer", *rig)
         payload = GapRequest(*gap, f"{topic}/replay/{self._reply_name}").encode()
-        link.post(Message(f"{topic}/replay/request", payload, retain=False))
+        link.publish(Message(f"{topic}/replay/request", payload, retain=False))
         return True
 
     async def _reconnect(self) -> "Link":

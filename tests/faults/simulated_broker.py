@@ -152,7 +152,7 @@ class SimulatedLink:
         """False after the connection was lost."""
         return not self._lost
 
-    def post(self, message: Message) -> None:
+    def publish(self, message: Message) -> None:
         """Publish a message without waiting for its acknowledgement."""
         current()
         if not self._lost:

@@ -224,7 +224,7 @@ async def test_a_check_asks_at_most_100_rigs_and_the_next_one_asks_others() -> N
         if number == 100:
             inside(events, "_position").take(event(3))
     for checks in range(1, 5):
-        vars(Consumer)["_check"](events, SimpleNamespace(post=posted.append))
+        vars(Consumer)["_check"](events, SimpleNamespace(publish=posted.append))
         assert len({message.topic for message in posted}) == len(posted) == min(100 * checks, 301)
     assert f"{UR10}/replay/request" in {message.topic for message in posted}
 
