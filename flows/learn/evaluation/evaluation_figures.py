@@ -32,13 +32,9 @@ def pareto_front(points: pl.DataFrame) -> list[str]:
     Args:
         points: Columns ``method``, ``us/sample`` and ``accuracy %``.
     """
-    front, best = list[str](), -np.inf
-    ordered = points.sort("us/sample", "accuracy %", descending=[False, True])
-    for name, accuracy in ordered.select("method", "accuracy %").iter_rows():
-        if accuracy is not None and accuracy > best:
-            front.append(name)
-            best = accuracy
-    return front
+    ordered = points.drop_nulls("accuracy %").sort("us/sample", "accuracy %", descending=[False, True])
+    best_so_far = pl.col("accuracy %").cum_max().shift(fill_value=-np.inf)
+    return ordered.filter(pl.col("accuracy %") > best_so_far)["method"].to_list()
 
 
 def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:

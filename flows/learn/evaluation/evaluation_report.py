@@ -142,9 +142,8 @@ def _events(of: Evaluation) -> Section:
 
 
 def _groups(of: Evaluation) -> Section:
-    groups = estimates(of.results, BALANCED, ("method", "fold"), draws=0)
-    total = estimates(of.results.with_columns(fold=pl.lit("all")), BALANCED, ("method", "fold"), draws=0)
-    table = estimate_table(pl.concat([groups, total]), {}, columns="fold")
+    results = pl.concat([of.results, of.results.with_columns(fold=pl.lit("all"))])
+    table = estimate_table(estimates(results, BALANCED, ("method", "fold"), draws=0), {}, columns="fold")
     return Section("groups", "Groups held out", GROUPS_TEXT, [table])
 
 

@@ -6,31 +6,25 @@ sample.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.recipe import LONGEST, REAL_TOUCH, Recipe
-from flows.learn.training.trained_model import Check, Progress
+from flows.learn.training.trained_model import Progress
 from operators.batch import SLIP, STATIC, UNKNOWN, Counts, Reals
 from operators.detectors import Tcn
 from operators.errors import InputError
+
+if TYPE_CHECKING:
+    from flows.learn.training.training_loop import Trained
 
 TIME_SCALES: Final = (1, 2, 3)
 _LARGEST: Final = 8.0  # size of a logit beyond which it says no more
 _CROP: Final = 500  # evaluated samples of a crop
 _FEWEST: Final = 100  # of the crops of short recordings
-
-
-@dataclass(frozen=True, slots=True)
-class FineTuned:
-    """Network that was trained further."""
-
-    tcn: Tcn
-    time_scale: int  # duration of strokes relative to those that the network had learned
-    curve: Sequence[Check]
 
 
 def fine_tune(
@@ -39,13 +33,13 @@ def fine_tune(
     held_out: Sequence[LabelledRecording],
     recipe: Recipe,
     progress: Progress = lambda _done, _all, _check: None,
-) -> FineTuned:
+) -> "Trained":
     """Train a network further on labelled recordings; two minutes suffice.
 
     All weights learn for a fixed number of steps. The held-out recordings choose nothing.
 
     Args:
-        tcn: Trained network, for the fingertip of the recordings.
+        tcn: Trained network, for the fingertip and the pace (`best_time_scale`) of the recordings.
         learned: Recordings to learn from.
         held_out: Recordings for the check at the end.
         recipe: Its seed and steps are used; size, rate and augmentation are those of `further`.
@@ -60,12 +54,7 @@ def fine_tune(
     if not {SLIP, STATIC} <= set(np.concatenate([each.label for each in learned]).tolist()):
         names = ", ".join(each.name for each in learned)
         raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
-    time_scale = best_time_scale(tcn, learned)
-    start = stretched(tcn, time_scale)
-    trained = train_dense(learned, held_out, further(start, recipe, [*map(len, learned)]), progress, start)
-    result = type(tcn)(trained.arrays)
-    result.fingertip = tcn.fingertip
-    return FineTuned(result, time_scale, trained.curve)
+    return train_dense(learned, held_out, further(tcn, recipe, [*map(len, learned)]), progress, tcn)
 
 
 def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:

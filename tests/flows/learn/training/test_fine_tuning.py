@@ -133,6 +133,7 @@ def test_two_minutes_of_real_strokes_improve_the_shipped_network_on_another_surf
     assert isinstance(tcn, Tcn)
     two_minutes = [_read(f"{surface}_vel3").piece(slice(4000)) for surface in ("dvp_flat", "still", "tkan")]
     others = [_read(f"fabric_vel{number}") for number in (2, 4, 5)]
-    tuned = fine_tune(tcn, two_minutes, others, Recipe(steps=trainer.FURTHER_STEPS)).tcn
+    start = stretched(tcn, best_time_scale(tcn, two_minutes))
+    tuned = Tcn(fine_tune(start, two_minutes, others, Recipe(steps=trainer.FURTHER_STEPS)).arrays)
     before, after = (label_scores(each, others)["balanced"] for each in (tcn, tuned))
     assert after > max(before, 85)
