@@ -8,8 +8,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.sampling import Sampling
+from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from operators import Debounce, ms, s
 from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
 from operators.detectors import Detector

@@ -8,8 +8,7 @@ import numpy as np
 import polars as pl
 
 from flows.learn.event_metrics import DECISION, EventMetrics, Slips, match_onsets, onsets
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.sampling import Sampling
+from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from flows.report.results import (
     Statistic,
     area,

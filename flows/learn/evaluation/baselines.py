@@ -1,14 +1,14 @@
 """Baselines on simple features, fitted by scikit-learn, for comparison with the networks."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 
-from flows.learn.sampling import USUAL, Sampling
+from flows.learn.labelled_recordings import Sampling
 from operators.batch import Counts, Flags, Reals
 from operators.extras import require_extra
 
@@ -80,7 +80,7 @@ class Features:
 
     steps: int  # of a window at 100 Hz
     compute: Callable[[Counts | Reals, Sampling], Reals]  # windows (n, length, cells) to features (n, k)
-    sampling: Sampling = USUAL
+    sampling: Sampling = field(default_factory=Sampling)
 
     @property
     def length(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, STROKES, Baseline, Features
 from flows.learn.evaluation.folds import Fold
 from flows.learn.event_metrics import tuned_on
-from flows.learn.sampling import Sampling
+from flows.learn.labelled_recordings import Sampling
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts

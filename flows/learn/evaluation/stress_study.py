@@ -9,7 +9,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -198,35 +197,33 @@ def _stream(stream: str) -> dict[str, StressField]:
     }
 
 
-FIELDS: Final[Mapping[str, StressField]] = MappingProxyType(
-    {
-        "noise": StressField(_value("parameters", "noise"), (0.6, 3.5, 7, 14, 28), "noise", "counts"),
-        "gain": StressField(_every_cell("gain"), (1, 1.5, 2.5, 0.5, 0.25, 0.1), "gain"),
-        "offset": StressField(_every_cell("offset"), (0, 200, 400, -200, -400), "offset", "counts"),
-        "drift": StressField(_every_cell("drift"), (0, 2, 6, 20, -2, -6, -20), "drift", "counts/s"),
-        "dead": StressField(_first_cells("dead"), (0, 1, 2, 3, 4), "dead cells"),
-        "stuck": StressField(_first_cells("stuck"), (0, 1, 2, 3, 4), "stuck cells"),
-        "floored": StressField(_first_cells("floored"), (0, 1, 2, 3, 4), "floored cells"),
-        **_stream("touch"),
-        **_stream("motion"),
-        "vibration": StressField(_vibration, (0, 1.5e-4, 3e-4, 4.5e-4, 9e-4), "more vibration", "mm", 1e3),
-        "friction": StressField(_friction, (1, 0.7, 0.5, 0.3, 0.15), "friction", "x"),
-        "stick_slip": StressField(_stick_slip, (1, 0.75, 0.5, 0.25, 0), "stick-slip", "x"),
-        "force": StressField(
-            lambda scene, x: replace(scene, plan=Scaled(scene.plan, x)),
-            (1, 2, 4, 0.5, 0.25, 0.1),
-            "grip force",
-            "x",
-        ),
-        "slip_speed": StressField(
-            lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x)),
-            (1, 0.6, 0.4, 0.2, 0.08),
-            "slip speed",
-            "mm/s",
-            50,
-        ),
-    }
-)
+FIELDS: Final[Mapping[str, StressField]] = {
+    "noise": StressField(_value("parameters", "noise"), (0.6, 3.5, 7, 14, 28), "noise", "counts"),
+    "gain": StressField(_every_cell("gain"), (1, 1.5, 2.5, 0.5, 0.25, 0.1), "gain"),
+    "offset": StressField(_every_cell("offset"), (0, 200, 400, -200, -400), "offset", "counts"),
+    "drift": StressField(_every_cell("drift"), (0, 2, 6, 20, -2, -6, -20), "drift", "counts/s"),
+    "dead": StressField(_first_cells("dead"), (0, 1, 2, 3, 4), "dead cells"),
+    "stuck": StressField(_first_cells("stuck"), (0, 1, 2, 3, 4), "stuck cells"),
+    "floored": StressField(_first_cells("floored"), (0, 1, 2, 3, 4), "floored cells"),
+    **_stream("touch"),
+    **_stream("motion"),
+    "vibration": StressField(_vibration, (0, 1.5e-4, 3e-4, 4.5e-4, 9e-4), "more vibration", "mm", 1e3),
+    "friction": StressField(_friction, (1, 0.7, 0.5, 0.3, 0.15), "friction", "x"),
+    "stick_slip": StressField(_stick_slip, (1, 0.75, 0.5, 0.25, 0), "stick-slip", "x"),
+    "force": StressField(
+        lambda scene, x: replace(scene, plan=Scaled(scene.plan, x)),
+        (1, 2, 4, 0.5, 0.25, 0.1),
+        "grip force",
+        "x",
+    ),
+    "slip_speed": StressField(
+        lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x)),
+        (1, 0.6, 0.4, 0.2, 0.08),
+        "slip speed",
+        "mm/s",
+        50,
+    ),
+}
 
 
 def plan_of(field: str, plan: PaperPlan) -> PaperPlan:

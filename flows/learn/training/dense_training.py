@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional, utils
 
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.sampling import WARM_UP
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Arrays, Progress
 from flows.learn.training.training_loop import (
@@ -76,7 +75,6 @@ class _DenseTask(TrainingTask):
         start: Tcn | None,
     ) -> None:
         self.steps, self.check_every = recipe.steps, max(recipe.steps // recipe.checks, 1)
-        self.patience = recipe.patience
         self._recipe, self._device = recipe, training_device()
         self._warm_up = max(WARM_UP, recipe.receptive_field - 1)  # samples
         self._crops = Crops(train, recipe.crop, self._device)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.training.recipe import LONGEST, REAL_TOUCH, Recipe
+from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from flows.learn.training.trained_model import Progress
 from operators.batch import SLIP, STATIC, UNKNOWN, Counts, Reals
 from operators.detectors import Tcn
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from flows.learn.training.training_loop import Trained
 
 TIME_SCALES: Final = (1, 2, 3)
+_LONGEST: Final = 400  # samples, receptive field of a stretched network
 _LARGEST: Final = 8.0  # size of a logit beyond which it says no more
 _CROP: Final = 500  # evaluated samples of a crop
 _FEWEST: Final = 100  # of the crops of short recordings
@@ -93,7 +94,7 @@ def best_time_scale(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> int:
     do not count; without any other, the network stays as it is.
     """
     networks = {scale: stretched(tcn, scale) for scale in TIME_SCALES}
-    networks = {scale: each for scale, each in networks.items() if each.length <= max(LONGEST, tcn.length)}
+    networks = {scale: each for scale, each in networks.items() if each.length <= max(_LONGEST, tcn.length)}
     first = max(network.length for network in networks.values()) - 1
     usable = [each for each in recordings if len(each) > 2 * first]
     label = np.concatenate([np.empty(0, np.int8), *(each.label[first:] for each in usable)])

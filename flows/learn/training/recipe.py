@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, Self
 
-from operators.checks import check_above, check_at_least, check_choice
+from operators.checks import check_above, check_choice
 from operators.detectors import Tcn
-from operators.errors import ParameterError
 
 PAPER_NETWORKS: Final = {"frequency_cnn_interleaved": 6, "paper_tcn": 25}  # epochs in which each improves
-LONGEST: Final = 400  # samples, maximum receptive field
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +44,7 @@ class Recipe:
     100
 
     Raises:
-        ParameterError: if a value is out of range.
+        ParameterError: if a crop is not longer than the receptive field.
     """
 
     filters: int = 16
@@ -63,16 +61,10 @@ class Recipe:
     decay: float = 1e-2  # of AdamW
     warm_up: float = 0.1  # of the steps; a cosine follows
     checks: int = 20  # on the validation split
-    patience: int = 8  # checks without a better score before training ends
     seed: int = 0
     augmentation: Augmentation = field(default_factory=Augmentation)
 
     def __post_init__(self) -> None:
-        for name in ("filters", "units", "taps", "steps", "batch", "checks", "patience"):
-            check_at_least("Recipe", name, getattr(self, name), 1)
-        if self.receptive_field > LONGEST:
-            reason = f"such that the receptive field ({self.receptive_field}) is at most {LONGEST} samples"
-            raise ParameterError("Recipe", "taps and dilations", (self.taps, *self.dilations), reason)
         check_above("Recipe", "crop", self.crop, self.receptive_field, "samples")
 
     @classmethod
@@ -101,7 +93,7 @@ class PaperRecipe:
     Each epoch uses all windows of the smaller class and as many random windows of the other.
 
     Raises:
-        ParameterError: if there is no such network, or `epochs` is below 1.
+        ParameterError: if there is no such network.
     """
 
     network: str  # one of `PAPER_NETWORKS`
@@ -114,4 +106,3 @@ class PaperRecipe:
 
     def __post_init__(self) -> None:
         check_choice("PaperRecipe", "network", self.network, PAPER_NETWORKS)
-        check_at_least("PaperRecipe", "epochs", self.epochs, 1)

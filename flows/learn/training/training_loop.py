@@ -107,7 +107,6 @@ class TrainingTask(ABC):
     optimiser: torch.optim.Optimizer
     steps: int  # of the optimiser
     check_every: int  # steps
-    patience: int | None = None  # checks without a better score before training ends; None: no limit
 
     @abstractmethod
     def loss(self, step: int) -> Tensor:
@@ -160,8 +159,6 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
             if best(curve) is check:
                 arrays = task.network.arrays()
         progress(step, task.steps, check)
-        if check and task.patience and len(curve) - 1 - curve.index(best(curve)) >= task.patience:
-            break
     return Trained(arrays, tuple(curve))
 
 

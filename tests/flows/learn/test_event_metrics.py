@@ -13,8 +13,7 @@ from flows.learn.event_metrics import (
     runs,
     tuned,
 )
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.sampling import WARM_UP, Sampling
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, Sampling
 from operators import Debounce, ms
 from operators.batch import Codes, Flags, Reals
 from tests.flows.learn.conftest import TWICE, label

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.learn.evaluation.baselines import sklearn
-from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from flows.learn.measures import (
     AGAINST_SLIDING,
     BALANCED,
@@ -19,7 +19,6 @@ from flows.learn.measures import (
     judged,
     precision,
 )
-from flows.learn.sampling import Sampling
 from flows.report.results import estimates, joined
 from flows.report.results import median as median_of
 from operators import Debounce

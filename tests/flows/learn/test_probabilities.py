@@ -3,8 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.sampling import WARM_UP
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators import Score, Zeroed
 from operators.detectors import Detector, Psd
 from operators.score import forward_fill

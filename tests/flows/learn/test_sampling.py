@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from flows.learn.alarm_calibration import PATH, try_settings
 from flows.learn.event_metrics import Slips, tuned
-from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from flows.learn.measures import judged
-from flows.learn.sampling import Sampling
 from operators import Debounce
 from operators.batch import Reals
 from operators.fingertip import TAKKTILE

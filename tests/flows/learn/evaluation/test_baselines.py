@@ -7,7 +7,7 @@ from flows.learn.evaluation.baselines import (
     STROKES,
     Baseline,
 )
-from flows.learn.sampling import Sampling
+from flows.learn.labelled_recordings import Sampling
 from flows.run.executor import one_thread
 from operators.batch import Counts, Flags
 

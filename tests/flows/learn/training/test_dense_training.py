@@ -33,13 +33,6 @@ def test_the_same_seed_gives_the_same_weights_and_another_gives_others(
     assert not np.array_equal(first["conv0/kernel"], other["conv0/kernel"])
 
 
-def test_training_ends_when_validation_does_not_improve(recordings: list[LabelledRecording]) -> None:
-    recipe = replace(SMALL, steps=400, checks=100, patience=3)
-    curve = train_dense(recordings[:4], recordings[4:], recipe).curve
-    assert len(curve) < 100
-    assert len(curve) - 1 - curve.index(best(curve)) == 3
-
-
 @pytest.mark.parametrize("label", [0, 1, -1])
 def test_recordings_of_one_class_are_refused(recordings: list[LabelledRecording], label: int) -> None:
     flat = [replace(recording, label=np.full_like(recording.label, label)) for recording in recordings[:4]]
@@ -74,9 +67,3 @@ def test_the_detector_made_of_the_weights_is_the_network(recordings: list[Labell
     assert tcn.length == 100
     streamed = tcn.stream().push(recordings[0].counts[:, None])[:, 0]
     np.testing.assert_allclose(streamed[99:], dense[99:], atol=1e-5)
-
-
-def test_a_receptive_field_beyond_400_samples_is_refused() -> None:
-    assert Recipe(dilations=(2, 4, 8)).receptive_field == 198
-    with pytest.raises(ParameterError, match="at most 400 samples"):
-        Recipe(dilations=(1, 2, 4, 8, 16))
