@@ -106,7 +106,11 @@ class ColumnMap:
 
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
-            _check_size(name, columns)
+            quantity = name.partition(".")[0]
+            check_choice(_OWNER, "quantity", quantity, SIZES)
+            if len(columns) not in (0, *(SIZES[quantity] or range(1, CELL_LIMIT + 1))):
+                many = " or ".join(map(str, SIZES[quantity])) or f"1 to {CELL_LIMIT}"
+                raise ParameterError(_OWNER, name, ",".join(columns), f"{many} column names")
         if self.columns.get(COUNTS) and f"{COUNTS}.0" in self.columns:
             raise ParameterError(_OWNER, COUNTS, ",".join(self.columns[COUNTS]), "omitted beside counts.0")
         for name, unit in self.units.items():
@@ -262,20 +266,6 @@ def expanded(text: str) -> list[str]:
     step = 1 if high >= low else -1
     wide = len(first) if first[0] == "0" else 1
     return [f"{prefix}{number:0{wide}}{suffix}" for number in range(low, high + step, step)]
-
-
-def _check_size(name: str, columns: Sequence[str]) -> None:
-    """Require that a quantity is known and has an allowed number of columns, or none.
-
-    Raises:
-        ParameterError: if not.
-    """
-    quantity = name.partition(".")[0]
-    check_choice(_OWNER, "quantity", quantity, SIZES)
-    sizes = SIZES[quantity] or range(1, CELL_LIMIT + 1)
-    if len(columns) not in (0, *sizes):
-        many = f"1 to {CELL_LIMIT}" if quantity == COUNTS else " or ".join(map(str, sizes))
-        raise ParameterError(_OWNER, name, ",".join(columns), f"{many} column names")
 
 
 def layout_text(layout: Layout) -> str:

@@ -10,7 +10,7 @@ import polars as pl
 from connectors.files.column_map import LABEL, LABELS, MOTIONS, UNITS, ColumnMap
 from connectors.files.number_format import MISSING, with_decimal
 from connectors.files.raw_table import RawTable
-from connectors.files.readings import described, readings_of, reals_of
+from connectors.files.readings import described, readings_of, reals_of, touch_of
 from connectors.files.roles import completed, label_value, label_values
 from connectors.files.time_axis import time_axis
 from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch
@@ -82,11 +82,8 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
     fingertip, parts = described(columns) if columns.rate else None, list[Part]()
     moving: Flags = np.all(np.isfinite(velocity), axis=1)
     for start, stop in ends:
-        rows, cells, touch = slice(start, stop), 0, dict[int, Touch]()
-        for finger, names in columns.cells.items():
-            own = slice(cells, cells := cells + len(names))
-            none = np.zeros_like(counts[rows, own])
-            touch[finger] = columns.kind(time[rows], counts[rows, own], none, valid[rows, own], finger=finger)
+        rows = slice(start, stop)
+        touch = touch_of(columns, time[rows], counts[rows], valid[rows])
         still = np.full((stop - start, 6), np.nan)
         motion = Motion(time[rows], time[rows], velocity[rows], still, finger=EVERY)[moving[rows]]
         warnings = [*_doubts(motion), *table.warnings]

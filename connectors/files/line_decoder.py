@@ -8,7 +8,7 @@ import polars as pl
 
 from connectors.files.column_map import DATE, SEPARATORS, TIME, ColumnMap
 from connectors.files.number_format import reals
-from connectors.files.readings import counts_of
+from connectors.files.readings import counts_of, touch_of
 from connectors.files.text_table import named, split_line
 from connectors.files.time_axis import of_numbers, of_texts
 from operators.batch import Flags, Motion, Reals, Times, Touch, s
@@ -138,11 +138,7 @@ class LineDecoder:
             self._last = time[-1]
             unknown = np.full((len(time), 6), np.nan)
             host = self._clock.process(Motion(host, time, unknown, unknown)).time
-        first = 0
-        for finger, names in self._columns.cells.items():
-            part = slice(first, first := first + len(names))
-            none = np.zeros_like(counts[:, part])
-            yield self._columns.kind(host, counts[:, part], none, valid[:, part], finger=finger)
+        yield from touch_of(self._columns, host, counts, valid).values()
 
     def _times(self, texts: Sequence[str]) -> tuple[Times, Flags]:
         """Return the times (n,) of the logger's clock, ns, and which are known; 0 without a clock."""

@@ -9,7 +9,7 @@ import numpy as np
 from connectors.files.column_map import COUNTS, PRESSURES, ColumnMap, is_air, layout_text
 from connectors.files.number_format import reals
 from connectors.files.raw_table import RawTable
-from operators.batch import Counts, Flags, Reals, Times, s
+from operators.batch import Counts, Flags, Reals, Times, Touch, s
 from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 
@@ -100,6 +100,16 @@ def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
         good &= ~_is_fraction(readings)
     stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
     return stored, good
+
+
+def touch_of(columns: ColumnMap, time: Times, counts: Counts, valid: Flags) -> dict[int, Touch]:
+    """Return rows with times (n,), counts and valid (n, cells of all fingertips) by fingertip."""
+    found, first = dict[int, Touch](), 0
+    for finger, names in columns.cells.items():
+        own = slice(first, first := first + len(names))
+        temperature = np.zeros_like(counts[:, own])
+        found[finger] = columns.kind(time, counts[:, own], temperature, valid[:, own], finger=finger)
+    return found
 
 
 def described(columns: ColumnMap) -> Fingertip:
