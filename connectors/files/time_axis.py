@@ -66,7 +66,10 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
         table.notes.append("times by the rate")
         time = np.rint(np.arange(len(table)) * (s / columns.rate)).astype(np.int64)
         return replace(columns, dates="ymd"), time, _parts(table, "", time, split=split)
-    name, dates, column = columns.columns[TIME][0], columns.columns.get(DATE), time_column(table, columns)
+    [name], dates = columns.columns[TIME], columns.columns.get(DATE)
+    column = table.columns[name]
+    if dates:
+        column = table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
     texts = is_text_of_time(column)
     textual = texts or column.dtype.is_temporal()
     order = columns.dates or (date_order(table, (dates or [name])[0]) if texts else "ymd")
@@ -92,14 +95,6 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
         text = f"has {rate:.1f} rows per second, not {columns.rate:g}: is its time in another unit?"
         table.add_problem(text)
     return replace(columns, rate=columns.rate or rate), time, parts
-
-
-def time_column(table: RawTable, columns: ColumnMap) -> pl.Series:
-    """Return the column of times, with the dates if they have a column of their own."""
-    column = table.columns[columns.columns[TIME][0]]
-    if dates := columns.columns.get(DATE):
-        return table.columns[dates[0]].cast(pl.String) + " " + column.cast(pl.String)
-    return column
 
 
 def continued(time: Times, notes: list[str]) -> Times:

@@ -124,7 +124,8 @@ def import_(
             else:
                 listed.append({"file": str(path), "state": found.state, "error": "", **found.summary()})
                 text = found.report(short=found.interpretation() == before)
-                before, found_map = found.interpretation(), found.trace.part.columns
+                found_map = found_map if before else found.trace.part.columns
+                before = found.interpretation()
             update(len(listed), len(files))
             if not as_json:
                 typer.echo(text)

@@ -169,14 +169,3 @@ def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
 def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:
     for end in ("", "\n", "\r\n\r\n", "\n \n"):
         assert np.isnan(read(write(f"t\tp0\tp1\n1\t2\t3\n2\t3\t{end}"))["p1"]).tolist()[:2] == [False, True]
-
-
-@given(st.binary(max_size=300))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_content_is_a_table_or_refused(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "any.csv").write_bytes(content)
-    try:
-        read = len(read_table(tmp_path / "any.csv")) > 0
-    except InputError as error:
-        read = "\n" not in str(error)
-    assert read
