@@ -212,17 +212,15 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             event = Event.decode(entry.payload)
             if event.time >= self._published.get(finger, event.time):  # not an old event that was sent late
                 self._published[finger] = event.time
-                about: dict[str, Json] = {
-                    "since": timestamp(event.time),
-                    "epoch": event.epoch,
-                    "seq": event.seq,
-                }
                 state: dict[str, Json] = {
                     "slip": event.onset,
                     "p": event.probability,
                     "quality": event.quality,
+                    "since": timestamp(event.time),
+                    "epoch": event.epoch,
+                    "seq": event.seq,
                 }
-                yield self._message(f"{finger}/state", {**state, **about})
+                yield self._message(f"{finger}/state", state)
         yield self._head()
 
     def _message(self, name: str, document: dict[str, Json]) -> Message:
