@@ -78,7 +78,7 @@ def evaluate(
     prepare_report(out)
     with workers(jobs, cluster) as executor, progress_bar("evaluating") as update:
         if dataset is None:
-            found = run_stress(names=method or [], executor=executor, progress=update, log=note)
+            found = run_stress(names=method or [], executor=executor, progress=update)
         else:
             found = run_evaluation(
                 dataset,
@@ -89,7 +89,8 @@ def evaluate(
                 speed=_TURN if chart else 0,
                 executor=executor,
                 progress=update,
-                log=note,
             )
+    for line in (*(f"not evaluated: {name}: {why}" for name, why in found.missing.items()), *found.notes):
+        note(line)
     report = (stress_report if stress else evaluation_report)(found, command_line())
     write_report(report, out, "stress" if stress else "evaluation", as_json=as_json)

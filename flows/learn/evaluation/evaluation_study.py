@@ -32,7 +32,6 @@ LABEL: Final = "the label"  # as a method, against true sliding
 DEFAULT: Final = "tcn"
 _LEARNED: Final = ("train", "validation")  # splits that training uses
 
-Log: TypeAlias = Callable[[str], object]
 Progress: TypeAlias = Callable[[int, int], object]  # tasks done, all tasks
 
 
@@ -64,7 +63,6 @@ def evaluate(
     speed: float = 0.0,
     executor: Executor | None = None,
     progress: Progress = lambda _done, _all: None,
-    log: Log = lambda _: None,
 ) -> Evaluation:
     """Judge methods on a split of a dataset, or on groups of its recordings that are held out.
 
@@ -80,14 +78,12 @@ def evaluate(
         speed: CPU time of each turn of timing the methods, s; 0: they are not timed.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of fits and judgements done, and of all.
-        log: Receives progress messages.
 
     Raises:
         InputError: if the dataset, split, group, method or model does not exist, or no method can be judged.
         FingertipError: if the recordings have different fingertips.
     """
     trained = trained_methods(names)
-    log(f"reading {dataset.name}")
     recordings = _distinct(load(dataset))
     common_fingertip(recordings)
     if hold_out:
@@ -101,15 +97,12 @@ def evaluate(
     chosen = [each for fold in folds for each in fold.judged]
     notes = repeated(recordings, [getattr(each, parts) for each in recordings]) if split != EVERY else []
     tasks = [(each, fold) for each in candidates for fold in folds]
-    found = judge_all(subject, tasks, executor=executor, progress=progress, log=log)
+    found = judge_all(subject, tasks, executor=executor, progress=progress)
     if any(each.split in _LEARNED for each in chosen):
         learned = [each.name for each in found.methods.values() if learned_from(each.card, dataset)]
         notes += [f"{name} was trained on this dataset" for name in learned]
     notes += filter(None, [hand_label_summary(chosen)])
-    for note in notes:
-        log(note)
     if speed:
-        log("timing the detectors in turns")
         detectors = {name: method.detector for name, method in found.methods.items()}
         found = replace(found, speeds=speed_results(detectors, chosen, span=speed))
     true = all(each.sliding is not None for each in chosen)
@@ -123,7 +116,6 @@ def judge_all(
     *,
     executor: Executor | None = None,
     progress: Progress = lambda _done, _all: None,
-    log: Log = lambda _: None,
 ) -> Evaluation:
     """Fit candidates to folds and judge them.
 
@@ -132,7 +124,6 @@ def judge_all(
         tasks: Candidates and folds; one that fails on a fold, or whose worker dies, has no results.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of tasks done, and of all.
-        log: Receives the reasons why methods are missing.
 
     Raises:
         InputError: if no method can be judged.
@@ -142,7 +133,6 @@ def judge_all(
     for (candidate, _), answer in zip(tasks, answers, strict=True):
         if isinstance(answer, str):
             missing[candidate.name] = answer
-            log(f"not evaluated: {candidate.name}: {answer}")
         else:
             methods[candidate.name], table = answer
             results = joined([results, table])

@@ -16,7 +16,7 @@ import polars as pl
 
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Plan, Scene, Vibration
-from flows.learn.evaluation.evaluation_study import Evaluation, Log, Progress, judge_all, method_results
+from flows.learn.evaluation.evaluation_study import Evaluation, Progress, judge_all, method_results
 from flows.learn.evaluation.folds import Fold
 from flows.learn.evaluation.methods import Candidate, Method, baselines, trained_methods
 from flows.learn.labelled_recordings import simulated_recordings
@@ -41,7 +41,6 @@ def stress(
     training: PaperPlan = TRAINING,
     executor: Executor | None = None,
     progress: Progress = lambda _done, _all: None,
-    log: Log = lambda _: None,
 ) -> Evaluation:
     """Judge methods under every stress; the conditions of the results are those of `condition_name`.
 
@@ -53,17 +52,15 @@ def stress(
             debounce of methods without a card.
         executor: Executor of `workers`; None: this process.
         progress: Called with the number of conditions done, and of all.
-        log: Receives progress messages.
 
     Raises:
         InputError: if a method or model does not exist.
         SlipflowError: if a worker died.
     """
     candidates: list[Candidate] = [*trained_methods(names), *baselines(names)]
-    log("simulating the recordings to fit to")
     train, validation = (simulated_recordings(training, seed + more) for more in (_FITTING, _TUNING))
     tasks = [(each, Fold("", train, validation, ())) for each in candidates]
-    fitted = judge_all("", tasks, executor=executor, log=log)
+    fitted = judge_all("", tasks, executor=executor)
     conditions = {condition_name(field, value): (field, value) for field, value in every_condition()}
     work = partial(_results, list(fitted.methods.values()), plan, seed)
     results = joined(map_tasks(work, list(conditions.items()), executor, progress=progress))
