@@ -28,11 +28,12 @@ def reals(column: pl.Series, decimal: str) -> pl.Series:
     """Return the numbers of a column; NaN for a missing value, null for what is no finite number."""
     text = column.dtype == pl.String
     value = (_plain(decimal) if text else pl.first()).cast(pl.Float64, strict=False)
-    missing = pl.first().is_null() | value.is_nan().fill_null(value=False)
+    missing = pl.first().is_null() | value.is_nan()
     if text:
         missing = pl.first().str.to_lowercase().str.strip_chars().is_in(MISSING).fill_null(value=True)
-    number = pl.when(missing).then(np.nan).when(value.is_finite()).then(value)
-    return column.to_frame().select(number).to_series()
+    found = column.to_frame().select(value.alias("value"), missing.alias("missing"))
+    number = pl.when("missing").then(np.nan).when(pl.col("value").is_finite()).then("value")
+    return found.select(number).to_series()
 
 
 @cache

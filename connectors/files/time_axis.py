@@ -232,7 +232,7 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
 def of_texts(column: pl.Series, order: str) -> pl.Series:
     """Return dates (since 1970 UTC) and times of day as ns; null for other texts, and for impossible days."""
     parts = column.str.strip_chars().str.extract_groups(_TEXT).struct.unnest()
-    return parts.select(_moment(order)).to_series()
+    return parts.lazy().select(_moment(order)).collect().to_series()
 
 
 @cache
