@@ -34,7 +34,6 @@ from storage.layout import (
     JOURNAL,
     SEGMENTS,
     TABLE_OF,
-    Table,
     file_name,
     files_of,
     row_size,
@@ -55,11 +54,6 @@ class NumberedRows(NamedTuple):
 
     first: int
     batch: Batch
-
-    @property
-    def table(self) -> Table:
-        """Their table."""
-        return TABLE_OF[type(self.batch)]
 
 
 class Buffer:
@@ -153,17 +147,17 @@ class Journal:
         self._committing: list[AppendLog] = []  # that are deleted after the commit
         self._restarting = False  # these are all segments, because some of them are suspect
         self._waiting = deque[NumberedRows]()
-        self._added, self._appended = Counter[str](), Counter[str]()  # rows by table
+        self._added, self._appended = Counter[type[Batch]](), Counter[type[Batch]]()  # rows by type
 
     @property
     def waiting(self) -> int:
         """Largest number of rows of a table that are not appended yet."""
-        return max((rows - self._appended[table] for table, rows in self._added.items()), default=0)
+        return max((rows - self._appended[kind] for kind, rows in self._added.items()), default=0)
 
     @property
     def pending(self) -> int:
         """Rows that are not appended yet."""
-        return sum(rows - self._appended[table] for table, rows in self._added.items())
+        return sum(rows - self._appended[kind] for kind, rows in self._added.items())
 
     @property
     def suspect(self) -> bool:
@@ -177,10 +171,10 @@ class Journal:
 
     def add(self, rows: NumberedRows) -> bool:
         """Queue rows; return false if too many wait, and they were not queued."""
-        table, count = rows.table.name, len(rows.batch)
-        if self._added[table] - self._appended[table] + count > MAX_WAITING:
+        kind, count = type(rows.batch), len(rows.batch)
+        if self._added[kind] - self._appended[kind] + count > MAX_WAITING:
             return False
-        self._added[table] += count
+        self._added[kind] += count
         self._waiting.append(rows)
         return True
 
@@ -197,7 +191,7 @@ class Journal:
             self._waiting.extendleft(reversed(waiting))
             raise
         for found in waiting:
-            self._appended[found.table.name] += len(found.batch)
+            self._appended[type(found.batch)] += len(found.batch)
 
     def sync(self) -> None:
         """Make the appended rows durable.

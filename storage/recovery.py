@@ -2,9 +2,8 @@
 
 import os
 from collections import Counter
-from collections.abc import Generator, Iterable, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from itertools import count
 from operator import attrgetter
 from pathlib import Path
@@ -38,22 +37,7 @@ from storage.schema import to_arrow
 PART_ROWS: Final = 100_000  # of a part made from the journal
 
 
-@dataclass(frozen=True)
-class Recovery:
-    """Result of a recovery."""
-
-    session: str
-    rows: Mapping[str, int]  # recovered rows by table
-    lost: tuple[str, ...]  # a line for each loss that was not known before
-    done: tuple[str, ...]  # a line for each other repair
-
-    @property
-    def changed(self) -> bool:
-        """True if anything was repaired or lost."""
-        return bool(self.rows or self.lost or self.done)
-
-
-def recover(folder: str | Path) -> Recovery:
+def recover(folder: str | Path) -> "Recovery":
     """Repair a session, so that all its rows are in parts that its manifest lists.
 
     The rows of the journal become parts, table by table, up to the first missing row: a table never has a
@@ -75,7 +59,9 @@ def recover(folder: str | Path) -> Recovery:
     read_session(folder)  # before the lock: an invalid session is an InputError
     try:
         with _exclusive(folder):
-            return Repair(folder, read_session(folder)).finish()  # as a concurrent recovery has left it
+            recovery = Recovery(folder, read_session(folder))  # as a concurrent one has left it
+            recovery.finish()
+            return recovery
     except OSError as error:
         reason = f"cannot be recovered: {os_error_reason(error)}"
         raise EndpointError(str(error.filename or folder), reason) from error
@@ -94,10 +80,12 @@ def _exclusive(folder: Path) -> Generator[None]:
         yield
 
 
-class Repair:
-    """Repair of one session: the constructor examines it and changes nothing; `finish` needs its lock.
+class Recovery:
+    """Recovery of one session: the constructor examines it and changes nothing; `finish` needs its lock.
 
     Attributes:
+        session: Name of the session.
+        rows: Recovered rows by table; known after `finish`.
         lost: A line for each loss that no earlier recovery has recorded.
         cut: Those of `lost` at the end, where the recorder was killed.
         done: A line for each other repair.
@@ -107,7 +95,8 @@ class Repair:
     """
 
     def __init__(self, folder: Path, about: Description) -> None:
-        self._folder, self._about, self._session = folder, about, str(about["session"])
+        self._folder, self._about, self.session = folder, about, str(about["session"])
+        self.rows = dict[str, int]()
         self.lost, self.cut, self.done = list[str](), list[str](), list[str]()
         self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
         self._listed = listed = read_manifest(folder, about)
@@ -116,12 +105,12 @@ class Repair:
         self._strays = [path for path in found if path.relative_to(folder).as_posix() not in listed]
         self._logs = numbered_files(folder, SEGMENTS)
         self._damaged = list[Path]()  # segments to be kept
-        self._rows = dict[Table, Buffer]()  # that the journal adds
+        self._buffers = dict[Table, Buffer]()  # that the journal adds
         self._read_journal()
         self._covered = not self._strays or (bool(self._logs) and not self.lost)  # the journal has their rows
         if not self._covered:
             self.done += [f"{path.relative_to(folder)}: is not in the manifest" for path in self._strays]
-        if not self._rows and (folder / JOURNAL).is_dir():
+        if not self._buffers and (folder / JOURNAL).is_dir():
             self.done.append("its journal was deleted: all its rows are in parts")
         if "end_ns" not in about and not self._logs:
             if self._all_parts() or not self._covered:
@@ -131,7 +120,12 @@ class Repair:
         known = self._before.get("lost", [])
         self.lost, self.cut = ([each for each in of if each not in known] for of in (self.lost, self.cut))
 
-    def finish(self) -> Recovery:
+    @property
+    def changed(self) -> bool:
+        """True if anything was repaired or lost."""
+        return bool(self.rows or self.lost or self.done)
+
+    def finish(self) -> None:
         """Repair the session.
 
         Raises:
@@ -140,17 +134,16 @@ class Repair:
         if not self._covered:
             for path in self._strays:
                 self._move_away(path)
-        rows = dict[str, int]()
-        for table in (table for table in TABLES if table in self._rows):
+        for table in (table for table in TABLES if table in self._buffers):
             before = self._parts[table] if table.parted else []
             number = 1 + max((file_number(table.pattern, part.path) or 0 for part in before), default=-1)
-            new = to_arrow(table, self._rows[table].batches())
+            new = to_arrow(table, self._buffers[table].batches())
             parts = write_parts(self._folder, table, new, number=number, limit=PART_ROWS)
-            rows[table.name] = len(new) - (0 if table.parted else _count(self._parts[table]))
+            self.rows[table.name] = len(new) - (0 if table.parted else _count(self._parts[table]))
             self._parts[table] = [*before, *parts]
-        if rows or self.lost or not (self._before or "end_ns" in self._about):
+        if self.rows or self.lost or not (self._before or "end_ns" in self._about):
             recovered = {
-                "rows": rows or self._before.get("rows", {}),
+                "rows": self.rows or self._before.get("rows", {}),
                 "lost": [*self._before.get("lost", []), *self.lost],
                 "cut": [*self._before.get("cut", []), *self.cut],
             }
@@ -159,7 +152,6 @@ class Repair:
         if set(self._all_parts()) != {*self._listed.values()} or not may_exist(self._folder / MANIFEST):
             write_manifest(self._folder, self._all_parts(), about=self._about)
         self._clean_up()
-        return Recovery(self._session, rows, tuple(self.lost), tuple(self.done))
 
     def _all_parts(self) -> list[Part]:
         return [part for each in self._parts.values() for part in each]
@@ -170,17 +162,17 @@ class Repair:
         for first, batch in self._journal_rows():
             table = TABLE_OF[type(batch)]
             start = _count(self._parts[table]) if table.parted else 0  # single files are written anew
-            buffer = self._rows.get(table) or Buffer(type(batch), start, batch.cells)
+            buffer = self._buffers.get(table) or Buffer(type(batch), start, batch.cells)
             if table in left_out or first > buffer.end:
                 left_out[table] += len(batch)
             elif first + len(batch) > buffer.end:
                 buffer.add(batch[buffer.end - first :])
-                self._rows[table] = buffer
-        for table in (table for table in [*self._rows] if not table.parted):
-            if self._rows[table].rows <= _count(self._parts[table]):
-                del self._rows[table]  # its file has them already
+                self._buffers[table] = buffer
+        for table in (table for table in [*self._buffers] if not table.parted):
+            if self._buffers[table].rows <= _count(self._parts[table]):
+                del self._buffers[table]  # its file has them already
         for table, rows in left_out.items():
-            end = self._rows[table].end if table in self._rows else _count(self._parts[table])
+            end = self._buffers[table].end if table in self._buffers else _count(self._parts[table])
             self.lost.append(f"{table.name}: {rows} rows that do not follow row {end}")
             self._damaged = list(self._logs.values())
 
@@ -192,7 +184,7 @@ class Repair:
         single = list[NumberedRows]()
         for number, path in self._logs.items():
             with LogReader(path) as reader:
-                check_segment(reader, self._session, number)
+                check_segment(reader, self.session, number)
                 for record in reader.records():
                     rows = decode(record.data, str(path))
                     if TABLE_OF[type(rows.batch)].parted:

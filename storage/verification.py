@@ -31,7 +31,7 @@ from storage.layout import (
     table_of,
 )
 from storage.parts import Part, read_manifest, read_part
-from storage.recovery import Repair, scratch_files
+from storage.recovery import Recovery, scratch_files
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, total files, session
@@ -254,12 +254,12 @@ class _SessionCheck:
             return
         with self._losing():
             try:
-                repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
+                recovery = Recovery(self.folder, self.about or {"session": self.name, "end_ns": 0})
             except OSError as error:
                 raise files.read_error(error.filename or self.folder, error) from error
-            for text in repair.lost:
-                self._add("lossy" if text in repair.cut else "lost", text)
-            for text in repair.done:
+            for text in recovery.lost:
+                self._add("lossy" if text in recovery.cut else "lost", text)
+            for text in recovery.done:
                 self._add("repairable", f"{text}: slipflow verify --repair repairs this")
         self._check_names()
 

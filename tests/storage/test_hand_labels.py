@@ -123,6 +123,6 @@ def test_a_recovery_deletes_what_a_killed_writer_left(session: Session) -> None:
     session.write_hand_labels(SPANS, based_on=0)
     scratch = session.folder / "labels/000002.json.tmp"
     scratch.write_text("{")
-    assert recover(session.folder).done == ("1 incomplete files were deleted",)
+    assert recover(session.folder).done == ["1 incomplete files were deleted"]
     assert session.hand_labels().version == 1
     assert not scratch.exists()

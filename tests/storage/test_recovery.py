@@ -50,7 +50,7 @@ def flip(path: Path, place: int, bit: int = 4) -> bytes:
 def test_rows_of_the_journal_become_listed_parts_once(left: Path) -> None:
     assert (verify(left).code, verify(left).worst) == (3, "repairable")
     done = recover(left)
-    assert (done.rows, done.lost) == (RECOVERED["rows"], ())
+    assert (done.rows, done.lost) == (RECOVERED["rows"], [])
     assert rows(left, BATCHES) == ALL
     assert {path.relative_to(left).as_posix() for path in left.rglob("*.parquet")} == set(read_manifest(left))
     assert not (left / "journal").exists()
@@ -143,7 +143,7 @@ def test_rows_that_do_not_follow_are_left_out_and_reported(left: Path) -> None:
         del listed[name]
         (left / name).unlink()
     write_manifest(left, listed.values())
-    assert recover(left).lost == ("motion: 15 rows that do not follow row 0",)
+    assert recover(left).lost == ["motion: 15 rows that do not follow row 0"]
     assert rows(left, BATCHES) == [25, 25, 0, 25, 25]
     assert list((left / "damaged").glob("*.wal"))
 
