@@ -122,13 +122,7 @@ def describe_session(
 def describe_recovery(
     folder: Path, about: Description, recovered: Mapping[str, Any], *, newest: int | None
 ) -> None:
-    """Record a recovery in session.json.
-
-    Args:
-        folder: Folder of the session.
-        about: Content of session.json.
-        recovered: Result of the recovery.
-        newest: Time (ns) of its newest row, which ends a session that was not closed; None: it has no rows.
+    """Record a recovery in session.json; the time (ns) of the newest row ends a session that was not closed.
 
     Raises:
         OSError: if it cannot be written.
@@ -166,11 +160,6 @@ def identity(about: Description) -> dict[str, object]:
 
 def check_identity(path: Path, content: Mapping[str, Any], about: Description) -> None:
     """Check that a document belongs to the session; one of an older version does not name it.
-
-    Args:
-        path: The document, in messages.
-        content: Its content.
-        about: Content of session.json; empty: unknown.
 
     Raises:
         InputError: if it names another session.

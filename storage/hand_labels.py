@@ -78,12 +78,7 @@ class HandLabels:
 
 
 def read_hand_labels(folder: Path, about: Description, version: int | None = None) -> HandLabels:
-    """Return the newest hand labels of a session.
-
-    Args:
-        folder: Folder of the session.
-        about: Content of session.json; empty: unknown.
-        version: Another version, which exists.
+    """Return the newest hand labels of a session, or those of another version, which exists.
 
     Raises:
         InputError: if its file is damaged or belongs to another session.
@@ -109,11 +104,7 @@ def write_hand_labels(
 ) -> HandLabels:
     """Write all spans as the next version of the hand labels of a session; all other files stay.
 
-    Args:
-        folder: Folder of the session.
-        about: Content of session.json.
-        spans: All spans of the new version.
-        based_on: Version that they were derived from, 0 for none; it must be the newest.
+    The version that they are based on, 0 for none, must be the newest.
 
     Raises:
         ParameterError: if spans of a fingertip overlap, or there are more than 100,000.

@@ -18,7 +18,6 @@
     sessions/<session>/damaged/                     files that a recovery moved away
 """
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -130,11 +129,7 @@ def file_number(pattern: str, path: str) -> int | None:
 
 
 def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
-    """Return the files of a session that match a pattern by number, in order; others are ignored.
-
-    Raises:
-        SlipflowError: as `files_of`.
-    """
+    """Return the files of a session that match a pattern by number, in order; others are ignored."""
     found = (
         (file_number(pattern, path.relative_to(folder).as_posix()), path)
         for path in files_of(folder, pattern)
@@ -247,16 +242,9 @@ def check_links(folder: Path) -> None:
     sessions = folder.absolute().parent
     if sessions.name == SESSIONS:
         session_folder(sessions.parent, folder.name)
-    folders = [os.fspath(folder)]
+    folders = [folder]
     while folders:
-        try:
-            with os.scandir(folders.pop()) as entries:
-                for entry in entries:
-                    if entry.is_symlink():
-                        raise InputError(entry.path, _LINK)
-                    if entry.is_dir():
-                        folders.append(entry.path)
-        except FileNotFoundError:  # a recorder deletes its journal meanwhile
-            continue
-        except OSError as error:
-            raise read_error(error.filename, error) from error
+        for path in files_of(folders.pop(), "*"):
+            if path.is_symlink():
+                raise InputError(str(path), _LINK)
+            folders += [path] if path.is_dir() else []

@@ -71,10 +71,6 @@ def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]
 
     A recorder that was killed before it wrote the manifest has left no parts; then there are none.
 
-    Args:
-        folder: Folder of the session.
-        about: Content of session.json; empty: unknown.
-
     Raises:
         InputError: if the manifest is missing or damaged, or belongs to another session.
     """
@@ -96,12 +92,6 @@ def read_manifest(folder: Path, about: Description = UNKNOWN) -> dict[str, Part]
 
 def write_part(folder: Path, path: str, rows: pa.Table, *, durable: bool = True) -> Part:
     """Write rows as a Parquet file of a session and return its manifest entry.
-
-    Args:
-        folder: Folder of the session.
-        path: Path within it.
-        rows: The rows.
-        durable: Survive a power cut from now on.
 
     Raises:
         OSError: if it cannot be written; the file is then missing or complete.
@@ -143,10 +133,6 @@ def write_parts(
 
 def read_part(folder: Path, part: Part) -> pa.Table:
     """Return the columns of a table from its Parquet file, which may have others.
-
-    Args:
-        folder: Folder of the session.
-        part: Entry of the manifest.
 
     Raises:
         InputError: if the file is missing, damaged, not as listed, lacks a column or has more than
