@@ -37,7 +37,6 @@ _PREFIX: Final = Struct("<4sI")
 _POSITION: Final = Struct("<QI")  # in this order the header does not cancel out in the first frame
 _CRC: Final = 4  # bytes
 _OVERHEAD: Final = _PREFIX.size + _CRC  # bytes of a frame without its record
-_ZEROS: Final = 16 * files.MiB  # bytes of a tail that are compared with zeros
 
 
 class Record(NamedTuple):
@@ -57,9 +56,7 @@ class Damage:
 
 
 class LogReader:
-    """Reader of a log, with one record in memory at a time. It must be closed.
-
-    A log may be read while it is written: the reader ends at the last whole frame.
+    """Reader of a log as it was when the reader was made; it may be written further.
 
     Args:
         path: The file.
@@ -72,96 +69,74 @@ class LogReader:
 
     Raises:
         InputError: if the log has another version.
-        OSError: if the file cannot be read.
+        OSError: if the file cannot be read; this is never reported as damage.
     """
 
     def __init__(self, path: Path) -> None:
         self.path, self.identity = path, b""
         self.damage: Damage | None = None
         self._start = self.end = -1  # of the first frame; below 0: the header is damaged
-        self._file = files.open_file(path)
+        descriptor = files.open_file(path)
         try:
-            self._size = os.fstat(self._file).st_size
-            self.seed = self.crc = self._read_header()
-        except BaseException:
-            self.close()
-            raise
+            self._data = os.pread(descriptor, os.fstat(descriptor).st_size, 0)
+        finally:
+            os.close(descriptor)
+        self._seed = self._crc = self._read_header()
 
     def records(self, offset: int | None = None) -> Iterator[Record]:
         """Yield the records up to the end or the first damage.
 
         Args:
             offset: Offset to begin at, as a reader or `append` returned it; default: the first record.
-
-        Raises:
-            OSError: if the file cannot be read; this is never reported as damage.
         """
         if self._start < 0:
             return
-        self.damage, self._size = None, os.fstat(self._file).st_size
-        self.end = self._start if offset is None else offset
-        self.crc = int.from_bytes(os.pread(self._file, _CRC, self.end - _CRC), "little")
-        while self.end < self._size:
-            found = self._frame(self.end, self.crc)
-            if found is None:
-                self.damage = Damage(self.end, self._size - self.end, self._is_torn(self.end))
+        self.damage, self.end = None, self._start if offset is None else offset
+        self._crc = int.from_bytes(self._data[self.end - _CRC : self.end], "little")
+        while self.end < len(self._data):
+            record = self._next()
+            if record is None:
+                self.damage = Damage(self.end, len(self._data) - self.end, self._is_torn())
                 return
-            record = Record(self.end, found[0])
-            self.end, self.crc = self.end + _OVERHEAD + len(record.data), found[1]
             yield record
-
-    def close(self) -> None:
-        """Close the file; may be called again."""
-        if self._file >= 0:
-            os.close(self._file)
-        self._file = -1
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _read_header(self) -> int:
         """Read the header and return its CRC."""
-        head = os.pread(self._file, _HEAD.size, 0)
-        if len(head) == _HEAD.size:
-            magic, _, length = _HEAD.unpack(head)
+        if len(self._data) >= _HEAD.size:
+            magic, _, length = _HEAD.unpack_from(self._data)
             if magic[:-1] == _MAGIC and magic != _MAGIC + bytes([VERSION]):
                 reason = f"has log version {magic[-1]}; this slipflow reads version {VERSION}"
                 raise InputError(str(self.path), f"{reason}: read it with the slipflow that wrote it")
-            if magic[:-1] == _MAGIC and length <= min(LIMIT, self._size - _HEAD.size - _CRC):
-                rest = os.pread(self._file, length + _CRC, _HEAD.size)
-                crc = zlib.crc32(rest[:length], zlib.crc32(head))
-                if rest[length:] == crc.to_bytes(_CRC, "little"):
-                    self.identity = rest[:length]
-                    self._start = self.end = _HEAD.size + length + _CRC
-                    return crc
-        self.damage = Damage(0, self._size, torn=self._size <= _HEAD.size)
+            end = _HEAD.size + length
+            crc = zlib.crc32(self._data[:end])
+            if magic[:-1] == _MAGIC and self._data[end : end + _CRC] == crc.to_bytes(_CRC, "little"):
+                self.identity, self._start, self.end = self._data[_HEAD.size : end], end + _CRC, end + _CRC
+                return crc
+        self.damage = Damage(0, len(self._data), torn=len(self._data) <= _HEAD.size)
         return 0
 
-    def _frame(self, offset: int, before: int) -> tuple[bytes, int] | None:
-        """Return record and CRC of the frame at `offset` after the CRC `before`; None if it is not whole."""
-        prefix = os.pread(self._file, _PREFIX.size, offset)
+    def _next(self) -> Record | None:
+        """Return the next record; None if its frame is not whole."""
+        prefix, start = self._data[self.end : self.end + _PREFIX.size], self.end + _PREFIX.size
         if len(prefix) < _PREFIX.size:
             return None
         magic, length = _PREFIX.unpack(prefix)
-        if magic != _FRAME_MAGIC or length > min(LIMIT, self._size - offset - _OVERHEAD):
+        data = self._data[start : start + length]
+        crc = _checksum(prefix, data, _POSITION.pack(self.end, self._crc), self._seed)
+        check = self._data[start + length : start + length + _CRC]
+        if magic != _FRAME_MAGIC or check != crc.to_bytes(_CRC, "little"):
             return None
-        rest = os.pread(self._file, length + _CRC, offset + _PREFIX.size)
-        record = rest[:length]
-        crc = _checksum(prefix, record, _POSITION.pack(offset, before), self.seed)
-        return (record, crc) if rest[length:] == crc.to_bytes(_CRC, "little") else None
+        record = Record(self.end, data)
+        self.end, self._crc = start + length + _CRC, crc
+        return record
 
-    def _is_torn(self, offset: int) -> bool:
-        """Return true if the frame at `offset` reaches beyond the end, or only zeros follow."""
-        left = self._size - offset
-        if left < _OVERHEAD:
+    def _is_torn(self) -> bool:
+        """Return true if the frame at `end` reaches beyond the end of the file, or only zeros follow."""
+        tail = self._data[self.end :]
+        if len(tail) < _OVERHEAD:
             return True
-        magic, length = _PREFIX.unpack(os.pread(self._file, _PREFIX.size, offset))
-        if magic == _FRAME_MAGIC and left - _OVERHEAD < length <= LIMIT:
-            return True
-        return left <= _ZEROS and not any(os.pread(self._file, left, offset))
+        magic, length = _PREFIX.unpack_from(tail)
+        return (magic == _FRAME_MAGIC and len(tail) - _OVERHEAD < length <= LIMIT) or not tail.lstrip(b"\0")
 
 
 class AppendLog:

@@ -18,6 +18,7 @@
     sessions/<session>/damaged/                     files that a recovery moved away
 """
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -242,9 +243,16 @@ def check_links(folder: Path) -> None:
     sessions = folder.absolute().parent
     if sessions.name == SESSIONS:
         session_folder(sessions.parent, folder.name)
-    folders = [folder]
+    folders = [os.fspath(folder)]
     while folders:
-        for path in files_of(folders.pop(), "*"):
-            if path.is_symlink():
-                raise InputError(str(path), _LINK)
-            folders += [path] if path.is_dir() else []
+        try:
+            with os.scandir(folders.pop()) as entries:
+                for entry in entries:
+                    if entry.is_symlink():
+                        raise InputError(entry.path, _LINK)
+                    if entry.is_dir():
+                        folders.append(entry.path)
+        except FileNotFoundError:  # a recorder deletes its journal meanwhile
+            continue
+        except OSError as error:
+            raise read_error(error.filename, error) from error

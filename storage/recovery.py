@@ -183,14 +183,14 @@ class Recovery:
         """
         single = list[NumberedRows]()
         for number, path in self._logs.items():
-            with LogReader(path) as reader:
-                check_segment(reader, self.session, number)
-                for record in reader.records():
-                    rows = decode(record.data, str(path))
-                    if TABLE_OF[type(rows.batch)].parted:
-                        yield rows
-                    else:
-                        single.append(rows)
+            reader = LogReader(path)
+            check_segment(reader, self.session, number)
+            for record in reader.records():
+                rows = decode(record.data, str(path))
+                if TABLE_OF[type(rows.batch)].parted:
+                    yield rows
+                else:
+                    single.append(rows)
             if damage := reader.damage:
                 reason = "the recorder was cut off there" if damage.torn else "it is damaged"
                 self.lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")

@@ -101,8 +101,7 @@ class OutboxLog:
             raise EndpointError(str(self.path), reason)
         sent = dict[str, int]()
         for path in sorted(self.path.glob("*.log")):
-            with LogReader(path) as reader:
-                self._read_segment(reader, sent)
+            self._read_segment(LogReader(path), sent)
         return {epoch: sent.get(epoch, 0) for epoch in self.epochs}
 
     def append(self, entries: Sequence[Entry], sent: Mapping[str, int]) -> None:
@@ -141,7 +140,8 @@ class OutboxLog:
             wanted = [number for number in numbers if number in span and number not in found]
             if not wanted:
                 continue
-            with suppress(FileNotFoundError), LogReader(segment.path) as reader:  # may be pruned by now
+            with suppress(FileNotFoundError):  # may be pruned by now
+                reader = LogReader(segment.path)
                 for number in wanted:
                     if record := next(reader.records(segment.offsets[number - segment.first]), None):
                         finger, _, payload = record.data.partition(b"\n")

@@ -24,23 +24,23 @@ def log(tmp_path: Path) -> Iterator[AppendLog]:
 
 
 def read(path: Path) -> tuple[list[bytes], Damage | None]:
-    with LogReader(path) as reader:
-        return [record.data for record in reader.records()], reader.damage
+    reader = LogReader(path)
+    return [record.data for record in reader.records()], reader.damage
 
 
 def test_records_are_read_back_with_the_offsets_that_append_returned_also_while_it_is_written(
     log: AppendLog,
 ) -> None:
     offsets = log.append(RECORDS[:3])
-    with LogReader(log.path) as reader:
-        assert len(list(reader.records())) == 3
-        offsets += log.append(RECORDS[3:])
-        found = list(reader.records())
-        assert (reader.identity, reader.damage, reader.end) == (b"who", None, log.end)
-        assert [record.data for record in found] == RECORDS
-        assert [record.offset for record in found] == offsets
-        for number, offset in enumerate(offsets):
-            assert [record.data for record in reader.records(offset)] == RECORDS[number:]
+    assert read(log.path) == (RECORDS[:3], None)
+    offsets += log.append(RECORDS[3:])
+    reader = LogReader(log.path)
+    found = list(reader.records())
+    assert (reader.identity, reader.damage, reader.end) == (b"who", None, log.end)
+    assert [record.data for record in found] == RECORDS
+    assert [record.offset for record in found] == offsets
+    for number, offset in enumerate(offsets):
+        assert [record.data for record in reader.records(offset)] == RECORDS[number:]
     assert log.end == log.path.stat().st_size
 
 

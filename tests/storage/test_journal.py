@@ -28,10 +28,10 @@ def written(tmp_path: Path) -> Iterator[Journal]:
 
 
 def rows(path: Path, number: int) -> list[NumberedRows]:
-    with LogReader(path) as reader:
-        check_segment(reader, "one", number)
-        found = [decode(record.data, str(path)) for record in reader.records()]
-        assert reader.damage is None
+    reader = LogReader(path)
+    check_segment(reader, "one", number)
+    found = [decode(record.data, str(path)) for record in reader.records()]
+    assert reader.damage is None
     return found
 
 

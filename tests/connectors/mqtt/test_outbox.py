@@ -296,8 +296,8 @@ async def test_losses_of_a_failing_disk_are_exact(
     await box.close()
     assert box.unstored == 9
     assert caplog.messages[-1].endswith("9 events are lost")
-    with LogReader(segments(tmp_path / "outbox")[0]) as reader:
-        events = [record for record in reader.records() if b"specversion" in record.data]
+    reader = LogReader(segments(tmp_path / "outbox")[0])
+    events = [record for record in reader.records() if b"specversion" in record.data]
     assert len(events) == 5
 
 
