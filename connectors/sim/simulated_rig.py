@@ -3,9 +3,10 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import count
 from math import nan, radians
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -87,7 +88,7 @@ class SimulatedRig:
     """A simulated scene as sources that share one run.
 
     `touch` and `motion` are the streams of the hardware, `episodes` the moves of the arm at their starts, and
-    `truth` the ground truth at each touch sample, which needs `touch` in the same flow.
+    `truth` the ground truth at each touch sample.
 
     A run begins with the first iteration over a source; a second iteration over the same source begins a new
     run. With the same seed, runs are identical except for the start of their timestamps.
@@ -112,16 +113,16 @@ class SimulatedRig:
             "sensor": SENSOR, "rig": "simulated", "seed": seed, "scene": asdict(scene),
         }  # fmt: skip
         arm: Description = {"arm": "UR10, simulated", "rate_hz": scene.motion.rate, "seed": seed}
-        self.touch = SimulatedSource(
-            "SimulatedTouch", Touch, self._touch, fingertip, fingers=(0,), rate=scene.touch.rate
-        )
-        self.motion = SimulatedSource("SimulatedMotion", Motion, self._motion, arm)
+        touch, rate = partial(self._rows, Touch, scene.touch), scene.touch.rate
+        self.touch = SimulatedSource("SimulatedTouch", Touch, touch, fingertip, fingers=(0,), rate=rate)
+        motion = partial(self._rows, Motion, scene.motion)
+        self.motion = SimulatedSource("SimulatedMotion", Motion, motion, arm)
         # moves are rare, and the touch of the truth has a status of its own
         self.episodes = SimulatedSource("SimulatedEpisodes", Episodes, self._episodes, {}, stale_after=None)
-        self.truth = SimulatedSource("SimulatedTruth", Truth, self._truth, {}, fingers=(0,), stale_after=None)
+        truth = partial(self._rows, Truth, scene.touch)
+        self.truth = SimulatedSource("SimulatedTruth", Truth, truth, {}, fingers=(0,), stale_after=None)
         self._origin = 0  # ns
         self._running = set[type[Batch]]()  # types of the streams
-        self._truths: asyncio.Queue[Truth | None] | None = None  # of the current run, if its truth is read
 
     def _begin(self, kind: type[Batch], clock: Clock) -> int:
         """Add a stream to the current run, or to a new run if already added; return the origin (ns)."""
@@ -130,44 +131,26 @@ class SimulatedRig:
         self._running.add(kind)
         return self._origin
 
-    async def _arrivals(self, timing: Timing, clock: Clock) -> AsyncIterator[None]:
-        """Yield at the arrival of each sample of a stream."""
+    async def _rows(self, kind: type[AnyBatch], timing: Timing, clock: Clock) -> AsyncIterator[AnyBatch]:
+        """Yield the samples of a stream, one at a time, as they arrive."""
+        origin, take = self._begin(kind, clock), self._sampler(kind)
         for number in count():
-            await clock.sleep_until(self._origin + round((number / timing.rate + timing.latency) * s))
-            yield
+            await clock.sleep_until(origin + round((number / timing.rate + timing.latency) * s))
+            if (batch := take()) is None:
+                return
+            if len(batch):
+                yield replace(batch, time=batch.time + origin)
 
-    async def _touch(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Yield samples of the fingertip, one at a time."""
-        origin = self._begin(Touch, clock)
-        await asyncio.sleep(0)  # lets the truth begin before the first sample
+    def _sampler(self, kind: type[Batch]) -> Callable[[], Any]:
+        """Return a function that gives the next sample of a stream; None at the end of the plan."""
+        from connectors.sim.arm_motion import Controller
         from connectors.sim.finger import Finger
 
-        fingertip = Finger(self.scene, self.seed)
-        try:
-            async for _ in self._arrivals(self.scene.touch, clock):
-                if (taken := fingertip.take(1)) is None:
-                    return
-                touch, truth = taken
-                if len(touch):
-                    if self._truths is not None:
-                        self._truths.put_nowait(replace(truth, time=truth.time + origin))
-                    yield replace(touch, time=touch.time + origin)
-        finally:
-            if self._truths is not None:
-                self._truths.put_nowait(None)
-                self._truths = None
-
-    async def _motion(self, clock: Clock) -> AsyncIterator[Motion]:
-        """Yield samples of the arm, one at a time."""
-        origin = self._begin(Motion, clock)
-        from connectors.sim.arm_motion import Controller
-
-        controller = Controller(self.scene, self.seed)
-        async for _ in self._arrivals(self.scene.motion, clock):
-            if (motion := controller.take(1)) is None:
-                return
-            if len(motion):
-                yield replace(motion, time=motion.time + origin)
+        if kind is Motion:
+            controller = Controller(self.scene, self.seed)
+            return lambda: controller.take(1)
+        fingertip, part = Finger(self.scene, self.seed), 0 if kind is Touch else 1
+        return lambda: (taken := fingertip.take(1)) and taken[part]
 
     async def _episodes(self, clock: Clock) -> AsyncIterator[Episodes]:
         """Yield each move of the arm when it begins."""
@@ -175,13 +158,6 @@ class SimulatedRig:
         for start, move in self.scene.moves(self.seed):
             await clock.sleep_until(origin + round(start * s))
             yield episode(move, start, origin, self.scene)
-
-    async def _truth(self, clock: Clock) -> AsyncIterator[Truth]:
-        """Yield the truth of each touch sample until the touch ends."""
-        self._begin(Truth, clock)
-        rows = self._truths = asyncio.Queue()
-        while (truth := await rows.get()) is not None:
-            yield truth
 
 
 async def ticks(clock: Clock, origin: int, period: int) -> AsyncIterator[int]:

@@ -18,7 +18,6 @@ from connectors.ur.ur_arm import UrArm
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.arm_path import Line, Step, Turn
-from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
@@ -35,15 +34,74 @@ from operators import (
     ms,
     s,
 )
-from operators.batch import Episodes
+from operators.batch import Episodes, Reals
 from operators.errors import EndpointError, InputError
-from operators.ports import Clock, Description, Run
+from operators.ports import Clock, Description, Run, Sink
 from storage import Dataset, arrow
 from storage.background_task import BackgroundTask
 
 FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingertip
+LEAST_CHANGE: Final = 2.0  # counts (0.25 kPa); contact changes a cell's mean by at least this much
 _POLL: Final = 0.05  # s
 Arm: TypeAlias = UrArm | SimulatedArm  # with the same moves
+
+
+class ContactMonitor(Sink[Touch]):
+    """Sink that keeps the time of each fingertip's newest valid sample, and the means of its counts.
+
+    Attributes:
+        newest: Time of the newest valid sample, ns, by finger.
+    """
+
+    lossless = False
+
+    def __init__(self) -> None:
+        self.newest = dict[int, int]()
+        self._sums = dict[int, Reals]()  # (2, 6) sums of counts and numbers of valid samples, by finger
+        self._baseline = dict[int, Reals]()  # (6,) counts, by finger
+
+    @property
+    def destination(self) -> str:
+        """Name among the sinks of a flow; nothing is written."""
+        return "contact monitor"
+
+    async def open(self, run: Run) -> None:
+        """Reset the newest times, the means and the baseline."""
+        del run
+        self.newest.clear()
+        self._baseline.clear()
+        self.restart()
+
+    def take(self, batch: Touch) -> bool:
+        """Store the time of the newest valid sample, and add the counts to the means."""
+        if batch.valid[-1].any():
+            self.newest[batch.finger] = int(batch.time[-1])
+        more = np.stack([batch.counts * batch.valid, batch.valid]).sum(axis=1, dtype=np.float64)
+        self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros((2, 6))) + more
+        return True
+
+    def restart(self) -> None:
+        """Reset the means."""
+        self._sums.clear()
+
+    def set_baseline(self) -> None:
+        """Store the current means as the baseline without contact."""
+        self._baseline = self._means()
+
+    def without_contact(self) -> list[int]:
+        """Return the fingertips whose means do not differ from the baseline; omit those without samples."""
+        unknown = np.full(6, np.nan)
+        change = {f: np.abs(mean - self._baseline.get(f, unknown)) for f, mean in self._means().items()}
+        return sorted(
+            finger
+            for finger, cells in change.items()  # (6,)
+            if not (np.isnan(cells).all() or (cells >= LEAST_CHANGE).any())
+        )
+
+    def _means(self) -> dict[int, Reals]:
+        """Return the mean of each cell (6,), by finger; NaN without samples."""
+        with np.errstate(invalid="ignore"):
+            return {finger: total / number for finger, (total, number) in self._sums.items()}
 
 
 class Collector(Source[Episodes]):
@@ -270,7 +328,7 @@ def _episode(series: StrokeSeries, stroke: Stroke | None, start: int, end: int) 
     """Return an episode from `start` to `end` (ns) as a row; `stroke` None: the baseline."""
     move, depth = Move("hold", (end - start) / s), math.nan
     if stroke:
-        kind: MotionKind = "rotation" if stroke.rotates else "translation"
+        kind: MotionKind = "rotation" if series.speed is None else "translation"
         degrees, depth = math.degrees(stroke.direction), series.plan.path.depth
         move = replace(move, motion=kind, direction_deg=degrees, speed=stroke.speed)
     row = episode(move, 0.0, start, Scene(curvature=series.surface.shape))

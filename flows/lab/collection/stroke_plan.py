@@ -90,7 +90,6 @@ class Stroke:
 
     direction: float  # rad, in the fingertip's plane, anticlockwise from x
     speed: float  # m/s; rad/s of a rotation, anticlockwise
-    rotates: bool
     approach: tuple[Line, ...]  # through the air, and down
     contact: tuple[Step, ...]
     retreat: tuple[Line, ...]
@@ -229,7 +228,6 @@ class CollectionPlan:
         return Stroke(
             direction,
             speed,
-            rotates=isinstance(move, Turn),
             approach=(self._through_air(*begin), down),
             contact=(path.rest, move, path.rest),
             retreat=(replace(self._through_air(*end), speed=path.press_speed),),

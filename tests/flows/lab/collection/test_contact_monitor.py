@@ -3,7 +3,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from flows.lab.collection.contact_monitor import LEAST_CHANGE, ContactMonitor
+from flows.lab.collection.collector import LEAST_CHANGE, ContactMonitor
 from operators import Touch
 from operators.ports import Run
 
