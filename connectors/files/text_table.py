@@ -43,11 +43,6 @@ class _Shape:
     first: int  # number of lines above the first row
     named_by: int  # number of the line of names; 0: there is none
 
-    @property
-    def header(self) -> str:
-        """Place of the names in messages."""
-        return f"line {self.named_by} has names" if self.named_by else f"line {self.first + 1}"
-
 
 def parse_text(content: bytes, where: str, sha256: str = "", separator: str | None = None) -> RawTable:
     """Parse the content of a text file with a row of values per line.
@@ -249,7 +244,8 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     filled = frame.select(pl.all().fill_null("") != "")
     beyond = filled[:, len(names) :].select(pl.any_horizontal(pl.all())).to_series().arg_true()
     if len(beyond):
-        reason = f"has more fields than {shape.header}; a {_NAMES[sign]} in a value needs quotes"
+        than = f"line {shape.named_by} has names" if shape.named_by else f"line {shape.first + 1}"
+        reason = f"has more fields than {than}; a {_NAMES[sign]} in a value needs quotes"
         raise InputError(f"{where}, line {beyond[0] + shape.first + 1}", reason)
     frame, filled = frame[:, : len(names)], filled[:, : len(names)]  # a separator may end each row
     again = [pl.col(column) == name for column, name in zip(frame.columns, names, strict=True)]

@@ -13,7 +13,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.number_format import reals, with_decimal
 from connectors.files.raw_table import RawTable
-from connectors.files.time_axis import continued, of_texts
+from connectors.files.time_axis import of_texts
 from operators.batch import ms, s
 from operators.errors import InputError
 
@@ -215,12 +215,6 @@ def test_dates_that_may_begin_with_day_or_month_are_refused() -> None:
         trace(times)
     start = dt.datetime(2025, 3, 4, 10, tzinfo=dt.UTC)
     assert trace(times, "dates=mdy").touch.time[0] == int(start.timestamp()) * s
-
-
-@given(st.lists(st.integers(0, 10**6), min_size=2, max_size=30))
-def test_ordered_times_are_not_changed(steps: list[int]) -> None:
-    times = np.cumsum(steps)
-    assert continued(times, []).tolist() == times.tolist()
 
 
 @pytest.mark.parametrize(

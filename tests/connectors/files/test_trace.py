@@ -56,21 +56,6 @@ def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
     }
 
 
-@pytest.mark.parametrize(
-    "header",
-    [
-        "t,s1,s2,s3,s4,s5,s6",
-        "time,s1,s2,s3,s4,s5,s6",
-        "t,c0,c1,c2,c3,c4,c5",
-        " t , s1,s2 ,s3,s4,s5,s6",
-        "\ufeff" + HEADER,
-    ],
-)
-def test_columns_have_their_usual_names(write: Write, header: str) -> None:
-    touch = Trace(write(header, "1.5,1,2,3,4,5,6")).touch
-    assert (touch.time.tolist(), touch.counts.tolist()) == ([1_500_000_000], [[1, 2, 3, 4, 5, 6]])
-
-
 def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
     names = [f"cell {i}" for i in range(6)]
     path = write(",".join(["truth", *reversed(names), "stamp_ns"]), "1,6,5,4,3,2,1,1700000000123456789")
@@ -80,10 +65,6 @@ def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
     assert trace.touch.counts.tolist() == [[1, 2, 3, 4, 5, 6]]
     assert trace.labels.tolist() == [1]
     assert trace.touch.finger == 3
-
-
-def test_without_labels_every_row_is_unknown(write: Write) -> None:
-    assert Trace(write(HEADER, "0,1,2,3,4,5,6", "1,1,2,3,4,5,6")).labels.tolist() == [-1, -1]
 
 
 @pytest.mark.parametrize(
@@ -323,13 +304,6 @@ def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) 
     columns = ColumnMap.parse("velocity=a1..a6,units.velocity=cm/s")
     whole = Trace(write(f"{HEADER},a1,a2,a3,a4,a5,a6", "0,1,2,3,4,5,6,1,2,3,4,5,6"), columns)
     assert whole.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
-
-
-@pytest.mark.parametrize("speed", ["fast", "inf", "1e999"])
-def test_a_speed_that_is_no_number_is_named_by_line_and_column(write: Write, speed: str) -> None:
-    path = write(f"{HEADER},v", "0,1,2,3,4,5,6,1", f"1,1,2,3,4,5,6,{speed}")
-    with pytest.raises(InputError, match=rf"line 3, column v: is '{speed}', must be a number or empty$"):
-        _ = Trace(path).touch
 
 
 @pytest.mark.parametrize(
