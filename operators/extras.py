@@ -21,7 +21,7 @@ class Extra(NamedTuple):
 EXTRAS: Final[Mapping[str, Extra]] = MappingProxyType(
     {
         "train": Extra("training of detectors", {"torch": "torch"}),
-        "baselines": Extra("comparison with gradient boosting and regression", {"scikit-learn": "sklearn"}),
+        "baselines": Extra("comparison with logistic regression", {"scikit-learn": "sklearn"}),
         "ur": Extra("driving a UR arm, on x86_64 with Python 3.11 or 3.12 only", {"ur-rtde": "rtde_control"}),
         "gripper": Extra("Robotiq grippers", {"pymodbus": "pymodbus"}),
         "serial": Extra("loggers at a serial port", {"pyserial-asyncio-fast": "serial_asyncio_fast"}),

@@ -1,10 +1,9 @@
-"""Baselines on simple features, fitted by scikit-learn, for comparison with the networks."""
+"""Logistic regression on simple features, for comparison with the networks."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from importlib import import_module
-from typing import Any, Final, Self, TypeAlias
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -12,21 +11,9 @@ from flows.learn.labelled_recordings import Sampling
 from operators.batch import Counts, Flags, Reals
 from operators.extras import require_extra
 
-_STEPS: Final = 16  # number of newest steps that are separate features
 _SPANS: Final = (5, 10, 20, 40)  # samples at 100 Hz
 _LAGS: Final = (3, 8, 20, 50)  # samples at 100 Hz
 _DECAY: Final = 1e-3  # L2 penalty of logistic regression
-_BINS: Final = 255  # of a feature, most that scikit-learn takes
-
-
-def sklearn(module: str) -> Any:
-    """Import a module of scikit-learn, which is an extra and takes a second the first time.
-
-    Raises:
-        InputError: if it is not installed.
-    """
-    require_extra("baselines", "baselines")
-    return import_module(f"sklearn.{module}")
 
 
 def activity(windows: Counts | Reals, sampling: Sampling) -> Reals:
@@ -41,19 +28,6 @@ def activity(windows: Counts | Reals, sampling: Sampling) -> Reals:
     for length in map(sampling.scaled, _SPANS):
         parts += [values[:, -length:].var(axis=1), steps[:, -length:].mean(axis=1)]
     return np.log1p(np.sort(np.stack(parts, axis=1), axis=2)).reshape(len(windows), -1)
-
-
-def activity_and_steps(windows: Counts | Reals, sampling: Sampling) -> Reals:
-    """Return 88 features of windows (n, 41, 6) at 100 Hz; (n, 88).
-
-    The 48 of `activity`; the size of each of the newest 16 steps, summed over the cells; and the distance
-    of the newest sample from the mean over the newest 50, 100, 200 and 400 ms, sorted over the cells.
-    """
-    values = windows.astype(np.float64)
-    steps = np.square(np.diff(values[:, -_STEPS - 1 :], axis=1)).sum(axis=2)  # (n, 16)
-    spans = map(sampling.scaled, _SPANS)
-    offsets = [np.sort(np.abs(values[:, -1] - values[:, -span:].mean(axis=1))) for span in spans]  # (n, 6)
-    return np.concatenate([activity(windows, sampling), np.log1p(steps), *offsets], axis=1)
 
 
 def strokes(windows: Counts | Reals, sampling: Sampling) -> Reals:
@@ -97,18 +71,18 @@ class Features:
 
 
 ACTIVITY: Final = Features(40, activity)
-ACTIVITY_AND_STEPS: Final = Features(40, activity_and_steps)
 STROKES: Final = Features(50, strokes)
 
 
 @dataclass(frozen=True, eq=False)
-class Baseline:
-    """Model on features of windows; fitting weights both classes equally."""
+class Logistic:
+    """Logistic regression on features of windows; both classes have the same weight."""
 
-    name: str
     features: Features
+    mean: Reals  # (k,) of the features
+    std: Reals  # (k,)
     model: Any  # of scikit-learn
-    prepare: Callable[[Reals], Reals]  # features (n, k) as the model takes them
+    name = "logistic"
 
     @property
     def length(self) -> int:
@@ -116,49 +90,24 @@ class Baseline:
         return self.features.length
 
     @classmethod
-    def fitted(cls, name: str, windows: Counts, slip: Flags, features: Features) -> Self:
-        """Fit logistic regression or gradient boosting (`MODELS`) to windows (n, length, cells)."""
+    def fitted(cls, windows: Counts, slip: Flags, features: Features) -> Self:
+        """Fit the regression to windows (n, length, cells).
+
+        Raises:
+            InputError: if scikit-learn is not installed.
+        """
+        require_extra("baselines", "baselines")
+        sklearn: Any = import_module("sklearn.linear_model")  # takes a second the first time
         found = features.of(windows)
-        model, prepare = MODELS[name](found)
-        model.fit(prepare(found), slip)
-        return cls(name, features, model, prepare)
+        mean, std = found.mean(axis=0), found.std(axis=0) + 1e-9
+        model = sklearn.LogisticRegression(
+            C=1 / (_DECAY * len(found)), class_weight="balanced", tol=1e-6, max_iter=1000
+        )
+        model.fit((found - mean) / std, slip)
+        return cls(features, mean, std, model)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""
-        probability: Reals = self.model.predict_proba(self.prepare(self.features.of(windows)))[:, 1]
+        features = (self.features.of(windows) - self.mean) / self.std
+        probability: Reals = self.model.predict_proba(features)[:, 1]
         return probability
-
-
-Model: TypeAlias = tuple[Any, Callable[[Reals], Reals]]  # of scikit-learn; prepares its features
-
-
-def _logistic(features: Reals) -> Model:
-    model = sklearn("linear_model").LogisticRegression(
-        C=1 / (_DECAY * len(features)), class_weight="balanced", tol=1e-6, max_iter=1000
-    )
-    return model, partial(_standardised, features.mean(axis=0), features.std(axis=0) + 1e-9)
-
-
-def _standardised(mean: Reals, std: Reals, features: Reals) -> Reals:
-    return (features - mean) / std
-
-
-def _boosting(features: Reals) -> Model:
-    model = sklearn("ensemble").HistGradientBoostingClassifier(
-        max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,
-        class_weight="balanced", early_stopping=False, random_state=0,
-    )  # fmt: skip
-    # scikit-learn 1.9 finds these bins with weights, one by one: several times the time of the fit
-    return model, partial(_binned, np.quantile(features, np.arange(1, _BINS) / _BINS, axis=0))
-
-
-def _binned(edges: Reals, features: Reals) -> Reals:
-    """Return the number of the bin of each feature (n, k); edges (bins - 1, k)."""
-    columns = zip(edges.T, features.T, strict=True)
-    return np.stack([np.searchsorted(edge, column) for edge, column in columns], axis=1).astype(np.float64)
-
-
-MODELS: Final[Mapping[str, Callable[[Reals], Model]]] = {
-    "gradient_boosting": _boosting,
-    "logistic": _logistic,
-}

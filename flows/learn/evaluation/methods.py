@@ -8,7 +8,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, STROKES, Baseline, Features
+from flows.learn.evaluation.baselines import ACTIVITY, STROKES, Features, Logistic
 from flows.learn.evaluation.folds import Fold
 from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import Sampling
@@ -24,8 +24,7 @@ from storage.models import load_card, shipped_names, shipped_path
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
 SHORT: Final = Recipe(steps=400, augmentation=REAL_TOUCH)
 _PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
-_FITTED: Final = {"gradient_boosting": ACTIVITY_AND_STEPS, "logistic": ACTIVITY}
-BASELINES: Final = (*_FITTED, *_PSD)
+BASELINES: Final = (Logistic.name, *_PSD)
 _HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
 _SHORT_HOP: Final = 2  # the same, for recordings of few surfaces
 _SUFFIX: Final = ".safetensors"
@@ -108,26 +107,25 @@ def hold_out_methods(
     """Return the methods without weights that are judged on held-out groups.
 
     Args:
-        names: Only these: psd, and with `train` logistic, gradient_boosting and tcn; empty: all.
+        names: Only these: psd, and with `train` logistic and tcn; empty: all.
         train: Include those that learn from the other groups; else only psd with its default threshold.
         recipe: Size and training of the network.
     """
     found: dict[str, Candidate] = {"psd": Method("psd", Psd(), PAPER_RULE, "the paper")}
     if train:
-        for name in _FITTED:
-            learn = partial(fitted_baseline, name, features=STROKES, hop=_SHORT_HOP)
-            found[name] = Learner(name, learn)
+        learn = partial(fitted_baseline, Logistic.name, features=STROKES, hop=_SHORT_HOP)
+        found[Logistic.name] = Learner(Logistic.name, learn)
         found["tcn"] = Learner("tcn, trained", partial(_trained_tcn, recipe))
     return [found[name] for name in wanted(names, found)]
 
 
-def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, hop: int = _HOP) -> Detector:
+def fitted_baseline(name: str, fold: Fold, *, features: Features = ACTIVITY, hop: int = _HOP) -> Detector:
     """Fit a baseline to the training of a fold.
 
     Args:
         name: One of `BASELINES`.
         fold: Its training recordings are learned from.
-        features: Features of the windows; None: those of the baseline.
+        features: Features that the logistic regression takes.
         hop: Samples at 100 Hz from one window to the next.
 
     Raises:
@@ -148,8 +146,8 @@ def fitted_baseline(name: str, fold: Fold, *, features: Features | None = None, 
         fingertip = training[0].fingertip
         psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
         return psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
-    own = (features or _FITTED[name]).at(sampling)
-    return Baseline.fitted(name, seen(own.length), slip, own)
+    own = features.at(sampling)
+    return Logistic.fitted(seen(own.length), slip, own)
 
 
 def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
