@@ -105,12 +105,13 @@ class LineDecoder:
         for fields in rows if not self._names else ():
             self._names = self._names or self._numbered(fields)
         wide = len(self._names)
-        whole = [row for row in rows if wide and len(row) >= wide and not any(row[wide:])]
-        if len(whole) < len(rows):
-            narrow = f"a line has {len(rows[-1])} of {wide} fields"
-            missing = f"no line has the names {', '.join(self._wanted):.200}"
+        torn = [row for row in rows if not wide or len(row) < wide or any(row[wide:])]
+        whole = [row for row in rows if row not in torn]
+        if torn and wide:
+            self._damaged(len(torn), f"a line has {len(torn[-1])} of {wide} fields")
+        elif torn:
             remedy = "restart the logger, or state names=(...)"
-            self._damaged(len(rows) - len(whole), narrow if wide else f"{missing}: {remedy}")
+            self._damaged(len(torn), f"no line has the names {', '.join(self._wanted):.200}: {remedy}")
         if not whole:
             return
         places = [self._names.index(name) for name in self._wanted]
