@@ -22,7 +22,7 @@ from errno import EIO
 from pathlib import Path
 from struct import Struct
 from threading import Lock
-from typing import Final, NamedTuple, Self
+from typing import Final, NamedTuple
 
 from operators.errors import InputError
 from storage import files
@@ -140,7 +140,12 @@ class LogReader:
 
 
 class AppendLog:
-    """New log that is open for appending; nobody continues an existing one.
+    """New log, created durably with its first records, for appending; nobody continues an existing one.
+
+    Args:
+        path: The file, which is replaced if it exists.
+        identity: Identity of the log.
+        records: First records.
 
     Attributes:
         path: The file.
@@ -148,28 +153,20 @@ class AppendLog:
         suspect: True if an fsync failed: the kernel may have dropped records that were not durable yet, and a
             second fsync would prove nothing. Also if an append failed and could not be undone. Write the
             records that are not durable to a new log.
+
+    Raises:
+        OSError: if it cannot be written; the old or the new file remains.
     """
 
-    def __init__(self, path: Path, end: int, crc: int, seed: int) -> None:
-        self.path, self.end = path, end
-        self.suspect = False
-        self._crc, self._seed, self._synced = crc, seed, end
-        self._closing = Lock()  # held during an fsync
-        self._file = files.open_file(path, write=True)
-
-    @classmethod
-    def create(cls, path: Path, identity: bytes, records: Iterable[bytes] = ()) -> Self:
-        """Create a log durably with its first records, and replace a file of the same name.
-
-        Raises:
-            OSError: if it cannot be written; the old or the new file remains.
-        """
+    def __init__(self, path: Path, identity: bytes, records: Iterable[bytes] = ()) -> None:
         head = _HEAD.pack(_MAGIC + bytes([VERSION]), os.urandom(16), len(identity)) + identity
-        seed = zlib.crc32(head)
-        head += seed.to_bytes(_CRC, "little")
-        data, _, crc = _frames(records, len(head), seed, seed)
+        self.path, self.suspect, self._seed = path, False, zlib.crc32(head)
+        head += self._seed.to_bytes(_CRC, "little")
+        data, _, self._crc = _frames(records, len(head), self._seed, self._seed)
         files.put(path, head + data)
-        return cls(path, len(head) + len(data), crc, seed)
+        self.end = self._synced = len(head) + len(data)
+        self._closing = Lock()  # held during an fsync
+        self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
 
     def append(self, records: Iterable[bytes]) -> list[int]:
         """Append records, all or none, and return their offsets.
@@ -204,7 +201,7 @@ class AppendLog:
         """
         with self._closing:
             if self.suspect:
-                raise OSError(EIO, "an earlier fsync failed", str(self.path))
+                raise OSError(EIO, "an earlier write failed", str(self.path))
             end = self.end
             if end > self._synced and self._file >= 0:
                 try:

@@ -113,9 +113,7 @@ class Dataset(Sink[Recordable]):
         """Buffer one batch, or return False if that has to wait for the disk.
 
         Raises:
-            EndpointError: if the disk fails; `batch` was not written.
-            ParameterError: if no table has its type.
-            BatchError: if it is invalid.
+            SlipflowError: as `write`.
         """
         writer = self._writer
         assert writer, "open comes first"

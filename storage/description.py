@@ -63,14 +63,9 @@ def describe_session(
     host: str | None = None,
     ended: bool = False,
 ) -> None:
-    """Write session.json at the start of a run and again at its end.
+    """Write session.json at the start of a run, and when it has `ended`; without error it is complete then.
 
-    Args:
-        folder: Folder of the session.
-        run: The run.
-        destination: Folder of the dataset, as the run names it.
-        host: Name of the machine; default: its host name.
-        ended: True at the end of the run; the session is complete then if the run has no error.
+    The run names its tables and fingertips by `destination`, the folder of the dataset.
 
     Raises:
         InputError: if the description of a source is not JSON.

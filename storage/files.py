@@ -37,14 +37,14 @@ _SYNCS: Final = 20
 _BLOCK: Final = 4096  # bytes written before each fsync
 
 
-def open_file(path: Path, *, write: bool = False, follow: bool = False) -> int:
-    """Open a regular file and return its descriptor.
+def open_file(path: Path, *, follow: bool = False) -> int:
+    """Open a regular file for reading and return its descriptor.
 
     Raises:
         InputError: if it is not a regular file, or is a link and `follow` is not set.
         OSError: if it cannot be opened.
     """
-    flags = (os.O_RDWR if write else os.O_RDONLY) | os.O_CLOEXEC | os.O_NONBLOCK
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
     try:
         descriptor = os.open(path, flags if follow else flags | os.O_NOFOLLOW)
     except OSError as error:

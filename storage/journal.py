@@ -238,7 +238,7 @@ class Journal:
 
     def _create(self, number: int, rows: Iterable[NumberedRows] = ()) -> AppendLog:
         path = self._folder / file_name(SEGMENTS, number)
-        return AppendLog.create(path, identity(self._session, number), encode(rows))
+        return AppendLog(path, identity(self._session, number), encode(rows))
 
 
 def delete_journal(folder: Path) -> None:

@@ -36,9 +36,6 @@ from storage.recovery import Recovery, scratch_files
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, total files, session
 
-GOOD: Final = 0  # exit codes
-LOST: Final = 1
-LOSSY: Final = 3
 _ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", "lost")
 
 
@@ -69,7 +66,7 @@ class Verified:
     @property
     def code(self) -> int:
         """Exit code: 0 good; 3 repaired, repairable, or known to be lossy; 1 lost."""
-        return GOOD if self.worst == "note" else LOST if self.worst == "lost" else LOSSY
+        return {"note": 0, "lost": 1}.get(self.worst, 3)
 
     @property
     def worst(self) -> Weight:

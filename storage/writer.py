@@ -41,10 +41,7 @@ class SessionWriter:
             background.
 
     Raises:
-        EndpointError: if the dataset cannot be written, or has a session of that name.
-        ParameterError: if the name of the session is not a file name.
-        InputError: if dataset.json or the description of a source is invalid, or the folder has other files
-            and is not a dataset.
+        SlipflowError: as `storage.Dataset.open`.
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:

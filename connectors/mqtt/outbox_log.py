@@ -208,7 +208,7 @@ class OutboxLog:
         number = int(self._segments[-1].path.stem) + 1 if self._segments else 1
         path = self.path / f"{number:020}.log"
         begin = json.dumps({"epoch": self.epoch, "first": first}).encode()
-        created = AppendLog.create(path, IDENTITY, [begin])
+        created = AppendLog(path, IDENTITY, [begin])
         if self._log:
             self._log.close()
         self._log = created

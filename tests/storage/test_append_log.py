@@ -18,7 +18,7 @@ RECORDS = [b"first", b"", b"SLIP" * 5, bytes(300)]
 
 @pytest.fixture
 def log(tmp_path: Path) -> Iterator[AppendLog]:
-    made = AppendLog.create(tmp_path / "log", b"who")
+    made = AppendLog(tmp_path / "log", b"who")
     yield made
     made.close()
 
@@ -64,7 +64,7 @@ def test_a_log_with_any_damage_yields_its_first_records_only(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "damaged"
-    made = AppendLog.create(path, b"who")
+    made = AppendLog(path, b"who")
     starts = made.append(RECORDS)
     made.close()
     whole = path.read_bytes()
@@ -107,7 +107,7 @@ def test_a_tail_that_a_crash_leaves_is_torn_and_any_other_is_damage(log: AppendL
 def test_frames_of_another_log_are_not_read(log: AppendLog) -> None:
     """Blocks that a file system reuses hold whole frames of the same length."""
     places = log.append(RECORDS)
-    AppendLog.create(log.path.with_name("other"), b"who", RECORDS).close()
+    AppendLog(log.path.with_name("other"), b"who", RECORDS).close()
     stale, whole = log.path.with_name("other").read_bytes(), log.path.read_bytes()
     assert len(stale) == len(whole)
     for number, place in enumerate(places):

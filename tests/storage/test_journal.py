@@ -74,7 +74,7 @@ def test_segments_of_other_versions_are_refused(
     tmp_path: Path, changes: dict[str, object], complaint: str
 ) -> None:
     about: dict[str, Any] = json.loads(journal.identity("one", 3)) | changes
-    AppendLog.create(tmp_path / "000003.wal", json.dumps(about).encode()).close()
+    AppendLog(tmp_path / "000003.wal", json.dumps(about).encode()).close()
     with pytest.raises(InputError, match=rf"000003\.wal: {complaint}"):
         rows(tmp_path / "000003.wal", 3)
 
@@ -85,6 +85,6 @@ def test_any_content_of_a_log_is_rows_or_an_input_error(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "any.wal"
     own = journal.identity("one", 0) if identity is None else identity
-    AppendLog.create(path, own, records).close()
+    AppendLog(path, own, records).close()
     with suppress(InputError):
         assert all(isinstance(each, NumberedRows) for each in rows(path, 0))

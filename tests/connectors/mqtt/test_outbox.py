@@ -36,7 +36,7 @@ class Disk:
         self.writes, self.syncs = threading.Event(), threading.Event()  # cleared: they hang
         self.writes.set()
         self.syncs.set()
-        append, sync, create = AppendLog.append, AppendLog.sync, vars(AppendLog)["create"].__func__
+        append, sync, create = AppendLog.append, AppendLog.sync, AppendLog.__init__
 
         def failing_append(log: AppendLog, records: Iterable[bytes]) -> list[int]:
             assert self.writes.wait(PATIENCE)
@@ -48,15 +48,14 @@ class Disk:
             assert self.syncs.wait(PATIENCE)
             sync(log)
 
-        def failing_create(kind: type[AppendLog], *arguments: Any) -> AppendLog:
+        def failing_create(log: AppendLog, *arguments: Any) -> None:
             if self.write_error:
                 raise self.write_error
-            log: AppendLog = create(kind, *arguments)
-            return log
+            create(log, *arguments)
 
         monkeypatch.setattr(AppendLog, "append", failing_append)
         monkeypatch.setattr(AppendLog, "sync", failing_sync)
-        monkeypatch.setattr(AppendLog, "create", classmethod(failing_create))
+        monkeypatch.setattr(AppendLog, "__init__", failing_create)
 
 
 @pytest.fixture
@@ -257,7 +256,7 @@ async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path
     assert "outbox: cannot be used: Not a directory" in await refusal(tmp_path / "file" / "outbox")
     assert "file: is a file, must be a folder: name another outbox" in await refusal(tmp_path / "file")
     (tmp_path / "other").mkdir()
-    AppendLog.create(tmp_path / "other" / "1.log", b"precious").close()
+    AppendLog(tmp_path / "other" / "1.log", b"precious").close()
     assert "is not part of an outbox" in await refusal(tmp_path / "other")
 
 
