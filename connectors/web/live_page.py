@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
 REPORT_EVERY: Final = 1.0  # s
+END_WITHIN: Final = 0.5  # s, until all browsers have received the end of the run
 SILENCE: Final = 20.0  # s without a request of a browser until its connection is closed
 _MESSAGE_MAX: Final = 1024  # bytes of a request
 EVENTS_KEPT: Final = 100
@@ -117,7 +118,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
         self._zeroed = any(issubclass(kind, Zeroed) for kind in run.sink_types.get(self.destination, ()))
         self._run, self._frames = run, Frames(run, zeroed=self._zeroed)
-        self._ended = False
+        self._ended, self._browsers = False, set[asyncio.Task[object]]()
         self._server = page_server(self._host, self._port)
 
         async def about(request: "Request") -> "Response":
@@ -126,6 +127,10 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         async def live(request: "Request") -> "WebSocketResponse":
             socket = web.WebSocketResponse(receive_timeout=SILENCE, compress=False, max_msg_size=_MESSAGE_MAX)
             await socket.prepare(request)
+            task = asyncio.current_task()
+            assert task, "a request is handled by a task"
+            self._browsers.add(task)
+            task.add_done_callback(self._browsers.discard)
             with suppress(TimeoutError):  # the browser is gone
                 await self._follow(socket)
             return socket
@@ -142,6 +147,8 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     async def close(self) -> None:
         """Send the end of the run to browsers that ask within 0.5 s, and stop serving."""
         self._ended = True
+        if self._browsers:  # once the server closes, it receives nothing
+            await asyncio.wait(self._browsers, timeout=END_WITHIN)
         await self._server.close()
 
     async def _follow(self, socket: "WebSocketResponse") -> None:

@@ -97,6 +97,7 @@ async def test_the_end_of_a_run_is_sent_last(run: Run) -> None:
         await page.write(slip(NOW, 1))
         run.error = "touch -> Zero: broken"
         closing = asyncio.create_task(page.close())
+        await asyncio.sleep(0.1)  # this browser asks late
         *_, last = [frame async for frame in frames]
         assert last["end"] == {"error": "touch -> Zero: broken"}
         assert [event["onset"] for event in last["events"]] == [True]
