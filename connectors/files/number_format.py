@@ -69,7 +69,7 @@ def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
         sign = "," if doubt[","] else "."
         number = float(doubt[sign].split()[-1].replace(",", "."))
         decimal, thousands = (is_air(number * each, columns.unit) for each in (1, 1000))
-        comma = (sign == ",") == (decimal or not thousands)
+        comma = (sign == ",") == decimal
         if decimal == thousands or all(doubt.values()):
             reason = f"{doubt[sign]} may have decimals or thousands; state decimal=point or decimal=comma"
             table.add_problem(reason, fix=f"decimal={'comma' if sign == ',' else 'point'}")
