@@ -65,7 +65,6 @@ class Calibrated:
 
     rate: float  # false alarms per static minute
     confidence: float
-    setting: int  # its place in `PATH`
     debounce: Debounce
     bound: float  # upper confidence limit of its rate, per static minute
     measured: EventMetrics  # on the calibration data
@@ -117,7 +116,7 @@ def calibrated(trials: Trials, rate: float, confidence: float) -> Calibrated:
         raise TooLittleDataError(rate, confidence, int(every[0].sum()), minutes, needed)
     found = [_sum(row) for row in trials.outcomes[: len(accepted)]]
     best = min(range(len(found)), key=lambda setting: (_cost(found[setting]), -setting))
-    return Calibrated(rate, confidence, best, trials.rules[best], accepted[best] / minutes, found[best])
+    return Calibrated(rate, confidence, trials.rules[best], accepted[best] / minutes, found[best])
 
 
 def _cost(found: EventMetrics) -> float:

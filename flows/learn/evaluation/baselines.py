@@ -1,7 +1,7 @@
 """Logistic regression on simple features, for comparison with the networks."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Self
 
@@ -54,20 +54,10 @@ class Features:
 
     steps: int  # of a window at 100 Hz
     compute: Callable[[Counts | Reals, Sampling], Reals]  # windows (n, length, cells) to features (n, k)
-    sampling: Sampling = field(default_factory=Sampling)
 
-    @property
-    def length(self) -> int:
-        """Length of a window, samples."""
-        return self.sampling.scaled(self.steps) + 1
-
-    def at(self, sampling: Sampling) -> Self:
-        """Return the features over the same times at another rate."""
-        return replace(self, sampling=sampling)
-
-    def of(self, windows: Counts | Reals) -> Reals:
-        """Return the features of windows (n, length, cells); (n, k)."""
-        return self.compute(windows, self.sampling)
+    def length(self, sampling: Sampling) -> int:
+        """Return the length of a window, samples."""
+        return sampling.scaled(self.steps) + 1
 
 
 ACTIVITY: Final = Features(40, activity)
@@ -79,6 +69,7 @@ class Logistic:
     """Logistic regression on features of windows; both classes have the same weight."""
 
     features: Features
+    sampling: Sampling
     mean: Reals  # (k,) of the features
     std: Reals  # (k,)
     model: Any  # of scikit-learn
@@ -87,10 +78,10 @@ class Logistic:
     @property
     def length(self) -> int:
         """Length of a window, samples."""
-        return self.features.length
+        return self.features.length(self.sampling)
 
     @classmethod
-    def fitted(cls, windows: Counts, slip: Flags, features: Features) -> Self:
+    def fitted(cls, windows: Counts, slip: Flags, features: Features, sampling: Sampling) -> Self:
         """Fit the regression to windows (n, length, cells).
 
         Raises:
@@ -98,16 +89,16 @@ class Logistic:
         """
         require_extra("baselines", "baselines")
         sklearn: Any = import_module("sklearn.linear_model")  # takes a second the first time
-        found = features.of(windows)
+        found = features.compute(windows, sampling)
         mean, std = found.mean(axis=0), found.std(axis=0) + 1e-9
         model = sklearn.LogisticRegression(
             C=1 / (_DECAY * len(found)), class_weight="balanced", tol=1e-6, max_iter=1000
         )
         model.fit((found - mean) / std, slip)
-        return cls(features, mean, std, model)
+        return cls(features, sampling, mean, std, model)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""
-        features = (self.features.of(windows) - self.mean) / self.std
+        features = (self.features.compute(windows, self.sampling) - self.mean) / self.std
         probability: Reals = self.model.predict_proba(features)[:, 1]
         return probability

@@ -146,8 +146,7 @@ def fitted_baseline(name: str, fold: Fold, *, features: Features = ACTIVITY, hop
         fingertip = training[0].fingertip
         psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
         return psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
-    own = features.at(sampling)
-    return Logistic.fitted(seen(own.length), slip, own)
+    return Logistic.fitted(seen(features.length(sampling)), slip, features, sampling)
 
 
 def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:

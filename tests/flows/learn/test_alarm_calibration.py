@@ -73,7 +73,7 @@ def test_the_rate_of_the_chosen_setting_holds_with_the_confidence(
     random, draws, chosen = np.random.default_rng(seed), 200, list[int]()
     for _ in range(draws):
         with suppress(TooLittleDataError):  # chance alarms of the strictest setting: no setting, no promise
-            chosen.append(calibrated(nested(random, 40, 0.5), rate, confidence).setting)
+            chosen.append(PATH.index(calibrated(nested(random, 40, 0.5), rate, confidence).debounce))
     error = 1 - confidence
     assert len(chosen) > 0.95 * draws
     assert np.count_nonzero(RATES[chosen] > rate) <= draws * error + 3 * math.sqrt(draws * error * confidence)
@@ -103,7 +103,7 @@ def test_alarms_of_the_strictest_setting_raise_the_time_that_is_needed() -> None
 def test_without_slips_the_most_sensitive_accepted_setting_is_chosen() -> None:
     alarms = np.zeros((len(PATH), 10), np.int64)
     alarms[20:] = 5
-    assert calibrated(trials(alarms, np.ones(10)), 1.0, 0.95).setting == 19
+    assert calibrated(trials(alarms, np.ones(10)), 1.0, 0.95).debounce == PATH[19]
 
 
 def test_a_higher_rate_never_costs_more() -> None:

@@ -15,7 +15,7 @@ def shaking(seed: int) -> tuple[Counts, Flags]:
 
 
 def test_the_baseline_detects_shaking_of_any_cell() -> None:
-    fitted = Logistic.fitted(*shaking(0), ACTIVITY)
+    fitted = Logistic.fitted(*shaking(0), ACTIVITY, Sampling())
     other, truth = shaking(1)
     assert ((fitted.score(other[:, :, ::-1]) > 0.5) == truth).mean() > 0.95
 
@@ -25,8 +25,8 @@ def test_features_cover_the_same_times_at_another_rate() -> None:
     fast = windows.repeat(3, axis=1)
     activities, strokes = (
         [
-            each.of(values[:, -each.length :])
-            for each, values in ((one, windows), (one.at(Sampling(300.0)), fast))
+            one.compute(values[:, -one.length(sampling) :], sampling)
+            for sampling, values in ((Sampling(), windows), (Sampling(300.0), fast))
         ]
         for one in (ACTIVITY, STROKES)
     )
