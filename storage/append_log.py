@@ -29,6 +29,7 @@ from storage import files
 
 VERSION: Final = 1
 LIMIT: Final = 64 * files.MiB  # bytes of a record and of an identity
+SIZE_MAX: Final = 2047 * files.MiB  # bytes of a log, which is read at once
 
 _MAGIC: Final = b"SLIPLOG"
 _HEAD: Final = Struct("<8s16sI")
@@ -68,7 +69,7 @@ class LogReader:
         end: Offset after the last record that was read.
 
     Raises:
-        InputError: if the log has another version.
+        InputError: if the log has another version, or is larger than `SIZE_MAX`.
         OSError: if the file cannot be read; this is never reported as damage.
     """
 
@@ -78,7 +79,11 @@ class LogReader:
         self._start = self.end = -1  # of the first frame; below 0: the header is damaged
         descriptor = files.open_file(path)
         try:
-            self._data = os.pread(descriptor, os.fstat(descriptor).st_size, 0)
+            if (size := os.fstat(descriptor).st_size) > SIZE_MAX:
+                raise InputError(
+                    str(path), f"is larger than {SIZE_MAX // files.MiB:,} MiB, the limit for a log"
+                )
+            self._data = os.pread(descriptor, size, 0)
         finally:
             os.close(descriptor)
         self._seed = self._crc = self._read_header()

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
@@ -221,10 +222,11 @@ class _SessionCheck:
         labels = HandLabels()
         with self._losing():
             versions = numbered_files(self.folder, LABEL_FILES)
-            missing = sorted({*range(1, max(versions, default=0))} - versions.keys())
-            if missing:
-                more = f", and {len(missing) - 1} others" if missing[1:] else ""
-                self._add("lost", f"{file_name(LABEL_FILES, missing[0])}: is missing, with its labels{more}")
+            missing = max(versions, default=0) - len(versions)
+            if missing > 0:
+                path = file_name(LABEL_FILES, next(each for each in count(1) if each not in versions))
+                more = f", and {missing - 1} others" if missing > 1 else ""
+                self._add("lost", f"{path}: is missing, with its labels{more}")
             for number in versions:
                 with self._losing():
                     labels = read_hand_labels(self.folder, self.about, number)
@@ -234,8 +236,7 @@ class _SessionCheck:
                 for first, last, fingers in self._extents
             ):
                 where = f"finger {span.finger}, {span.begin} to {span.end} ns"
-                path = file_name(LABEL_FILES, labels.version)
-                self._add("lossy", f"{path}: labels no row of the session: {where}")
+                self._add("lossy", f"labels by hand, version {labels.version}, of no row: {where}")
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""
@@ -245,10 +246,10 @@ class _SessionCheck:
             return
         if may_exist(self.folder / JOURNAL):
             self._add("repairable", "has a journal: slipflow verify --repair turns it into parts")
-        if self._has_manifest and not may_exist(self.folder / MANIFEST):
-            self._add("repairable", f"has no {MANIFEST} and no part: slipflow verify --repair writes it")
         if not self._has_manifest:  # reported already
             return
+        if not may_exist(self.folder / MANIFEST):
+            self._add("repairable", f"has no {MANIFEST} and no part: slipflow verify --repair writes it")
         with self._losing():
             try:
                 recovery = Recovery(self.folder, self.about or {"session": self.name, "end_ns": 0})

@@ -122,9 +122,12 @@ def test_another_version_a_link_and_a_pipe_are_refused_and_leave_no_descriptor(
     (tmp_path / "other").write_bytes(b"SLIPLOG\x02" + bytes(100))
     (tmp_path / "link").symlink_to(log.path)
     os.mkfifo(tmp_path / "pipe")
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(2**31)
     for name, reason in (
         ("other", "has log version 2; this slipflow reads version 1"),
         ("link", "is a link"),
+        ("huge", "is larger than 2,047 MiB, the limit for a log"),
         ("pipe", "is not a regular file"),
     ):
         with pytest.raises(InputError, match=reason):

@@ -189,4 +189,4 @@ def test_labels_by_hand_of_no_row_are_reported(dataset: Path, span: LabelSpan) -
     session.write_hand_labels([LabelSpan(0, 9, 0, "slip"), span], based_on=0)
     [finding] = verify(dataset).findings
     assert finding.weight == "lossy"
-    assert f"000001.json: labels no row of the session: finger {span.finger}, {span.begin} to" in finding.text
+    assert f"labels by hand, version 1, of no row: finger {span.finger}, {span.begin} to" in finding.text
