@@ -192,11 +192,8 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
             stream, _, finger = name.partition(" ")
             if stream == "scores" and len(time):
                 qualities[finger] = quality(values.item(-1), self._faults_at(finger, last))
-            thin = (
-                (time[-1:], values[-1:])
-                if columns is None
-                else thin_curve(time, values, first, last, columns)
-            )
+            newest = time[-1:], values[-1:]
+            thin = thin_curve(time, values, first, last, columns) if columns else newest
             rows[name] = curve_json(*thin, self.start)
         current = {finger: self._faults_at(finger, last) for finger in self._faults}
         return {"rows": rows, "faults": faults_json(current), "quality": qualities}

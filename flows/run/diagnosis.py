@@ -47,10 +47,8 @@ async def _diagnose(name: str, part: Endpoint, clock: Clock, limit: float) -> li
 def _failure(name: str, error: Exception) -> Finding:
     """Return the finding that an error stands for."""
     match error:
-        case EndpointError():
-            return Finding(error.endpoint, error.reason, "bad")
-        case InputError():
-            return Finding(error.where, error.reason, "bad")
+        case EndpointError(endpoint=subject, reason=text) | InputError(where=subject, reason=text):
+            return Finding(subject, text, "bad")
         case _:
             return Finding(name, reason_of(error), "bad")
 
