@@ -72,7 +72,7 @@ def _read(table: RawTable, columns: ColumnMap) -> Reals:
         readings[:, cell] = reals_of(table, name, columns)
         if columns.has_counts:
             fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
-            table.check(name, ~_is_fraction(readings[:, cell]), fix)
+            table.check(name, ~(readings[:, cell] % 1 > 0), fix)
     empty = np.isnan(readings).all(axis=0)
     for cell in np.flatnonzero(empty).tolist():
         table.add_problem(f"column {names[cell]} has no readings")
@@ -97,7 +97,7 @@ def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
     counts = np.rint(readings / (columns.resolution or 1.0) - np.array(columns.offset or (0,)))
     good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
     if columns.has_counts:
-        good &= ~_is_fraction(readings)
+        good &= ~(readings % 1 > 0)
     stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
     return stored, good
 
@@ -174,11 +174,6 @@ def _is_multiple(values: Reals, step: float) -> bool:
     """Return True if all readings are multiples of a step; NaN is missing."""
     parts = (values[:1000] / step, values / step)  # most other steps fail early
     return not any(np.any(np.abs(part - np.rint(part)) > _TOLERANCE) for part in parts)
-
-
-def _is_fraction(readings: Reals) -> Flags:
-    found: Flags = np.abs(readings - np.rint(readings)) > 0
-    return found
 
 
 def _is_zeroed(readings: Reals) -> bool:
