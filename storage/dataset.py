@@ -175,11 +175,8 @@ class Dataset(Sink[Recordable]):
                 if batch is None or not writer.add(batch):
                     await asyncio.to_thread(writer.append, batch)
 
-        appending = asyncio.create_task(append())
-        appending.add_done_callback(_ignore_failure)
-        await asyncio.wait([appending])
+        await asyncio.shield(asyncio.create_task(append()))
         self._notice(writer)
-        appending.result()
 
     async def _keep_appending(self, writer: SessionWriter, journal: Journal) -> None:
         while True:
@@ -214,9 +211,7 @@ class Dataset(Sink[Recordable]):
         if self._committing and not self._committing.done():
             await asyncio.wait([self._committing])
             return
-        committing = self._begin_commit(writer)
-        await asyncio.wait([committing])
-        committing.result()
+        await asyncio.shield(self._begin_commit(writer))
 
     def _begin_commit(self, writer: SessionWriter) -> asyncio.Task[None]:
         writer.begin_commit()

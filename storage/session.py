@@ -112,8 +112,7 @@ class Session:
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip of the rows of `kind`; measured, if session.json does not state it.
 
-        Returns:
-            None if there are no rows of `kind`, or their type has no cells.
+        None if there are no rows of `kind`, or their type has no cells.
 
         Raises:
             InputError: as `read`, or if session.json has an invalid entry.
