@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from math import isclose
 from pathlib import Path
 from typing import Final, Self
 
@@ -49,7 +48,6 @@ _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 WARM_UP: Final = 99  # samples; the longest window of the detectors has 100
 _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written for
-_MEASURED: Final = 1e-3  # largest relative error of a measured rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,16 +59,6 @@ class Sampling:
     """
 
     rate: float = _RATE  # Hz
-
-    @classmethod
-    def measured(cls, rate: float) -> Self:
-        """Return the sampling at a measured rate, Hz; 0.1 % from a whole number it is that number.
-
-        >>> Sampling.measured(99.99)
-        Sampling(rate=100.0)
-        """
-        whole = float(round(rate))
-        return cls(whole if isclose(rate, whole, rel_tol=_MEASURED) else rate)
 
     @property
     def period(self) -> int:
@@ -135,7 +123,7 @@ class LabelledRecording:
     @property
     def sampling(self) -> Sampling:
         """Rate of the samples, by which all times are computed."""
-        return Sampling.measured(self.fingertip.rate)
+        return Sampling(self.fingertip.rate)
 
     @property
     def slip(self) -> Flags:

@@ -14,7 +14,7 @@ import numpy as np
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from flows.learn.training.trained_model import Progress
-from operators.batch import SLIP, STATIC, UNKNOWN, Counts, Reals
+from operators.batch import SLIP, STATIC, UNKNOWN
 from operators.detectors import Tcn
 from operators.errors import InputError
 
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 TIME_SCALES: Final = (1, 2, 3)
 _LONGEST: Final = 400  # samples, receptive field of a stretched network
-_LARGEST: Final = 8.0  # size of a logit beyond which it says no more
 _CROP: Final = 500  # evaluated samples of a crop
 _FEWEST: Final = 100  # of the crops of short recordings
 
@@ -88,7 +87,7 @@ def stretched(tcn: Tcn, time_scale: int) -> Tcn:
 
 
 def best_time_scale(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> int:
-    """Return the time scale at which the logit correlates best with the labels.
+    """Return the time scale at which the probability correlates best with the labels.
 
     All are compared on the same samples, those after the longest window. Recordings that are hardly longer
     do not count; without any other, the network stays as it is.
@@ -104,15 +103,8 @@ def best_time_scale(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> int:
         return 1
 
     def agreement(scale: int) -> float:
-        logit = np.concatenate([_logits(networks[scale], each.counts)[first:] for each in usable])[known]
-        return float(np.corrcoef(logit, slip)[0, 1]) if logit.std() else 0.0
+        streamed = [networks[scale].stream().push(each.counts[:, None])[first:, 0] for each in usable]
+        probability = np.concatenate(streamed)[known]
+        return float(np.corrcoef(probability, slip)[0, 1]) if probability.std() else 0.0
 
     return max(networks, key=agreement)
-
-
-def _logits(tcn: Tcn, counts: Counts) -> Reals:
-    """Return the logit of slip at each sample of counts (n, cells), limited to +-8; (n,)."""
-    probability = tcn.stream().push(counts[:, None])[:, 0]
-    with np.errstate(divide="ignore"):
-        logit: Reals = np.log(probability) - np.log1p(-probability)
-    return np.clip(logit, -_LARGEST, _LARGEST)
