@@ -60,7 +60,8 @@ def verify(
         typer.echo(json.dumps(_summary(found, repaired)))
     else:
         for each in repaired:
-            typer.echo(_repair_text(each))
+            rows = ", ".join(f"{count:,} rows of {table}" for table, count in each.rows.items()) or "no rows"
+            typer.echo("; ".join([f"{each.session}: recovered {rows}", *each.done]))
         typer.echo(_text(path, found))
     if found.code:
         raise typer.Exit(found.code)
@@ -82,11 +83,6 @@ def _repair(path: Path) -> "list[Recovery]":
                 note(f"not repaired: {error}")
             update(number, len(folders))
     return [each for each in done if each.changed]
-
-
-def _repair_text(done: "Recovery") -> str:
-    rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items())
-    return "; ".join([f"{done.session}: recovered {rows or 'no rows'}", *done.done])
 
 
 def _summary(found: "Verified", repaired: "list[Recovery]") -> dict[str, Any]:

@@ -71,18 +71,15 @@ def export(
         for name, content in described.items():
             if content:
                 writer.add_metadata(name, {key: _text(value) for key, value in content.items()})
-        channels, sequences = dict[str, int](), Counter[str]()
-
-        def register(name: str, schema: Mapping[str, Any]) -> None:
+        channels, sequences, streams = dict[str, int](), Counter[str](), list[Iterator[_Message]]()
+        present = [(table, finger) for table in TABLES for finger in session.fingers(table.kind)]
+        for table, finger in present:
+            name, first = topic(table, finger), next(session.read(table.kind, finger, 1))
             if name not in channels:
+                schema = message_schema(table, type(first), first.cells)
                 number = writer.register_schema(schema["title"], "jsonschema", _JSON.encode(schema).encode())
                 channels[name] = writer.register_channel(name, "json", number)
-
-        streams = [
-            _rows(session, register, table, finger)
-            for table in TABLES
-            for finger in session.fingers(table.kind)
-        ]
+            streams.append(_rows(session, table, finger))
         rows = merge(*streams, key=itemgetter(0))
         for done in iter(lambda: list(islice(rows, _BATCH)), []):
             for time, name, data in done:
@@ -143,18 +140,11 @@ def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
         yield time, _JSON.encode(message).encode()
 
 
-def _rows(
-    session: Session,
-    register: Callable[[str, Mapping[str, Any]], None],
-    table: Table,
-    finger: int,
-) -> Iterator[_Message]:
-    """Yield the rows of a fingertip; register its topic and schema before the first one."""
-    name = topic(table, finger)
+def _rows(session: Session, table: Table, finger: int) -> Iterator[_Message]:
+    """Yield the rows of a fingertip."""
     for batch in session.read(table.kind, finger):
-        register(name, message_schema(table, type(batch), batch.cells))
         for time, data in messages(table, batch):
-            yield time, name, data
+            yield time, topic(table, finger), data
 
 
 def _property(name: str, column: Column, sizes: tuple[int, ...]) -> dict[str, Any]:
