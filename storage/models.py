@@ -58,14 +58,12 @@ def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, s
         about = json.loads(data[8 : 8 + size]).get("__metadata__", {})
     except Exception as error:  # json, numpy and safetensors each raise their own
         reason = str(error).partition("\n")[0]
-        raise InputError(
-            str(path), f"is damaged or not a {_SUFFIX} file: {reason}; restore a copy"
-        ) from error
+        reason = f"is damaged or not a {_SUFFIX} file: {reason}; restore a copy"
+        raise InputError(str(path), reason) from error
     for name, array in weights.items():
         if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
-            raise InputError(
-                str(path), f"array {name!r} has values that are not finite: train the model again"
-            )
+            reason = f"array {name!r} has values that are not finite: train the model again"
+            raise InputError(str(path), reason)
     return weights, about
 
 
@@ -81,10 +79,8 @@ def save_weights(
     path = Path(path)
     if path.suffix != _SUFFIX:
         raise ParameterError("save_weights", "path", str(path), f"a path that ends in {_SUFFIX}")
-    native = {
-        name: np.asarray(array, array.dtype.newbyteorder("="), order="C") for name, array in weights.items()
-    }
-    files.put(path, safetensors.save(native, dict(about or {})))
+    contiguous = {name: np.asarray(array, order="C") for name, array in weights.items()}
+    files.put(path, safetensors.save(contiguous, dict(about or {})))
 
 
 def save_card(path: Path, card: Mapping[str, Any]) -> None:
