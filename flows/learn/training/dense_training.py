@@ -102,8 +102,7 @@ class _DenseTask(TrainingTask):
         self._generator = torch.Generator(self._device).manual_seed(recipe.seed)
         self._fingertip = train[0].fingertip
         cells = self._crops.counts.shape[1]
-        self.network = DenseTcn(recipe, cells) if start is None else DenseTcn.of_detector(start)
-        self.network.to(self._device)
+        self.network = DenseTcn(recipe, cells, start).to(self._device)
         learned = [each for each in self.network.parameters() if each.requires_grad]
         self.optimiser = torch.optim.AdamW(learned, recipe.rate, weight_decay=recipe.decay)
 
@@ -152,12 +151,12 @@ class DenseTcn(Network):
     Args:
         recipe: Size of the network.
         cells: Number of cells.
-        folded: Leave batch norm out: it is folded into the weights to start from.
+        start: Detector of this size to start from; its weights contain its batch norms. None: random weights.
     """
 
-    def __init__(self, recipe: Recipe, cells: int = BAROMETERS, *, folded: bool = False) -> None:
+    def __init__(self, recipe: Recipe, cells: int = BAROMETERS, start: Tcn | None = None) -> None:
         super().__init__()
-        self.recipe = recipe
+        self.recipe, folded = recipe, start is not None
         convs: list[_Layer] = []
         width = 2 * cells
         for dilation in recipe.dilations:
@@ -168,17 +167,11 @@ class DenseTcn(Network):
         self._convs, self._dense = tuple(convs), tuple(dense)  # typed
         self.convs, self.dense = nn.ModuleList(convs), nn.ModuleList(dense)  # registered with torch
         self.out = nn.Conv1d(recipe.units, 1, 1)
-
-    @classmethod
-    def of_detector(cls, tcn: Tcn) -> "DenseTcn":
-        """Return the network with the weights of a detector, which contain its batch norms."""
-        network = cls(Recipe.of(tcn), tcn.cells, folded=True)
-        targets = [*(layer.conv for layer in (*network._convs, *network._dense)), network.out]
-        for target, layer in zip(targets, tcn.layers, strict=True):
-            assert target.bias is not None
-            target.weight.data = torch.as_tensor(layer.kernel.transpose(2, 1, 0).copy())
-            target.bias.data = torch.as_tensor(layer.bias.copy())
-        return network.eval()
+        if start is not None:
+            targets = [*(layer.conv for layer in (*convs, *dense)), self.out]
+            for target, layer in zip(targets, start.layers, strict=True):
+                target.weight.data = torch.as_tensor(layer.kernel.transpose(2, 1, 0).copy())
+                target.bias = nn.Parameter(torch.as_tensor(layer.bias.copy()))
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return the logit of slip (b, n) of counts (b, cells, n); the first ones depend on the padding."""

@@ -6,7 +6,6 @@ sample.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -62,8 +61,13 @@ def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:
     crop = usual = tcn.length + _CROP
     if 2 * sum(each for each in lengths if each >= usual) < sum(lengths):  # most recordings are shorter
         crop = min((each for each in lengths if each >= tcn.length + _FEWEST), default=usual)
-    return replace(
-        Recipe.of(tcn),
+    return Recipe(
+        filters=tcn.layers[0].kernel.shape[2],
+        units=tcn.layers[-1].kernel.shape[1],
+        taps=len(tcn.layers[0].kernel),
+        dilations=tcn.weights["dilations"].tolist(),
+        position_scale=float(tcn.position_scale),
+        step_scale=float(tcn.step_scale),
         steps=recipe.steps,
         seed=recipe.seed,
         batch=12,

@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, Self
+from typing import Final
 
 from operators.checks import check_above, check_choice
-from operators.detectors import Tcn
 
 PAPER_NETWORKS: Final = {"frequency_cnn_interleaved": 6, "paper_tcn": 25}  # epochs in which each improves
 
@@ -66,19 +65,6 @@ class Recipe:
 
     def __post_init__(self) -> None:
         check_above("Recipe", "crop", self.crop, self.receptive_field, "samples")
-
-    @classmethod
-    def of(cls, tcn: Tcn) -> Self:
-        """Return the recipe of a network of the same size."""
-        return cls(
-            filters=tcn.layers[0].kernel.shape[2],
-            units=tcn.layers[-1].kernel.shape[1],
-            taps=len(tcn.layers[0].kernel),
-            dilations=tcn.weights["dilations"].tolist(),
-            position_scale=float(tcn.position_scale),
-            step_scale=float(tcn.step_scale),
-            crop=tcn.length + 1,
-        )
 
     @property
     def receptive_field(self) -> int:
