@@ -249,11 +249,10 @@ def load(dataset: Path) -> list[LabelledRecording]:
 
 def hand_label_summary(recordings: Iterable[LabelledRecording]) -> str:
     """Return a line with the labels by hand in recordings; empty if there are none."""
-    recordings = [each for each in recordings if each.by_hand]
-    if not recordings:
-        return ""
-    samples, total = sum(each.by_hand for each in recordings), sum(map(len, recordings))
-    return f"labels by hand: {samples:,} of {total:,} samples of {counted(len(recordings), 'recording')}"
+    marked = [each for each in recordings if each.by_hand]
+    samples, total = sum(each.by_hand for each in marked), sum(map(len, marked))
+    text = f"labels by hand: {samples:,} of {total:,} samples of {counted(len(marked), 'recording')}"
+    return text if marked else ""
 
 
 def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:

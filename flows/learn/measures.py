@@ -241,5 +241,4 @@ AGAINST_SLIDING: Final[Mapping[str, Statistic]] = {
     **_event_statistics(SLIDING),
     "lead ms": median("lead ms"),
 }
-F1: Final[Mapping[str, Statistic]] = {"F1 %": SHARES["F1 %"]}
 DECIMALS: Final[Mapping[str, int | None]] = {"delay ms": 0, "lead ms": 0, "us/sample": None}

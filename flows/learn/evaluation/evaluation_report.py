@@ -16,7 +16,6 @@ from flows.learn.measures import (
     BALANCED,
     DECIMALS,
     EVENTS,
-    F1,
     SAMPLES,
     SHARES,
     SLIDING,
@@ -176,7 +175,7 @@ def _motions(of: Evaluation) -> list[Section]:
     parts = known.with_columns(names.struct.unnest())
     for total in (pl.lit("all").alias("surface"), pl.lit("any").alias("motion")):
         parts = pl.concat([parts, parts.with_columns(total)])
-    found = estimates(parts, F1, ("motion", "surface"), draws=0)
+    found = estimates(parts, {"F1 %": SHARES["F1 %"]}, ("motion", "surface"), draws=0)
     ours = estimate_table(found, {}, index=["motion"], columns="surface", caption=of.leader)
     rows: list[list[Value]] = [[motion_name("", *motion)[2:], *row] for motion, row in TABLE_3.items()]
     head = ["motion", *SURFACES, "all"]

@@ -89,11 +89,6 @@ class Windows:
         picked = np.concatenate([rng.permutation(slip)[:fewer], rng.permutation(static)[:fewer]])
         return rng.permutation(picked)
 
-    def spread(self) -> tuple[Reals, Reals]:
-        """Return mean and standard deviation (at least 1) of each cell's counts; (6,) each."""
-        counts = self._crops.counts.cpu().numpy()
-        return counts.mean(axis=0, dtype=np.float64), np.maximum(counts.std(axis=0, dtype=np.float64), 1)
-
 
 class _WindowedTask(TrainingTask):
     """Training of a network of the paper on windows."""
@@ -113,7 +108,9 @@ class _WindowedTask(TrainingTask):
         balanced = 2 * min(slip, len(self._windows) - slip)
         self.check_every = max(balanced // recipe.batch, 1)  # an incomplete batch is left out
         self.steps = recipe.epochs * self.check_every
-        self.network = paper_network(*self._windows.spread(), recipe).to(self._device)
+        counts = np.concatenate([each.counts for each in train if len(each) >= LENGTH]).astype(np.float64)
+        mean, std = counts.mean(axis=0), np.maximum(counts.std(axis=0), 1)
+        self.network = paper_network(mean, std, recipe).to(self._device)
         self.optimiser = torch.optim.Adam(
             self.network.parameters(), recipe.rate, eps=_ADAM_EPSILON, foreach=True
         )
