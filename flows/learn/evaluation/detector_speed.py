@@ -22,7 +22,7 @@ from operators.detectors.detector import Detector, Streaming
 
 SPEED: Final[Mapping[str, Statistic]] = {"us/sample": median_of("us/sample")}
 
-_LEAST: Final = 1_000  # ns, resolution
+_CHUNK: Final = 50  # samples between two looks at the clock
 _WINDOWS: Final = 100  # number of different windows in a cycle
 _TIMED: Final = 500  # samples of a recording that the timing repeats
 Step = Callable[[int], object]
@@ -68,12 +68,8 @@ def costs(
         span: Approximate CPU time of one turn, s.
     """
     steps = {name: _step(detector, counts) for name, detector in detectors.items()}
-    samples = {name: _turn(step, span) for name, step in steps.items()}  # of a turn
-    turns = [
-        {name: _timed(step, samples[name]) / samples[name] for name, step in steps.items()}  # ns
-        for _ in range(rounds)
-    ]
-    return {name: median(turn[name] for turn in turns) / 1000 for name in steps}
+    turns = [{name: _timed(step, span) for name, step in steps.items()} for _ in range(rounds)]
+    return {name: median(turn[name] for turn in turns) for name in steps}
 
 
 def _step(detector: Detector, counts: Counts) -> Step:
@@ -90,17 +86,11 @@ def _step(detector: Detector, counts: Counts) -> Step:
     return lambda number: deque(map(take, islice(samples, number)), maxlen=0)
 
 
-def _turn(step: Step, span: float) -> int:
-    """Return the number of samples that fill a turn, after warming the detector up."""
-    number = 1
-    step(number)
-    while (taken := _timed(step, number)) < span * 1e9 / 4:
-        number *= 2
-    return max(1, round(number * span * 1e9 / taken))
-
-
-def _timed(step: Step, number: int) -> int:
-    """Return the CPU time of a number of samples, ns."""
-    begin = process_time_ns()
-    step(number)
-    return max(process_time_ns() - begin, _LEAST)
+def _timed(step: Step, span: float) -> float:
+    """Return the CPU time of a sample, us: the mean of as many as take a turn."""
+    begin, taken, number = process_time_ns(), 0, 0
+    while taken < span * 1e9:
+        step(_CHUNK)
+        number += _CHUNK
+        taken = process_time_ns() - begin
+    return taken / number / 1000
