@@ -69,12 +69,12 @@ def lift(
 
 
 def declare_grip(
-    flow: Flow, source: Source[Touch], detector: Detector, grip: GripController, scans: int = 100
+    flow: Flow, source: Source[Touch], detector: Detector, grip: GripController
 ) -> tuple[Stream[Scores], Stream[Commands]]:
     """Declare the path from touch to grip commands, and return the scores and the commands.
 
-    The hand is open during the first `scans` samples.
+    The hand is open during the first 100 samples.
     """
     touch = flow.source(source)
-    scores = touch | Zero(scans=scans) | Score(detector)
+    scores = touch | Zero() | Score(detector)
     return scores, scores | grip

@@ -20,7 +20,7 @@ from connectors.sim.body import GRAVITY
 from connectors.sim.grasp import PASSIVE_FRICTION, Tap, grip_model, surface
 from connectors.sim.scene import Travel
 from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial, run_trial
+from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial, control_trial
 from operators.batch import Reals, s
 from operators.detectors import Detector
 from operators.grip import GripController
@@ -136,7 +136,7 @@ def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> li
     for detector, usual in methods:
         rule = replace(usual, force=weak, settle=usual.settle + delay)
         false_firm = firm.scored(detector).false_slip(rule)
-        trace = run_trial(trial.grasp(LIFT), detector, rule, trial.conditions, LIFT_END)
+        trace = control_trial(trial.grasp(LIFT), detector, rule, trial.conditions, LIFT_END)
         found.append((trace, judge_lift(trace, rule, trial.least_force, false_firm=false_firm)))
     return found
 

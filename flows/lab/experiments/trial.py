@@ -1,7 +1,7 @@
-"""One trial of an experiment: a simulated grasp and the declared flow, sample by sample in virtual time."""
+"""One trial of an experiment: a simulated grasp, a detector and a grip controller, sample by sample."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -11,14 +11,10 @@ from connectors.gripper.robotiq import FULL, PACE, SETTLE
 from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
 from connectors.sim.objects import Object
 from connectors.sim.scene import Parameters, Travel, Vibration
-from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import TestSink, TestSource
-from flows.lift import declare_grip
-from operators import Score
-from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, Zeroed, s
+from operators import Score, Zero
+from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Touch, Zeroed, s
 from operators.detectors import Detector
-from operators.grip import GripController, StepGrip
+from operators.grip import GripController
 
 BASELINE: Final = 1.0  # s with an open gripper before it closes
 SPREAD: Final = 0.1  # mass and friction vary by +-10 % from trial to trial; assumed
@@ -32,7 +28,6 @@ STILL: Final = 0.1  # mm; a shorter slide, such as of the edge of the pad when t
 MOVED: Final = 0.5  # mm; a longer slide is a slip, one between the two may be either
 FINGERTIP: Final = Parameters()  # of the experiments; no training grasp has it
 SCANS: Final = 100  # samples of the open gripper at least: a detector's first window
-_NO_STEP: Final = 1e-12  # N, force step of a constant grip
 
 # A Robotiq 3-Finger Gripper grips with at least 15 N, ten times the force that holds the objects of this
 # scene, and cannot reduce its force without opening. The model has its steps, refresh rate and delay, but
@@ -118,9 +113,9 @@ class Trial:
 
     def hold(self, taps: Sequence[Tap], seconds: float) -> "Trace":
         """Simulate a firm lift with constant force, without a detector: `Trace.scored` adds its scores."""
-        force = self.firm * self.least_force
-        constant = StepGrip(force=force, max_force=max(force, StepGrip.max_force), step=_NO_STEP)
-        return run_trial(self.grasp(FIRM_LIFT, taps), NullDetector(), constant, self.conditions, seconds)
+        force, grasp = self.firm * self.least_force, self.grasp(FIRM_LIFT, taps)
+        grasp.press(quantize(force), BASELINE - 1 / SCANS, RATE)
+        return simulate(grasp, _instants(self.conditions, SCANS, seconds), lambda _touch: force)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,20 +210,10 @@ def quantize(force: float) -> float:
     return math.floor(min(max(force, 0.0), SPAN) / SPAN * FULL + 1e-6) / FULL * SPAN
 
 
-class NullDetector:
-    """A detector that never reports slip."""
-
-    name, length = "null", 1
-
-    def score(self, windows: Counts | Reals) -> Reals:
-        """Return 0 for each window (n, 1, 6); (n,)."""
-        return np.zeros(len(windows))
-
-
-def run_trial(
+def control_trial(
     grasp: Grasp, detector: Detector, rule: GripController, conditions: Conditions, seconds: float
 ) -> Trace:
-    """Simulate one trial in closed loop.
+    """Simulate a grasp whose force a rule controls by the scores of a detector, as the flow `lift` does.
 
     The open gripper is sampled at least as often as the detector needs for its first score.
 
@@ -239,37 +224,47 @@ def run_trial(
         conditions: Conditions, for the gripper and the sample rate.
         seconds: Duration, s.
     """
-    flow, scored, commanded = Flow("trial"), TestSink(), TestSink()
-    waiting = round(conditions.rate * BASELINE)
-    scans = max(waiting, SCANS, detector.length)
-    scores, commands = declare_grip(flow, TestSource(Touch, fingers=(0,)), detector, rule, scans)
-    scores.to(scored)
-    commands.to(commanded)
-    compiled = CompiledFlow(flow)
-    [entry] = compiled.entries
+    instants = _instants(conditions, max(SCANS, detector.length), seconds)
+    stamps, probability = np.rint(instants * s).astype(np.int64), np.full(len(instants), np.nan)
+    zero, score = Zero(scans=int(np.sum(instants < BASELINE))), Score(detector)
     actuator = Actuator(grasp, conditions.delay)
-    closed = np.arange(waiting, seconds * conditions.rate) / conditions.rate
-    instants = np.concatenate((np.arange(scans) / scans * BASELINE, closed))  # (n,) s
-    n, stamps = len(instants), np.rint(instants * s).astype(np.int64)
+
+    def react(touch: Touch) -> float:
+        scores = score.push(zero.push(touch))
+        probability[np.searchsorted(stamps, scores.time)] = scores.probability
+        actuator.execute(rule.push(scores))
+        return actuator.commanded
+
+    return replace(simulate(grasp, instants, react), probability=probability)
+
+
+def _instants(conditions: Conditions, scans: int, seconds: float) -> Reals:
+    """Return the times (n,) (s) of the samples: `scans` or more of the open gripper, then the others."""
+    waiting = round(conditions.rate * BASELINE)
+    closed, opened = np.arange(waiting, seconds * conditions.rate) / conditions.rate, max(waiting, scans)
+    return np.concatenate((np.arange(opened) / opened * BASELINE, closed))
+
+
+def simulate(grasp: Grasp, instants: Reals, react: Callable[[Touch], float]) -> Trace:
+    """Simulate a grasp.
+
+    Args:
+        grasp: Grasp at its start, with an open gripper.
+        instants: Times of the samples (n,), s.
+        react: Called with each sample, returns the commanded force (N).
+    """
     truth: list[GraspState] = []
-    counts = np.zeros((n, BAROMETERS), np.int16)
-    probability, commanded_force = np.full(n, np.nan), np.zeros(n)
+    counts, commanded = np.zeros((len(instants), BAROMETERS), np.int16), np.zeros(len(instants))
     for k, instant in enumerate(instants.tolist()):
         touch, held = grasp.sense(instant)
         truth.append(held)
-        counts[k] = touch.counts[0]
-        for _, batch in compiled.push({entry: touch}):
-            if isinstance(batch, Scores):
-                probability[np.searchsorted(stamps, batch.time)] = batch.probability
-            elif isinstance(batch, Commands):
-                actuator.execute(batch)
-        commanded_force[k] = actuator.commanded
-    base = np.rint(np.median(counts[:scans], axis=0)).astype(np.int16)
+        counts[k], commanded[k] = touch.counts[0], react(touch)
+    base = np.rint(np.median(counts[instants < BASELINE], axis=0)).astype(np.int16)
     return Trace(
         t=np.array([held.instant for held in truth]),
         counts=counts - base,
-        probability=probability,
-        commanded=commanded_force,
+        probability=np.full(len(instants), np.nan),
+        commanded=commanded,
         force=np.array([held.force for held in truth]),
         slide=np.array([np.hypot(held.slide_x, held.slide_y) for held in truth]),
         speed=np.array([held.speed for held in truth]),

@@ -1,3 +1,4 @@
+import math
 from collections.abc import Callable
 from typing import TypeAlias
 
@@ -5,8 +6,9 @@ import numpy as np
 import pytest
 
 from connectors.sim.objects import OBJECTS
+from flows.lab.experiments.study import StepThreshold
 from flows.lab.experiments.tap_and_lift import LIFT, judge_lift, lift
-from flows.lab.experiments.trial import BASELINE, Conditions, NullDetector, Outcome, Trace, Trial
+from flows.lab.experiments.trial import BASELINE, Conditions, Outcome, Trace, Trial
 from operators import Grip
 from operators.batch import Reals
 from storage import load_detector
@@ -16,6 +18,7 @@ During: TypeAlias = Callable[..., Reals]
 
 UP = {"gripper_height": np.full(700, 0.05), "height": np.full(700, 0.048)}
 DOWN = {"gripper_height": np.full(700, 0.05), "height": np.zeros(700), "on_table": np.ones(700, np.bool_)}
+NEVER = StepThreshold(math.inf)  # never reports slip
 BALL = OBJECTS["ball"]
 
 
@@ -73,7 +76,7 @@ def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During)
 
 
 def test_without_control_a_weak_grip_loses_the_object() -> None:
-    [(trace, outcome)] = lift(Trial.draw(BALL, 1, Conditions()), [(NullDetector(), Grip())])
+    [(trace, outcome)] = lift(Trial.draw(BALL, 1, Conditions()), [(NEVER, Grip())])
     assert outcome.ending == "missed"
     assert trace.force.max() < outcome.metrics["peak"] * 2
     assert outcome.metrics["peak"] < 1

@@ -1,3 +1,4 @@
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeAlias
@@ -6,20 +7,22 @@ import numpy as np
 import pytest
 
 from connectors.sim.objects import OBJECTS
+from flows.lab.experiments.study import StepThreshold
 from flows.lab.experiments.tap_and_lift import BLOWS, TAP_END, judge_tap, tap
-from flows.lab.experiments.trial import MOVED, STILL, Conditions, NullDetector, Trace, Trial
+from flows.lab.experiments.trial import MOVED, STILL, Conditions, Trace, Trial
 from operators import Grip
 from operators.batch import Reals
 
 MakeTrace: TypeAlias = Callable[..., Trace]
 During: TypeAlias = Callable[..., Reals]
 
+NEVER = StepThreshold(math.inf)  # never reports slip
 RULE = Grip(settle=0)
 SOFT, FIRST, SECOND = BLOWS
 
 
 def simulated(trial: Trial) -> Trace:
-    [(trace, _)] = tap(trial, [(NullDetector(), RULE)])
+    [(trace, _)] = tap(trial, [(NEVER, RULE)])
     return trace
 
 
@@ -100,7 +103,7 @@ def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_no
 
 def test_methods_share_one_simulation_and_draws_depend_on_the_seed_only() -> None:
     trial = Trial.draw(OBJECTS["ball"], 3, Conditions())
-    (first, outcome), (second, _) = tap(trial, [(NullDetector(), Grip()), (NullDetector(), RULE)])
+    (first, outcome), (second, _) = tap(trial, [(NEVER, Grip()), (NEVER, RULE)])
     assert first.counts is second.counts
     assert (first.counts == simulated(trial).counts).all()
     assert outcome.ending == "missed"

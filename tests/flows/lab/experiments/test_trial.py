@@ -18,9 +18,9 @@ from flows.lab.experiments.trial import (
     Conditions,
     Trace,
     Trial,
+    control_trial,
     effect,
     quantize,
-    run_trial,
 )
 from operators import Commands, Grip, StepGrip, s
 from operators.batch import Reals
@@ -60,7 +60,7 @@ def test_scores_added_to_a_trace_are_those_of_the_closed_loop(rate: float) -> No
     trial = Trial.draw(BALL, 2, Conditions(rate=rate))
     added = trial.hold((), 3.0).scored(Psd())
     constant = StepGrip(force=trial.firm * trial.least_force, step=1e-12)
-    live = run_trial(trial.grasp(FIRM_LIFT), Psd(), constant, trial.conditions, 3.0)
+    live = control_trial(trial.grasp(FIRM_LIFT), Psd(), constant, trial.conditions, 3.0)
     known = ~np.isnan(live.probability)
     assert known.any()
     assert (added.probability[known] == live.probability[known]).all()
