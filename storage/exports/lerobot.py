@@ -68,12 +68,11 @@ class Exported:
 
 @dataclass(frozen=True, slots=True)
 class _Contents:
-    """Data that every session has: fingertips, cells of each, velocity and pose of the arm."""
+    """Data that every session has."""
 
     fingers: tuple[int, ...]
-    cells: int
-    velocity: bool
-    pose: bool
+    cells: int  # of each fingertip
+    arm: frozenset[str]  # of `ACTION` and `POSE`
 
 
 def export(
@@ -164,14 +163,14 @@ def _common_contents(sessions: Sequence[Session]) -> _Contents:
             reason = "has no samples, which frames are made of: record with `slipflow run record`"
             raise InputError(str(session.folder), reason)
         samples, motion = _rows(session, Labelled, fingers[0]), _rows(session, Motion, EVERY)
-        known = [bool(_all_finite(each).any()) for each in (samples.velocity, motion.pose)]
-        found.append(_Contents(fingers, samples.cells, *known))
+        known = {ACTION: samples.velocity, POSE: motion.pose}
+        arm = frozenset(name for name, each in known.items() if _all_finite(each).any())
+        found.append(_Contents(fingers, samples.cells, arm))
         own, other = (f"fingertips {each.fingers} of {each.cells} cells" for each in (found[-1], found[0]))
         if own != other:
             reason = f"has {own}, but {sessions[0].name} has {other}: export them separately"
             raise InputError(str(session.folder), reason)
-    velocity, pose = all(each.velocity for each in found), all(each.pose for each in found)
-    return replace(found[0], velocity=velocity, pose=pose)
+    return replace(found[0], arm=frozenset.intersection(*(each.arm for each in found)))
 
 
 def _all_finite(values: NDArray[np.floating[Any]]) -> Flags:
@@ -215,12 +214,12 @@ def _frames(session: Session, rate: int, contents: _Contents) -> tuple[Values, T
     whole = np.logical_and.reduce([there for _, there in near])  # (n,)
     known = whole.copy()
     values[STATE] = np.concatenate(cells, axis=1).astype(np.float32)  # (n, fingers * cells)
-    if contents.pose:
+    if POSE in contents.arm:
         motion = _rows(session, Motion, EVERY)
         motion = motion[np.flatnonzero(_all_finite(motion.pose))]
         row, there = _nearest(motion.time, time, POSE_WITHIN)
         values[POSE], known = motion.pose[row].astype(np.float32), known & there
-    if contents.velocity:
+    if ACTION in contents.arm:
         velocity = samples[0].velocity
         there = _all_finite(velocity)
         filled = forward_fill(velocity, np.repeat(there[:, None], velocity.shape[1], axis=1))
@@ -266,9 +265,9 @@ def _features(contents: _Contents) -> dict[str, dict[str, Any]]:
     fingers = [f"finger{finger}" for finger in contents.fingers]
     cells = [f"{finger}.barometer{cell}" for finger in fingers for cell in range(contents.cells)]
     found = {STATE: feature("float32", cells)}
-    if contents.pose:
+    if POSE in contents.arm:
         found[POSE] = feature("float32", ["x", "y", "z", "rx", "ry", "rz"])
-    if contents.velocity:
+    if ACTION in contents.arm:
         found[ACTION] = feature("float32", ["vx", "vy", "vz", "wx", "wy", "wz"])
     found |= {"valid": feature("bool", cells), "label": feature("int64", fingers)}
     found |= {"next.done": feature("bool"), "timestamp": feature("float32")}
