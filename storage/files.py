@@ -7,14 +7,14 @@ import os
 import time
 from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM
 from pathlib import Path
 from shutil import disk_usage, rmtree
 from stat import S_ISREG
 from statistics import median
 from tempfile import TemporaryFile
-from typing import Any, BinaryIO, Final, NoReturn, cast
+from typing import Any, Final, NoReturn, cast
 
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Finding
@@ -221,28 +221,17 @@ def sync_tree(path: Path) -> None:
 
 
 @contextmanager
-def partial_file(path: Path) -> Generator[BinaryIO]:
-    """Open a new file as `<path>.partial`; rename it to `path` if the block succeeds, else delete it.
-
-    Raises:
-        EndpointError: as `partial_folder`.
-    """
-    with _partial(path, Path.touch) as scratch, scratch.open("wb") as file:
-        yield file
-
-
-def partial_folder(path: Path) -> AbstractContextManager[Path]:
+def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Generator[Path]:
     """Make a folder `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it.
+
+    Args:
+        path: Folder, or a file if `make` is `Path.touch`.
+        make: Makes it.
 
     Raises:
         EndpointError: if `path` is a file or a folder with files, `<path>.partial` exists, or it cannot be
             written.
     """
-    return _partial(path, Path.mkdir)
-
-
-@contextmanager
-def _partial(path: Path, make: Callable[..., None]) -> Generator[Path]:
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise EndpointError(str(path), "exists already: give another name, or remove it")
     path = path.resolve() if path.is_symlink() else path  # a folder cannot be renamed to a link

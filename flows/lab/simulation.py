@@ -35,7 +35,7 @@ from operators.checks import check_at_least, check_choice
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Description, SomeBatch
 from storage import Dataset
-from storage.files import partial_folder
+from storage.files import partial_output
 
 PLANS: Final[Mapping[str, PaperPlan]] = {
     "paper": PaperPlan(),
@@ -135,7 +135,7 @@ def simulate(
         SlipflowError: if a recording cannot be simulated; the folder is deleted then.
     """
     planned = planned_recordings(plan, seed)
-    with partial_folder(out.resolve()) as root:
+    with partial_output(out.resolve()) as root:
         work = partial(_record, root, plan, seed)
         for _ in map_tasks(work, planned, executor, progress=progress):
             pass

@@ -35,7 +35,7 @@ from operators.fingertip import RATE_TOLERANCE
 from operators.ports import SomeBatch
 from operators.score import forward_fill
 from storage.arrow import pa, pq
-from storage.files import partial_folder, put_json
+from storage.files import partial_output, put_json
 from storage.session import Session
 
 VERSION: Final = "v3.0"
@@ -101,7 +101,7 @@ def export(
     contents, rate = _common_contents(sessions), _frame_rate(sessions, rate)
     declared, episodes = _features(contents), list[dict[str, Any]]()
     splits, rows, repeated = list[str](), 0, 0
-    with partial_folder(out) as folder:
+    with partial_output(out) as folder:
         for number, (split, session) in enumerate(_ordered(sessions)):
             progress(number, session.name)
             values, time, whole = _frames(session, rate, contents)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from operators.batch import BAROMETERS, EVERY, Batch, Column, s
 from operators.errors import InputError
 from operators.extras import require_extra
-from storage.files import partial_file
+from storage.files import partial_output
 from storage.layout import FAULTS, SLIPS, TABLES, Table
 from storage.session import Session
 
@@ -63,7 +63,7 @@ def export(
     require_extra("mcap", "MCAP export")
     from mcap.writer import Writer
 
-    with partial_file(path) as file:
+    with partial_output(path, Path.touch) as scratch, scratch.open("wb") as file:
         writer: Any = Writer(file, chunk_size=_CHUNK)
         writer.start(profile="", library=str(session.about.get("software", "slipflow")))
         labels = session.hand_labels()

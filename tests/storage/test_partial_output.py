@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from operators.errors import EndpointError
-from storage.files import PARTIAL, partial_file, partial_folder
+from storage.files import PARTIAL, partial_output
 
 
 def test_a_file_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "new" / "a.mcap"
-    with partial_file(path) as file:
-        file.write(b"whole")
+    with partial_output(path, Path.touch) as scratch:
+        scratch.write_bytes(b"whole")
         assert not path.exists()
     assert path.read_bytes() == b"whole"
     assert list(path.parent.iterdir()) == [path]
@@ -19,7 +19,7 @@ def test_a_file_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
 
 def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "out"
-    with partial_folder(path) as folder:
+    with partial_output(path) as folder:
         (folder / "meta").mkdir()
         (folder / "meta" / "info.json").write_text("{}")
         assert not path.exists()
@@ -30,12 +30,12 @@ def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 def test_a_failed_block_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
     def half_a_file() -> None:
-        with partial_file(tmp_path / "a") as file:
-            file.write(b"half")
+        with partial_output(tmp_path / "a", Path.touch) as file:
+            file.write_bytes(b"half")
             raise error
 
     def half_a_folder() -> None:
-        with partial_folder(tmp_path / "b") as folder:
+        with partial_output(tmp_path / "b") as folder:
             (folder / "half").touch()
             raise error
 
@@ -48,10 +48,10 @@ def test_a_failed_block_leaves_nothing(tmp_path: Path, error: type[BaseException
 def test_existing_files_are_neither_replaced_nor_removed(tmp_path: Path) -> None:
     for name, is_there in (("a", "a"), ("b", "b" + PARTIAL)):
         (tmp_path / is_there).write_text("mine")
-        for partial in (partial_file, partial_folder):
+        for make in (Path.touch, Path.mkdir):
             with (
                 pytest.raises(EndpointError, match=r"exists already|being written"),
-                partial(tmp_path / name),
+                partial_output(tmp_path / name, make),
             ):
                 raise AssertionError
         assert (tmp_path / is_there).read_text() == "mine"

@@ -12,7 +12,7 @@ from connectors.files.column_map import ColumnMap
 from flows.lab.importing import import_frame
 from operators.errors import EndpointError
 from operators.extras import require_extra
-from storage.files import partial_folder
+from storage.files import partial_output
 
 if TYPE_CHECKING:
     import polars as pl
@@ -97,7 +97,7 @@ class DatasetRecipe:
         require_extra("fetch", "fetch")
         about = {"recipe": self.name, "source": self.page, "licence": self.licence}
         seconds = list[float]()
-        with partial_folder(out.resolve()) as dataset:
+        with partial_output(out.resolve()) as dataset:
             for name, frame, group in self.recordings(self._files(progress)):
                 done = import_frame(frame, dataset, name, self.columns, group=group, about=about)
                 seconds.append(done.summary()["seconds"])
