@@ -13,6 +13,7 @@ from connectors.files.column_map import DATE, LABEL, ColumnMap, is_air
 from connectors.files.raw_table import RawTable
 
 MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
+FEW: Final = 1000  # texts, up to which Python is faster than an expression of Polars
 _BLANKS: Final = "'\u2019\u00a0\u202f "  # between thousands
 
 
@@ -21,12 +22,17 @@ def plain(column: pl.Series, decimal: str) -> pl.Series:
 
     The sign of decimals is `decimal`, ``.`` or ``,``. The other one, blanks and apostrophes divide thousands.
     """
-    return column.to_frame().select(_plain(decimal)).to_series() if column.dtype == pl.String else column
+    if column.dtype != pl.String:
+        return column
+    simple = _simple(column, decimal)
+    return column.to_frame().select(_plain(decimal)).to_series() if simple is None else simple
 
 
 def reals(column: pl.Series, decimal: str) -> pl.Series:
     """Return the numbers of a column; NaN for a missing value, null for what is no finite number."""
     text = column.dtype == pl.String
+    if text and (simple := _simple(column, decimal)) is not None:
+        return simple.cast(pl.Float64)
     value = (_plain(decimal) if text else pl.first()).cast(pl.Float64, strict=False)
     missing = pl.first().is_null() | value.is_nan()
     if text:
@@ -34,6 +40,14 @@ def reals(column: pl.Series, decimal: str) -> pl.Series:
     found = column.to_frame().select(value.alias("value"), missing.alias("missing"))
     number = pl.when("missing").then(np.nan).when(pl.col("value").is_finite()).then("value")
     return found.select(number).to_series()
+
+
+def _simple(column: pl.Series, decimal: str) -> pl.Series | None:
+    """Return a few texts, as of the newest line of a logger, as by `_plain`, if all have a usual form."""
+    usual = re.compile(rf"[+-]?\d{{1,18}}(?:{re.escape(decimal)}\d{{1,18}})?(?:[eE][+-]?\d\d?)?", re.ASCII)
+    if len(column) > FEW or not all(text and usual.fullmatch(text) for text in column.to_list()):
+        return None
+    return pl.Series(column.name, [text.replace(decimal, ".") for text in column.to_list()], pl.String)
 
 
 @cache

@@ -88,7 +88,7 @@ def reals_of(table: RawTable, name: str, columns: ColumnMap) -> Reals:
     values = reals(table.columns[name], columns.decimal_sign)
     signs = " with a decimal comma" if columns.decimal == "comma" else ""
     table.check(name, values.is_not_null().to_numpy(), f"a number{signs} or empty")
-    found: Reals = values.fill_null(np.nan).to_numpy()
+    found: Reals = values.to_numpy()
     return found
 
 

@@ -1,9 +1,10 @@
 """Times of a recording: format, unit, resolution, clocks that wrap or start again, and parts."""
 
+import re
 from calendar import month_abbr
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from itertools import pairwise
 from typing import Final, TypeAlias
 
@@ -11,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import DATE, TIME, UNITS, ColumnMap
-from connectors.files.number_format import plain, reals
+from connectors.files.number_format import FEW, plain, reals
 from connectors.files.raw_table import RawTable
 from operators.batch import Times, s
 from operators.fingertip import RATE_TOLERANCE, rows_per_second
@@ -51,6 +52,7 @@ _TEXT: Final = (
     r"|(?P<MM>\d{1,2}):(?P<SS>\d{2})[.,](?P<ff>\d+))"
     r" ?(?P<p>[AaPp][Mm])? ?(?:Z|UTC|GMT|(?P<sign>[+-])(?P<zh>\d{2}):?(?P<zm>\d{2}))?$"
 )
+_SECONDS: Final = re.compile(r"([^:]*\d:\d\d:)([0-5]\d|60)(?:[.,](\d*))?((?:[^\d:.,].*)?)", re.ASCII)
 
 
 def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[ColumnMap, Times, Parts]:
@@ -231,6 +233,23 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
 
 def of_texts(column: pl.Series, order: str) -> pl.Series:
     """Return dates (since 1970 UTC) and times of day as ns; null for other texts, and for impossible days."""
+    found = [_SECONDS.fullmatch(text or "") for text in column.to_list()] if len(column) <= FEW else [None]
+    if any(each is None for each in found):
+        return _converted(column, order)
+    halves = [(f"{each[1]}00{each[4]}", f"{each[2]}{each[3] or '':0<9.9}") for each in found if each]
+    starts = _minutes(tuple(dict.fromkeys(minute for minute, _ in halves)), order)
+    times = [None if (start := starts[minute]) is None else start + int(ns) for minute, ns in halves]
+    return pl.Series(column.name, times, pl.Int64)
+
+
+@lru_cache(maxsize=4)
+def _minutes(texts: tuple[str, ...], order: str) -> dict[str, int | None]:
+    """Return the times of minutes, which most lines of a logger share, ns."""
+    return dict(zip(texts, _converted(pl.Series(texts, dtype=pl.String), order), strict=True))
+
+
+def _converted(column: pl.Series, order: str) -> pl.Series:
+    """Return the times of `of_texts` by an expression of Polars, which takes some ms also for one row."""
     parts = column.str.strip_chars().str.extract_groups(_TEXT).struct.unnest()
     return parts.lazy().select(_moment(order)).collect().to_series()
 
