@@ -176,7 +176,7 @@ def tried(experiment: str) -> Numbers:
         outcome = outcomes.setdefault(trial, dict.fromkeys(FIELDS_OF[experiment]))
         if row["metric"].startswith("ending "):
             outcome["ending"] = row["metric"].removeprefix("ending ")
-        elif row["metric"] != "trials":
+        elif row["metric"] in outcome:
             outcome[row["metric"]] = row["value"]
     return outcomes
 

@@ -6,10 +6,13 @@ lift and the hold move nothing: a slip registered there fails the trial.
 
 Lift: an object is gripped too weakly and lifted; more force must catch it. The same grasp is also lifted
 firmly. A slip registered there, or before anything slides, fails the trial.
+
+Success is judged strictly, as above, and by the paper's words, which ask less: both blows are registered and
+static again after the object has stopped; a slip is registered, and the object is held at the end.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Final, Literal, NamedTuple
@@ -32,6 +35,7 @@ PROMPT: Final = 0.2  # s from the blow; the slip must be registered within this 
 RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
 SECONDS: Final = 0.01  # s, duration of a blow
 KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative to static friction; assumed
+SIZES: Final = {"0.5 to 1 mm": (MOVED, 1.0), "1 to 2 mm": (1.0, 2.0), "above 2 mm": (2.0, math.inf)}  # slides
 SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
 FINGERS: Final = 3  # springs that hold the object
 
@@ -48,6 +52,7 @@ class _Blow(NamedTuple):
     ending: str
     slide: float  # mm
     lead: float  # ms from the registered slip to the onset of sliding; NaN: not registered
+    paper: bool  # success by the paper's words
 
 
 def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
@@ -90,22 +95,35 @@ def judge_tap(trace: Trace, rule: GripController) -> Outcome:
     blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, TAP_END))]
     moved = [blow for blow in blows if blow.slide >= MOVED]
     soft = [blow for blow in blows if blow.slide < STILL]
-    false_firm = trace.false_slip(rule)
+    false_slips = trace.false_slips(rule)
     ending = next((blow.ending for blow in blows if blow.ending != "registered"), "registered")
-    if false_firm:
+    if any(false_slips.values()):
         ending = "false slip"
     if trace.dropped[-1]:
         ending = "dropped"
     leads = [blow.lead for blow in moved if not math.isnan(blow.lead)]
     metrics = {
-        "false_firm": false_firm,  # a slip was registered after the gripper closed, before the first blow
+        **_firm_metrics(false_slips),
+        "paper": ending != "dropped" and all(blow.paper for blow in blows[1:]),
         "slide": float(np.mean([blow.slide for blow in moved])) if moved else math.nan,  # mm, mean over blows
         "lead": float(np.mean(leads)) if leads else math.nan,  # ms from the registered slip to the sliding
         "moved": len(moved),  # blows that moved the object
         "soft": len(soft),  # blows that moved nothing
         "false_soft": sum(blow.ending == "false at soft blow" for blow in soft),
     }
+    for size, (low, high) in SIZES.items():
+        those = [blow for blow in blows if low <= blow.slide < high]
+        metrics |= {
+            f"blows {size}": len(those),
+            f"missed {size}": sum(blow.ending in {"missed", "too late"} for blow in those),
+        }
     return Outcome(ending, ending == "registered", metrics)
+
+
+def _firm_metrics(false_slips: Mapping[str, int]) -> dict[str, float]:
+    """Return whether, and how often in each phase, a slip was registered in a firm lift without one."""
+    by_phase = {f"false {phase}": count for phase, count in false_slips.items()}
+    return {"false_firm": any(false_slips.values()), **by_phase}
 
 
 def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) -> _Blow:
@@ -113,16 +131,20 @@ def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) ->
     onsets, rows = trace.onsets(rule), trace.between(start, end)
     onsets = onsets[(onsets >= start) & (onsets < end)]
     sliding = trace.t[rows][trace.speed[rows] > SLIDING]
-    slide = trace.travel(rows)
+    slide, registered = trace.travel(rows), trace.registered(rule)
+    rest = (float(sliding[-1]) if len(sliding) else start) + RINGING
+    answered = slide < MOVED or bool(registered[trace.between(start, min(rest, end))].any())
+    back = not registered[trace.between(rest, end)].any()
+    lead = 1000 * float(sliding[0] - onsets[0]) if len(onsets) and len(sliding) else math.nan
     if slide < STILL or not len(sliding):
-        return _Blow("false at soft blow" if len(onsets) else "registered", slide, math.nan)
-    lead = 1000 * float(sliding[0] - onsets[0]) if len(onsets) else math.nan
-    rest = trace.between(float(sliding[-1]) + RINGING, end)
-    if slide >= MOVED and not len(onsets):
-        return _Blow("missed", slide, lead)
-    if slide >= MOVED and onsets[0] > start + PROMPT:
-        return _Blow("too late", slide, lead)
-    return _Blow("not back to static" if trace.registered(rule)[rest].any() else "registered", slide, lead)
+        ending = "false at soft blow" if len(onsets) else "registered"
+    elif slide >= MOVED and not len(onsets):
+        ending = "missed"
+    elif slide >= MOVED and onsets[0] > start + PROMPT:
+        ending = "too late"
+    else:
+        ending = "registered" if back else "not back to static"
+    return _Blow(ending, slide, lead, paper=answered and back)
 
 
 def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
@@ -135,14 +157,18 @@ def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> li
     weak = trial.expected_force * float(np.random.default_rng([trial.seed, 8]).uniform(*WEAK))  # N
     for detector, usual in methods:
         rule = replace(usual, force=weak, settle=usual.settle + delay)
-        false_firm = firm.scored(detector).false_slip(rule)
+        false_slips = firm.scored(detector).false_slips(rule)
         trace = control_trial(trial.grasp(LIFT), detector, rule, trial.conditions, LIFT_END)
-        found.append((trace, judge_lift(trace, rule, trial.least_force, false_firm=false_firm)))
+        found.append((trace, judge_lift(trace, rule, trial.least_force, false_slips)))
     return found
 
 
-def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: bool = False) -> Outcome:
+def judge_lift(
+    trace: Trace, rule: GripController, least: float, false_slips: Mapping[str, int] | None = None
+) -> Outcome:
     """Return the outcome of a lift; its forces are relative to `least`, which just holds the object (N).
+
+    `false_slips` are those of the firm lift, by phase (default none).
 
     Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
     ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
@@ -157,11 +183,13 @@ def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: 
     delay = float(answers[0]) - began if len(answers) else math.nan
     slide: Reals = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])  # (m,) mm
     ending = _lift_ending(trace, rule, least, delay)
-    if false_firm or len(answers) < len(onsets):
+    firm = _firm_metrics(false_slips or {})
+    if firm["false_firm"] or len(answers) < len(onsets):
         ending = "false slip"
     force = trace.force[trace.between(LIFT_END - 1, LIFT_END + 1)]
     metrics = {
-        "false_firm": false_firm,  # a slip was registered in the firm lift
+        **firm,
+        "paper": _held(trace) and bool(trace.registered(rule)[lifting].any()),
         "slide": float(slide.max()),  # mm
         "lead": -1000 * delay,  # ms from the first registered slip to the first sliding
         "force": float(force.mean()) / least if _held(trace) else math.nan,  # mean of the last second

@@ -24,6 +24,13 @@ VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's 
 FIRM: Final = (1.6, 2.0)  # range of a firm grip's force, relative to the least; nothing slides above 1.6
 FIRM_LIFT: Final = Travel(2.0)  # of a firm grip, until 3.1 s
 HELD: Final = 4.0  # s; a firm grip has been lifted and held undisturbed
+PHASES: Final = {  # s, starts of the phases of a firm lift
+    "closing": BASELINE,
+    "load transfer": FIRM_LIFT.start,
+    "cruising": FIRM_LIFT.start + 0.4,
+    "stopping": FIRM_LIFT.end - 0.1,
+    "holding": FIRM_LIFT.end + 0.3,
+}
 STILL: Final = 0.1  # mm; a shorter slide, such as of the edge of the pad when the load rises, is not slip
 MOVED: Final = 0.5  # mm; a longer slide is a slip, one between the two may be either
 FINGERTIP: Final = Parameters()  # of the experiments; no training grasp has it
@@ -163,10 +170,11 @@ class Trace:
         now = self.registered(rule)
         return self.t[now & ~np.concatenate(([False], now[:-1]))]
 
-    def false_slip(self, rule: GripController) -> bool:
-        """Return whether a slip is registered in a firm lift, up to `HELD`, without one."""
-        rows = self.between(0, HELD)
-        return bool(self.registered(rule)[rows].any()) and self.travel(rows) < MOVED
+    def false_slips(self, rule: GripController) -> dict[str, int]:
+        """Return the number of slips registered in each phase of a firm lift without one."""
+        onsets = self.onsets(rule) if self.travel(self.between(0, HELD)) < MOVED else np.empty(0)
+        counts, _ = np.histogram(onsets, [*PHASES.values(), HELD])
+        return dict(zip(PHASES, counts.tolist(), strict=True))
 
     def travel(self, rows: slice) -> float:
         """Return how far the pad slid on the object in some samples (mm), there and back."""

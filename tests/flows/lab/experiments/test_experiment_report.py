@@ -15,6 +15,7 @@ TRIALS = Trials(2, 7, ("ball", "box"))
 HELD: Metrics = {
     "trials": 1,
     "success": 1,
+    "paper": 1,
     "ending held": 1,
     "false_firm": 0,
     "slide": 3,
@@ -22,7 +23,16 @@ HELD: Metrics = {
     "force": 1.5,
     "peak": 1.75,
 }
-LOST: Metrics = {"trials": 1, "success": 0, "ending missed": 1, "false_firm": 1, "slide": 30, "peak": 0.5}
+LOST: Metrics = {
+    "trials": 1,
+    "success": 0,
+    "paper": 0,
+    "ending missed": 1,
+    "false_firm": 1,
+    "false load transfer": 2,
+    "slide": 30,
+    "peak": 0.5,
+}
 
 
 def lifts(names: Sequence[str] = (NOMINAL,)) -> pl.DataFrame:
@@ -54,7 +64,7 @@ def report() -> Report:
 
 
 def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
-    ours, none = rows(report, "lift")
+    ours, none, paper = rows(report, "lift")
     assert {name: ours[name] for name in ("method", "success %", "firm lift %", "force", "lead ms")} == {
         "method": "psd, ours",
         "success %": 75,
@@ -63,14 +73,18 @@ def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
         "lead ms": -20,
     }
     assert (none["success %"], none["force"]) == (0, None)
+    assert (paper["method"], paper["success %"], paper["paper's %"]) == ("paper, real objects", None, 67.5)
+
+
+def test_false_slips_are_counted_by_phase(report: Report) -> None:
+    ours, none = rows(report, "events")
+    assert [ours["load transfer"], none["load transfer"], none["holding"]] == [50, 200, 0]
 
 
 def test_success_with_each_object_stands_above_the_papers(report: Report) -> None:
-    assert rows(report, "objects") == [
-        {"method": "psd, ours", "ball": 50, "box": 100, "mean": 75},
-        {"method": "psd, none", "ball": 0, "box": 0, "mean": 0},
-        {"method": "paper, real objects", "ball": 35, "box": 100, "mean": 67.5},
-    ]
+    strict = [{"method": "psd, ours", "ball": 50, "box": 100}, {"method": "psd, none", "ball": 0, "box": 0}]
+    assert rows(report, "objects") == strict
+    assert rows(report, "objects", 1) == [*strict, {"method": "paper, real objects", "ball": 35, "box": 100}]
 
 
 def test_trials_are_counted_by_ending(report: Report) -> None:

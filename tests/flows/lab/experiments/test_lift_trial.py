@@ -33,6 +33,15 @@ def test_an_object_that_is_up_and_rests_is_held(make_trace: MakeTrace, during: D
     assert outcome.metrics["force"] == pytest.approx(1 / 0.9)
 
 
+def test_the_papers_words_ask_for_a_registered_slip_and_a_held_object(
+    make_trace: MakeTrace, during: During
+) -> None:
+    early = make_trace(**UP, probability=during((2.6, 2.8)), speed=during((2.9, 3.0)))
+    assert (_judge(early).ending, _judge(early).metrics["paper"]) == ("false slip", True)
+    assert not _judge(make_trace(**UP)).metrics["paper"]
+    assert not _judge(make_trace(**DOWN, probability=during((2.6, 2.8)))).metrics["paper"]
+
+
 def test_an_object_that_still_slides_at_the_end_is_not_lifted(make_trace: MakeTrace, during: During) -> None:
     sliding, slip = during((2.6, 7.0), value=0.01), during((2.6, 7.0))
     outcome = _judge(make_trace(**UP, speed=sliding, slide=np.cumsum(sliding) / 100, probability=slip))
@@ -72,7 +81,7 @@ def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During)
     assert _judge(trace).metrics["lead"] == pytest.approx(-10)
     clean = make_trace(**UP, probability=during((2.6, 2.8)), speed=during((2.6, 2.8)))
     assert _judge(clean).success
-    assert judge_lift(clean, Grip(settle=0), 0.9, false_firm=True).ending == "false slip"
+    assert judge_lift(clean, Grip(settle=0), 0.9, {"cruising": 1}).ending == "false slip"
 
 
 def test_without_control_a_weak_grip_loses_the_object() -> None:

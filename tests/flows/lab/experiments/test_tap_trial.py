@@ -8,7 +8,7 @@ import pytest
 
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.study import StepThreshold
-from flows.lab.experiments.tap_and_lift import BLOWS, TAP_END, judge_tap, tap
+from flows.lab.experiments.tap_and_lift import BLOWS, SIZES, TAP_END, judge_tap, tap
 from flows.lab.experiments.trial import MOVED, STILL, Conditions, Trace, Trial
 from operators import Grip
 from operators.batch import Reals
@@ -43,26 +43,33 @@ GOOD = ((FIRST + 0.02, FIRST + 0.2), (SECOND + 0.02, SECOND + 0.2))
 def test_two_registered_blows_and_nothing_else_are_a_success(hit: Callable[..., Trace]) -> None:
     outcome = judge_tap(hit(*GOOD), RULE)
     assert (outcome.ending, outcome.success) == ("registered", True)
-    counted = {"false_firm": False, "moved": 2, "soft": 1, "false_soft": 0}
-    assert outcome.metrics == pytest.approx({**counted, "lead": -30, "slide": 2})
+    counted = {"false_firm": 0, "paper": 1, "moved": 2, "soft": 1, "lead": -30, "slide": 2}
+    assert {name: outcome.metrics[name] for name in counted} == pytest.approx(counted)
 
 
 @pytest.mark.parametrize(
-    ("slip", "ending"),
+    ("slip", "ending", "paper"),
     [
-        ((), "missed"),
-        (GOOD[:1], "missed"),
-        ((GOOD[0], (SECOND + 0.25, SECOND + 0.3)), "too late"),
-        (((2.0, 2.1), *GOOD), "false slip"),
-        (((SOFT, SOFT + 0.1), *GOOD), "false at soft blow"),
-        (((FIRST, FIRST + 0.6), GOOD[1]), "not back to static"),
-        ((*GOOD, (SECOND + 0.8, SECOND + 0.9)), "not back to static"),
+        ((), "missed", False),
+        (GOOD[:1], "missed", False),
+        ((GOOD[0], (SECOND + 0.25, SECOND + 0.3)), "too late", True),
+        (((2.0, 2.1), *GOOD), "false slip", True),
+        (((SOFT, SOFT + 0.1), *GOOD), "false at soft blow", True),
+        (((FIRST, FIRST + 0.6), GOOD[1]), "not back to static", False),
+        ((*GOOD, (SECOND + 0.8, SECOND + 0.9)), "not back to static", False),
     ],
 )
-def test_each_failure_has_its_ending(
-    hit: Callable[..., Trace], slip: tuple[tuple[float, float], ...], ending: str
+def test_each_failure_has_its_ending_and_the_papers_words_forgive_false_slips(
+    hit: Callable[..., Trace], slip: tuple[tuple[float, float], ...], ending: str, *, paper: bool
 ) -> None:
-    assert judge_tap(hit(*slip), RULE).ending == ending
+    outcome = judge_tap(hit(*slip), RULE)
+    assert (outcome.ending, outcome.metrics["paper"]) == (ending, paper)
+
+
+def test_missed_blows_are_counted_by_the_size_of_their_slide(hit: Callable[..., Trace]) -> None:
+    metrics = judge_tap(hit(GOOD[1], slides=[(FIRST, FIRST + 0.02), (SECOND, SECOND + 0.08)]), RULE).metrics
+    found = {size: (metrics[f"blows {size}"], metrics[f"missed {size}"]) for size in SIZES}
+    assert found == {"0.5 to 1 mm": (1, 1), "1 to 2 mm": (0, 0), "above 2 mm": (1, 0)}
 
 
 def test_a_blow_that_moves_nothing_must_not_be_registered(hit: Callable[..., Trace]) -> None:

@@ -11,6 +11,7 @@ from flows.lab.experiments.trial import (
     FIRM,
     FIRM_LIFT,
     HELD,
+    PHASES,
     RATE,
     SPAN,
     SPREAD,
@@ -69,10 +70,12 @@ def test_scores_added_to_a_trace_are_those_of_the_closed_loop(rate: float) -> No
 def test_a_slip_registered_in_a_firm_lift_is_false_unless_the_object_slid(
     make_trace: Callable[..., Trace], during: Callable[..., Reals]
 ) -> None:
-    rule, seen = Grip(settle=0), during((2.0, 2.1))
-    assert make_trace(probability=seen).false_slip(rule)
-    assert not make_trace(probability=seen, speed=during((2.0, 2.1), value=0.02)).false_slip(rule)
-    assert not make_trace(probability=during((0.5, 0.6), (HELD, HELD + 0.1))).false_slip(rule)
+    rule, seen = Grip(settle=0), during((2.0, 2.1), (2.2, 2.3), (3.5, 3.6))
+    none = dict.fromkeys(PHASES, 0)
+    assert make_trace(probability=seen).false_slips(rule) == {**none, "load transfer": 2, "holding": 1}
+    slid = make_trace(probability=seen, speed=during((2.0, 2.1), value=0.02))
+    assert slid.false_slips(rule) == none
+    assert make_trace(probability=during((0.5, 0.6), (HELD, HELD + 0.1))).false_slips(rule) == none
 
 
 def test_a_slip_is_registered_after_enough_consecutive_scores(make_trace: Callable[..., Trace]) -> None:
