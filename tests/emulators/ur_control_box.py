@@ -1,14 +1,13 @@
 """Control box of an emulated UR arm: clock, safety, modes, variables, program and dashboard. No I/O.
 
-Sources: Universal Robots, "Real-Time Data Exchange (RTDE) Guide": the variables of version 3.4, and the later
-ones that ur-rtde requests; "Dashboard Server e-Series, port 29999" and "..., CB-Series".
+Sources: Universal Robots, "Real-Time Data Exchange (RTDE) Guide"; "Dashboard Server e-Series,
+port 29999" and "..., CB-Series".
 """
 
 import logging
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
-from math import nan
 from types import MappingProxyType
 from typing import Final, cast
 
@@ -44,43 +43,25 @@ class RuntimeState(IntEnum):
     PLAYING = 2
 
 
-_BY_TYPE: Final = {
-    "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum"
-    " actual_main_voltage actual_robot_voltage actual_robot_current standard_analog_input0"
-    " standard_analog_input1 standard_analog_output0 standard_analog_output1 payload",
-    "VECTOR3D": "actual_tool_accelerometer payload_cog",
-    "VECTOR6D": "target_q target_qd target_qdd target_current target_moment actual_q actual_qd actual_current"
-    " actual_current_as_torque joint_control_output actual_TCP_pose actual_TCP_speed actual_TCP_force"
-    " target_TCP_pose target_TCP_speed joint_temperatures actual_joint_voltage ft_raw_wrench payload_inertia",
-    "VECTOR6INT32": "joint_mode",
-    "INT32": "robot_mode safety_mode",
-    "UINT32": "runtime_state robot_status_bits safety_status_bits",
-    "UINT64": "actual_digital_input_bits actual_digital_output_bits",
-}
-
-OUTPUTS: Final[Mapping[str, str]] = MappingProxyType(
-    {name: kind for kind, names in _BY_TYPE.items() for name in names.split()}
-    | {f"output_int_register_{i}": "INT32" for i in range(REGISTERS)}
-    | {f"output_double_register_{i}": "DOUBLE" for i in range(REGISTERS)}
+OUTPUTS: Final[Mapping[str, str]] = MappingProxyType(  # that UrMotion and RTDEControlInterface request
+    {
+        "timestamp": "DOUBLE",
+        **dict.fromkeys(("actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"), "VECTOR6D"),
+        **dict.fromkeys(("robot_mode", "safety_mode"), "INT32"),
+        **dict.fromkeys(("runtime_state", "robot_status_bits", "safety_status_bits"), "UINT32"),
+        **{f"output_int_register_{i}": "INT32" for i in range(3)},
+        **{f"output_double_register_{i}": "DOUBLE" for i in range(REGISTERS)},
+    }
 )
 INPUTS: Final[Mapping[str, str]] = MappingProxyType(
     {f"input_int_register_{i}": "INT32" for i in range(REGISTERS)}
     | {f"input_double_register_{i}": "DOUBLE" for i in range(REGISTERS)}
     | {"external_force_torque": "VECTOR6D"}
 )
-_USED: Final = [f"output_int_register_{i}" for i in range(3)]  # by the program
-_PLACEHOLDERS: Final[Mapping[str, Value]] = {  # of variables that are not simulated, such as a current
-    "DOUBLE": nan,
-    "VECTOR3D": (nan,) * 3,
-    "VECTOR6D": (nan,) * 6,
-    "VECTOR6INT32": (0,) * 6,
-}
 
 
 class ControlBox:
     """A control box after power-up, with its arm ready.
-
-    Integer variables that are not simulated are 0, all others NaN.
 
     Attributes:
         version: Version of the software.
@@ -101,8 +82,6 @@ class ControlBox:
         self.cycles, self.registers = 0, Registers()
         self.robot_mode, self.safety_mode = RobotMode.RUNNING, SafetyMode.NORMAL
         self.runtime_state, self._program = RuntimeState.STOPPED, cast("Program | None", None)
-        self._values = {name: _PLACEHOLDERS.get(kind, 0) for name, kind in OUTPUTS.items()}
-        self._values.update(speed_scaling=1.0, target_speed_fraction=1.0)
 
     @property
     def timestamp(self) -> float:
@@ -115,34 +94,32 @@ class ControlBox:
         self.drive.step()
         if self._program and not self._program.step():
             self.stop_program()
+
+    def values(self) -> dict[str, Value]:
+        """Return the output variables."""
         powered, playing = self.robot_mode != RobotMode.POWER_OFF, self.runtime_state == RuntimeState.PLAYING
-        velocity = tuple(self.drive.velocity.tolist())
-        self._values.update(
-            timestamp=self.timestamp,
-            actual_TCP_pose=tuple(self.drive.pose.tolist()),
-            actual_TCP_speed=velocity,
-            target_TCP_speed=velocity,
-            actual_TCP_force=(0.0, 0.0, self.drive.push, 0.0, 0.0, 0.0),
-            robot_mode=self.robot_mode,
-            safety_mode=self.safety_mode,
-            runtime_state=self.runtime_state,
-            robot_status_bits=powered + 2 * playing,
-            safety_status_bits=int(self.safety_mode == SafetyMode.NORMAL),
-            **dict(zip(_USED, self.registers.output_int[: len(_USED)], strict=True)),
-        )
+        return {
+            **dict.fromkeys(OUTPUTS, 0.0),
+            "timestamp": self.timestamp,
+            "actual_TCP_pose": tuple(self.drive.pose.tolist()),
+            "actual_TCP_speed": tuple(self.drive.velocity.tolist()),
+            "actual_TCP_force": (0.0, 0.0, self.drive.push, 0.0, 0.0, 0.0),
+            "robot_mode": self.robot_mode,
+            "safety_mode": self.safety_mode,
+            "runtime_state": self.runtime_state,
+            "robot_status_bits": powered + 2 * playing,
+            "safety_status_bits": int(self.safety_mode == SafetyMode.NORMAL),
+            **{f"output_int_register_{i}": self.registers.output_int[i] for i in range(3)},
+        }
 
-    def values(self, names: Iterable[str]) -> list[Value]:
-        """Return the values of output variables at the latest cycle."""
-        return [self._values[name] for name in names]
-
-    def write(self, inputs: Mapping[str, Value]) -> None:
+    def write(self, inputs: Mapping[str, float]) -> None:
         """Set input variables."""
         for name, value in inputs.items():
             kind, _, index = name.rpartition("_register_")
             if kind == "input_int":
-                self.registers.input_int[int(index)] = cast("int", value)
+                self.registers.input_int[int(index)] = int(value)
             elif kind == "input_double":
-                self.registers.input_double[int(index)] = cast("float", value)
+                self.registers.input_double[int(index)] = value
         self.registers.command_written |= "input_int_register_0" in inputs
 
     def run_script(self, script: str) -> None:

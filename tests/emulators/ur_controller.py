@@ -1,36 +1,27 @@
 """Emulated UR controller: RTDE, script port and dashboard on TCP sockets, and faults on command.
 
-Supported clients are `connectors.ur.ur_motion.UrMotion`, and ur-rtde's `RTDEReceiveInterface` and
-`RTDEControlInterface`, whose RTDE port is always 30004.
+Supported clients are `connectors.ur.ur_motion.UrMotion` and ur-rtde's `RTDEControlInterface`, whose RTDE
+port is always 30004.
 """
 
 import asyncio
-import logging
 import socket
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from time import time_ns
-from typing import Final, NamedTuple, Self, cast
+from typing import Final, NamedTuple, Self, TypeAlias
 
-from connectors.ur.rtde import PROTOCOL, Kind, RtdeError, Version, pack
+from connectors.ur.rtde import PROTOCOL, Kind, Version, pack
 from operators.batch import Reals, s
 from storage.background_task import BackgroundTask
-from tests.emulators.rtde_recipe import (
-    Package,
-    Packages,
-    Recipe,
-    Request,
-    names,
-    outputs_asked,
-    version_payload,
-)
+from tests.emulators.rtde_recipe import HEADER, Recipe, Request, names, outputs_asked, version_payload
 from tests.emulators.ur_control_box import GREETING, INPUTS, OUTPUTS, ControlBox, answer
-
-log = logging.getLogger("slipflow")
 
 E_SERIES: Final = Version(5, 11, 0, 1)
 CB3: Final = Version(3, 15, 8, 1)
 SCRIPT_LIMIT: Final = 1 << 20  # bytes of an uploaded script
+
+Serve: TypeAlias = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
 class Ports(NamedTuple):
@@ -76,7 +67,7 @@ class UrController:
     ) -> None:
         self.box, self.host, self.ports = ControlBox(pose, version), host, ports
         self.clients = list[RtdeConnection]()
-        self._texts = set[asyncio.StreamWriter]()  # of script port and dashboard
+        self._open = set[asyncio.StreamWriter]()  # connections to all ports
         self._now, self._period = now, s / self.box.rate / (1 + drift)  # ns
         self._servers: list[asyncio.Server] = []
         self._running: BackgroundTask | None = None
@@ -84,11 +75,11 @@ class UrController:
 
     async def __aenter__(self) -> Self:
         """Listen, and start the cycles."""
-        loop, (rtde, script, dashboard) = asyncio.get_running_loop(), self.ports
+        rtde, script, dashboard = self.ports
         self._servers = [
-            await loop.create_server(lambda: RtdeConnection(self.box, self.clients), self.host, rtde),
-            await asyncio.start_server(self._run_scripts, self.host, script, limit=SCRIPT_LIMIT),
-            await asyncio.start_server(self._answer_dashboard, self.host, dashboard),
+            await self._listen(self._serve_rtde, rtde),
+            await self._listen(self._run_scripts, script),
+            await self._listen(self._answer_dashboard, dashboard),
         ]
         self.ports = Ports(*(each.sockets[0].getsockname()[1] for each in self._servers))
         self._origin, self._cycles = self._now(), 0
@@ -99,10 +90,9 @@ class UrController:
         """Close all connections and stop listening; raise the error of an arm that failed."""
         for server in self._servers:
             server.close()
-        clients = [*self.clients]
         self.drop()
-        for client in clients:
-            await client.lost.wait()
+        while self._open:  # noqa: ASYNC110 - they end at once
+            await asyncio.sleep(0)
         if self._running:
             await self._running.end()
             self._running.check()
@@ -122,9 +112,7 @@ class UrController:
 
     def drop(self) -> None:
         """Close all connections."""
-        for client in self.clients:
-            client.transport.abort()
-        for writer in self._texts:
+        for writer in self._open:
             writer.transport.abort()
 
     def restart(self, *, drop: bool = True) -> None:
@@ -134,26 +122,38 @@ class UrController:
         self.box.power_up()
         self._origin, self._cycles = self._now(), 0
 
-    async def _run_scripts(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Run programs, which end with a line ``end``."""
-        self._texts.add(writer)
+    async def _listen(self, serve: Serve, port: int) -> asyncio.Server:
+        async def serve_until_lost(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            self._open.add(writer)
+            try:
+                await serve(reader, writer)
+            except (OSError, asyncio.IncompleteReadError):
+                pass
+            finally:
+                self._open.discard(writer)
+                writer.close()
+
+        return await asyncio.start_server(serve_until_lost, self.host, port, limit=SCRIPT_LIMIT)
+
+    async def _serve_rtde(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        client = RtdeConnection(self.box, writer.transport)
+        self.clients.append(client)
         try:
             while True:
-                self.box.run_script((await reader.readuntil(b"\nend\n")).decode())
-        except (OSError, asyncio.IncompleteReadError):
-            self._texts.discard(writer)
-            writer.close()
+                size, kind = HEADER.unpack(await reader.readexactly(HEADER.size))
+                client.handle(kind, await reader.readexactly(size - HEADER.size))
+        finally:
+            self.clients.remove(client)
+
+    async def _run_scripts(self, reader: asyncio.StreamReader, _: asyncio.StreamWriter) -> None:
+        """Run programs, which end with a line ``end``."""
+        while True:
+            self.box.run_script((await reader.readuntil(b"\nend\n")).decode())
 
     async def _answer_dashboard(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._texts.add(writer)
         writer.write(f"{GREETING}\n".encode())
-        try:
-            async for line in reader:
-                writer.write(f"{answer(self.box, line.decode())}\n".encode())
-        except OSError:
-            pass
-        self._texts.discard(writer)
-        writer.close()
+        async for line in reader:
+            writer.write(f"{answer(self.box, line.decode())}\n".encode())
 
     async def _cycle(self) -> None:
         while True:
@@ -170,64 +170,32 @@ class UrController:
                 await asyncio.sleep(0)  # let other tasks run while it catches up
 
 
-class RtdeConnection(asyncio.Protocol):
+class RtdeConnection:
     """A client connection on the RTDE port.
-
-    Args:
-        box: The controller.
-        clients: List that contains this connection while it is open.
 
     Attributes:
         stalled: Nothing is sent.
-        lost: Event, set when the connection has ended.
     """
 
-    def __init__(self, box: ControlBox, clients: "list[RtdeConnection]") -> None:
-        self.box, self._clients, self.stalled, self.lost = box, clients, False, asyncio.Event()
-        self._transport: asyncio.Transport | None = None
-        self._packages, self._started = Packages(), False
+    def __init__(self, box: ControlBox, transport: asyncio.WriteTransport) -> None:
+        self.box, self.transport, self.stalled = box, transport, False
         self._outputs: Recipe | None = None
-        self._interval = 1  # cycles between packages
+        self._started, self._interval = False, 1  # cycles between packages
         self._inputs: dict[int, Recipe] = {}
-
-    @property
-    def transport(self) -> asyncio.Transport:
-        """Transport of the socket, once connected."""
-        assert self._transport
-        return self._transport
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Add this connection to the open connections."""
-        self._transport = cast("asyncio.Transport", transport)
-        self._clients.append(self)
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        """Remove this connection from the open connections."""
-        del exc
-        self._clients.remove(self)
-        self.lost.set()
-
-    def data_received(self, data: bytes) -> None:
-        """Handle packages; disconnect a client that violates the protocol."""
-        try:
-            for package in self._packages.feed(data):
-                self._handle(package)
-        except RtdeError as error:
-            log.warning("disconnecting an RTDE client: %s", error)
-            self.transport.abort()
 
     def publish(self) -> None:
         """Send the outputs of the latest cycle if they are due."""
         if self._started and self._outputs and self.box.cycles % self._interval == 0:
-            self.send(Kind.DATA, self._outputs.pack(self.box.values(self._outputs.names)))
+            values = self.box.values()
+            self.send(Kind.DATA, self._outputs.pack([values[name] for name in self._outputs.names]))
 
     def send(self, kind: int, payload: bytes) -> None:
         """Send a package."""
         if not self.stalled and not self.transport.is_closing():
             self.transport.write(pack(kind, payload))
 
-    def _handle(self, package: Package) -> None:
-        kind, payload = package
+    def handle(self, kind: int, payload: bytes) -> None:
+        """Handle a package."""
         match kind:
             case Kind.PROTOCOL:
                 self.send(Kind.PROTOCOL, bytes([int.from_bytes(payload, "big") == PROTOCOL]))
@@ -240,16 +208,10 @@ class RtdeConnection(asyncio.Protocol):
             case Kind.START:
                 self._started = self._outputs is not None
                 self.send(Kind.START, bytes([self._started]))
-            case Request.PAUSE:
-                self._started = False
-                self.send(Request.PAUSE, b"\1")
-            case Kind.DATA if payload and payload[0] in self._inputs:
-                recipe = self._inputs[payload[0]]
-                self.box.write(dict(zip(recipe.names, recipe.unpack(payload), strict=True)))
-            case Kind.TEXT:
-                log.info("RTDE client: %r", payload[:255])
+            case Kind.DATA:
+                self.box.write(self._inputs[payload[0]].unpack(payload))
             case _:
-                raise RtdeError(f"unexpected package {chr(kind)!r}")
+                raise ConnectionAbortedError(f"unexpected package {chr(kind)!r}")
 
     def _grant_outputs(self, payload: bytes) -> bytes:
         rate, wanted = outputs_asked(payload)
@@ -260,17 +222,8 @@ class RtdeConnection(asyncio.Protocol):
         return self._outputs.answer
 
     def _grant_inputs(self, wanted: tuple[str, ...]) -> bytes:
-        taken = {
-            name: "IN_USE"
-            for other in self._clients
-            if other is not self
-            for recipe in other._inputs.values()
-            for name in recipe.names
-        }
-        types, number = _types(wanted, {**INPUTS, **taken}), len(self._inputs) + 1
-        if {"NOT_FOUND", "IN_USE"} & set(types):
-            return b"\0" + ",".join(types).encode()
-        self._inputs[number] = Recipe(number, wanted, types)
+        number = len(self._inputs) + 1
+        self._inputs[number] = Recipe(number, wanted, _types(wanted, INPUTS))
         return self._inputs[number].answer
 
 

@@ -118,10 +118,10 @@ class Command(IntEnum):
     """Command in input_int_register_0, with its parameters."""
 
     NONE = 0
-    MOVE_LINE = 3  # doubles 0..5 pose, 6 speed, 7 acceleration; int 1: 1 asynchronous
+    MOVE_LINE = 3  # doubles 0..5 pose, 6 speed, 7 acceleration; asynchronous
     SPEED = 10  # doubles 0..5 velocity, 6 acceleration
     STOP_SPEED = 15  # double 0 deceleration
-    STOP_LINE = 33  # double 0 deceleration; int 1: 1 asynchronous
+    STOP_LINE = 33  # double 0 deceleration; asynchronous
     SET_WATCHDOG = 35  # double 0 minimum rate (Hz) of commands
     END = 255
 
@@ -147,12 +147,9 @@ class Program:
 
     def __init__(self, registers: Registers, drive: Drive, period: float) -> None:
         self._registers, self._drive, self._period = registers, drive, period
-        self._waiting = False  # True while a synchronous motion runs
+        self._waiting = False  # True until the arm stands
         self._executed = False  # True once the command in the register was executed
-        self._moving = False  # True while an asynchronous motion runs
-        self._operations = self._writes = 0  # counters of asynchronous operations, modulo 128
         self._silence, self._watchdog = 0.0, inf  # s since the last command, and the limit
-        self._report(running=False)
         registers.output_int[0] = READY
 
     def step(self) -> bool:
@@ -163,9 +160,6 @@ class Program:
         if self._silence > self._watchdog:
             log.warning("watchdog: no command for %.3f s, the program ends", self._silence)
             return False
-        if self._moving and drive.task == "none":
-            self._moving = False
-            self._report(running=False)
         if self._waiting:
             if drive.task == "none":
                 self._waiting = False
@@ -185,35 +179,22 @@ class Program:
 
     def _execute(self, command: int) -> bool:
         registers, drive = self._registers, self._drive
-        first, asynchronous = registers.input_double[0], registers.input_int[1] == 1
+        first = registers.input_double[0]
         match command:
             case Command.MOVE_LINE:
                 speed, acceleration = registers.input_double[6:8]
                 drive.line(np.array(registers.input_double[:6]), speed, acceleration)
-                self._begin(asynchronous=asynchronous)
             case Command.STOP_SPEED:
                 drive.stop(first)
-                self._begin(asynchronous=False)
+                self._waiting = True
+                return True
             case Command.STOP_LINE:
                 drive.stop(first)
-                self._begin(asynchronous=asynchronous)
             case Command.SET_WATCHDOG:
                 self._watchdog = 1 / first if first > 0 else inf
             case _:
                 if command != Command.END:
                     log.warning("command %d is not emulated: the program ends", command)
                 return False
-        if not self._waiting:
-            registers.output_int[0] = DONE
+        registers.output_int[0] = DONE
         return True
-
-    def _begin(self, *, asynchronous: bool) -> None:
-        if self._moving or asynchronous:
-            self._report(running=asynchronous)
-        self._moving, self._waiting = asynchronous, not asynchronous
-
-    def _report(self, *, running: bool) -> None:
-        """Report in output_int_register_2 that an asynchronous operation began or ended."""
-        self._writes = (self._writes + 1) % 128
-        self._operations = (self._operations + running) % 128
-        self._registers.output_int[2] = (self._operations << 24) + (self._writes << 16) + (running << 15)

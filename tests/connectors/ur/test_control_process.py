@@ -20,7 +20,6 @@ from connectors.ur.control_process import (
 
 POSE = (0.4, 0.0, 0.1, 3.14, 0.0, 0.0)
 FORWARD = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
-STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass
@@ -60,29 +59,6 @@ class TestControl:
         self.sent.append(("disconnect",))
 
 
-@dataclass
-class Slow(TestControl):
-    """Controller that reads the command register at every second write only, as in a long cycle."""
-
-    writes: int = 0
-    velocity: list[float] | None = None  # m/s, of the arm
-    _register: list[float] | None = None  # None: no command
-
-    def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool:  # noqa: N802
-        self._write(velocity)
-        return super().speedL(velocity, acceleration, time)
-
-    def kickWatchdog(self) -> bool:  # noqa: N802
-        self._write(None)
-        return True
-
-    def _write(self, command: list[float] | None) -> None:
-        self._register = command
-        self.writes += 1
-        if self.writes % 2 == 0 and self._register is not None:
-            self.velocity = self._register
-
-
 def calls(control: TestControl) -> list[tuple[Any, ...]]:
     """Return the calls to ur-rtde, without repeats."""
     return [call for call, _ in groupby(control.sent)]
@@ -109,11 +85,16 @@ def begin(pipe: Connection, control: TestControl) -> None:
     serve(pipe, "robot", 5.0, connect)
 
 
+def started(pipe: Connection, control: TestControl) -> Thread:
+    thread = Thread(target=begin, args=(pipe, control))
+    thread.start()
+    return thread
+
+
 def served(pipe: tuple[Connection, Connection], control: TestControl, *commands: Command) -> list[Reply]:
     """Return the replies of the process to commands, until it ends."""
     ours, theirs = pipe
-    thread = Thread(target=begin, args=(theirs, control))
-    thread.start()
+    thread = started(theirs, control)
     for command in commands:
         ours.send(command)
     thread.join(10)
@@ -148,30 +129,9 @@ def test_commands_become_asynchronous_calls(pipe: tuple[Connection, Connection])
     ]
 
 
-@pytest.mark.parametrize("phase", [0, 1])
-def test_no_velocity_is_lost_to_a_kick_in_the_same_cycle(
-    pipe: tuple[Connection, Connection], phase: int
-) -> None:
-    control, (ours, theirs) = Slow(writes=phase), pipe
-    thread = Thread(target=begin, args=(theirs, control))
-    thread.start()
-    for velocity in (FORWARD, STILL):
-        ours.send(Move(velocity, 0.5))
-        reached = control.writes + 4
-        while control.writes < reached:  # stay alive
-            assert ours.recv()
-            ours.send(Signal.KEEP_ALIVE)
-        assert control.velocity == [*velocity]
-    ours.send(Signal.STOP)
-    ours.send(Signal.END)
-    thread.join(10)
-    assert not thread.is_alive()
-
-
 def test_a_stop_is_repeated_until_release(pipe: tuple[Connection, Connection]) -> None:
     control, (ours, theirs) = TestControl(), pipe
-    thread = Thread(target=begin, args=(theirs, control))
-    thread.start()
+    thread = started(theirs, control)
     ours.send(Move(FORWARD, 0.5))
     ours.send(Signal.STOP)
     stopped = ("speedL", [0.0] * 6, control_process.STOP_DECELERATION, 0.0)
@@ -209,8 +169,7 @@ def test_the_arm_is_stopped_when_the_commanding_process_is_gone(pipe: tuple[Conn
     ours, theirs = pipe
     control = TestControl()
     ours.send(MoveTo(POSE, 0.1, 0.5))
-    thread = Thread(target=begin, args=(theirs, control))
-    thread.start()
+    thread = started(theirs, control)
     while ours.recv().kind != "alive":
         pass
     ours.close()

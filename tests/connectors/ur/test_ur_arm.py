@@ -25,7 +25,7 @@ from flows.run.clocks import LoopClock
 from operators import EndpointError
 from tests.connectors.ur.direct_control import DirectControl
 from tests.emulators.ur_control_box import RuntimeState, SafetyMode
-from tests.emulators.ur_controller import ANYWHERE, UrController
+from tests.emulators.ur_controller import ANYWHERE, CB3, E_SERIES, UrController
 from tests.emulators.ur_program import Program
 from tests.loopback import own_host
 
@@ -34,7 +34,7 @@ real = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reas
 HOST = own_host(2)
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
-CB3 = Version(3, 15, 8, 0)
+NEWEST = Version(5, 24, 0, 1)
 
 
 @dataclass
@@ -44,14 +44,14 @@ class Lab:
 
 
 @asynccontextmanager
-async def lab(bounds: Bounds = BOUNDS) -> AsyncGenerator[Lab]:
+async def lab(version: Version = CB3) -> AsyncGenerator[Lab]:
     """Serve an arm; in virtual time `DirectControl` commands it, else ur-rtde."""
     clock, loop = LoopClock(), asyncio.get_running_loop()
-    async with UrController(np.array(BEGIN), host=HOST, version=CB3, now=clock.now) as controller:
+    async with UrController(np.array(BEGIN), host=HOST, version=version, now=clock.now) as controller:
         with pytest.MonkeyPatch.context() as patch:
             if isinstance(loop, VirtualLoop):
                 patch.setattr("connectors.ur.ur_arm.ControlClient", partial(DirectControl, controller.box))
-            moved = UrArm(HOST, bounds, clock, watchdog=0.1)
+            moved = UrArm(HOST, BOUNDS, clock, watchdog=0.1)
         async with moved:
             yield Lab(controller, moved)
 
@@ -83,10 +83,11 @@ def away(arm: UrArm) -> Coroutine[Any, Any, None]:
 
 
 @real
-def test_it_moves_along_lines_and_turns() -> None:
+@pytest.mark.parametrize("version", [CB3, E_SERIES, NEWEST], ids=str)
+def test_it_moves_along_lines_and_turns(version: Version) -> None:
     async def main() -> list[tuple[float, ...]]:
         poses = list[tuple[float, ...]]()
-        async with lab() as here:
+        async with lab(version) as here:
             arm = here.arm
             await arm.line([(0.42, 0.05, 0.12, math.pi, 0, 0)], 0.1, 0.5, 0.8)
             poses.append(arm.state.pose)
