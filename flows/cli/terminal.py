@@ -151,15 +151,15 @@ def command_line() -> str:
 
 
 def prepare_report(folder: Path) -> None:
-    """Create the folder of a report before a long measurement; note that figures need matplotlib.
+    """Check the folder of a report before a long measurement; note that figures need matplotlib.
 
     Raises:
-        EndpointError: if the folder cannot be created or written.
+        EndpointError: if the report cannot be written there.
     """
     from flows.report.figures import missing_matplotlib
-    from flows.report.report_page import make_output_folder
+    from flows.report.report_page import check_output_folder
 
-    make_output_folder(folder)
+    check_output_folder(folder)
     if reason := missing_matplotlib():
         note(f"the report will have no figures, which {reason}")
 

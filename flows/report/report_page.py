@@ -89,11 +89,11 @@ class Report:
         Raises:
             EndpointError: if they cannot be written.
         """
-        make_output_folder(folder)
         numbers = json.dumps(self.json(), indent=1, allow_nan=False) + "\n"
         texts = {f"{name}.html": self.html(), f"{name}.md": self.markdown(name), f"{name}.json": numbers}
         texts |= {_figure_file(name, each): each.svg for each in self.sections if each.svg}
         try:
+            folder.mkdir(parents=True, exist_ok=True)
             for file, text in texts.items():
                 (folder / file).write_text(text, encoding="utf-8")
         except OSError as error:
@@ -101,15 +101,16 @@ class Report:
         return [folder / file for file in texts]
 
 
-def make_output_folder(folder: Path) -> None:
-    """Create the folder that results are written to, and check that files can be created in it.
+def check_output_folder(folder: Path) -> None:
+    """Check that results can be written to a folder, or that it can be created, without creating it.
 
     Raises:
-        EndpointError: if it cannot be created or written.
+        EndpointError: if not.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        TemporaryFile(dir=folder).close()
+        TemporaryFile(
+            dir=next(each for each in (folder, *folder.absolute().parents) if each.exists())
+        ).close()
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.report.figures import Figure, grid, svg
-from flows.report.report_page import Report, Section, make_output_folder
+from flows.report.report_page import Report, Section, check_output_folder
 from flows.report.table import Table
 from operators.errors import EndpointError
 
@@ -116,15 +116,15 @@ def test_each_figure_is_rendered_once(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_refused_before_the_measurement(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(EndpointError, match=r"file/out: cannot be written: "):
-        make_output_folder(tmp_path / "file" / "out")
+        check_output_folder(tmp_path / "file" / "out")
     refused = OSError(errno.EROFS, os.strerror(errno.EROFS))
     with (
         patch("os.open", side_effect=refused),
         pytest.raises(EndpointError, match="old: cannot be written: Read-only file system; use a writable"),
     ):
-        make_output_folder(tmp_path / "old")
-    make_output_folder(tmp_path / "old")
-    assert [path.name for path in tmp_path.rglob("*")] == ["file", "old"]
+        check_output_folder(tmp_path / "old")
+    check_output_folder(tmp_path / "old")
+    assert [path.name for path in tmp_path.rglob("*")] == ["file"]
 
 
 def test_an_error_in_writing_names_the_folder_and_the_fix(tmp_path: Path) -> None:
