@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -94,4 +95,4 @@ def train(
     typer.echo(json.dumps({"path": str(model.path), **model.card}) if as_json else model.report())
     flow = model.path.with_suffix(".py")
     if flow.is_file():
-        note(f"next: slipflow run {flow}")
+        note(f"next: slipflow run {quote(str(flow))}")

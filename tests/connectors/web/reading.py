@@ -50,9 +50,9 @@ async def frames(session: ClientSession, url: str) -> AsyncGenerator[dict[str, A
 
 
 @asynccontextmanager
-async def listening(url: str) -> AsyncGenerator[AsyncIterator[dict[str, Any]]]:
-    """Read the frames of a page as a browser does."""
-    async with asyncio.timeout(PATIENCE), ClientSession() as session, aclosing(frames(session, url)) as found:
+async def listening(url: str, within: float = PATIENCE) -> AsyncGenerator[AsyncIterator[dict[str, Any]]]:
+    """Read the frames of a page as a browser does, for some seconds at most."""
+    async with asyncio.timeout(within), ClientSession() as session, aclosing(frames(session, url)) as found:
         yield found
 
 

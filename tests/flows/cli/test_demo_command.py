@@ -11,19 +11,22 @@ import pytest
 from tests.command import SLIPFLOW, slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.web.reading import listening
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, until
 
 
 def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -> None:
-    command = [*SLIPFLOW, "demo", "--for", "60s", "--out", str(tmp_path)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stderr
-    address = next(
-        filter(None, (re.search(r"live page: (http://127\.0\.0\.1:\d+)", line) for line in process.stderr))
-    )
+    command = [*SLIPFLOW, "demo", "--for", "10min", "--out", str(tmp_path / "recordings")]
+    log = tmp_path / "log"
+    with log.open("w") as file:  # a pipe that nobody reads would stop the demo
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=file, text=True)
+
+    def address() -> str:
+        found = re.search(r"live page: (http://127\.0\.0\.1:\d+)\b", log.read_text())
+        return found[1] if found else ""
 
     async def follow() -> None:
-        async with listening(address[1]) as frames:
+        await until(lambda: bool(address()) or process.poll() is not None)
+        async with listening(address(), within=5 * PATIENCE) as frames:  # until the model has warmed up
             about = (await anext(frames))["run"]
             assert (about["flow"], about["recording"], 0 < about["threshold"] < 1) == ("demo", None, True)
             rows = await anext(frame["rows"] async for frame in frames if "scores 0" in frame["rows"])
@@ -33,7 +36,7 @@ def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -
             assert last["end"] == {"error": None}
 
     asyncio.run(follow())
-    output, _ = process.communicate(timeout=PATIENCE)
+    output, _ = process.communicate(timeout=5 * PATIENCE)
     assert process.returncode == 0
     assert re.search(r"\d+ true slips: \d+ detected, \d+ missed", output)
 
