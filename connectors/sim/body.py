@@ -111,10 +111,13 @@ def place_surface(
 @compiled
 def load_passive_fingers(
     grip: GripModel, body: BodyState, drive: Reals, force: float
-) -> tuple[float, float, float]:
-    """Move the passive fingers by one step; return force and moment on the body (N, N, N m)."""
+) -> tuple[float, float, float, float]:
+    """Move the passive fingers by one step; return force and moment on the body (N, N, N m), and sliding.
+
+    The sliding is that of the faster finger, m/s.
+    """
     limit, step = 0.5 * grip.mu * force, grip.contact.step
-    sum_x, sum_y, moment = 0.0, 0.0, 0.0
+    sum_x, sum_y, moment, sliding = 0.0, 0.0, 0.0, 0.0
     for finger in range(2):
         px = body.hand[0] + (2 * finger - 1) * grip.finger_offset - body.pose[0]
         py = body.hand[1] - body.pose[1]
@@ -123,14 +126,16 @@ def load_passive_fingers(
         sx, sy = body.passive[finger, 0], body.passive[finger, 1]
         fx = grip.spring * (sx + step * ux) + grip.damper * ux
         fy = grip.spring * (sy + step * uy) + grip.damper * uy
-        kept = min(limit / (math.sqrt(fx * fx + fy * fy) + TINY), 1.0)
+        pull = math.sqrt(fx * fx + fy * fy)
+        kept = min(limit / (pull + TINY), 1.0)
         fx, fy = fx * kept, fy * kept
         # deflection for which spring and damper give this force at the end of the step
         stiff = grip.spring * step + grip.damper
+        sliding = max(sliding, (1.0 - kept) * pull / stiff)
         body.passive[finger, 0] = (fx * step + grip.damper * sx) / stiff
         body.passive[finger, 1] = (fy * step + grip.damper * sy) / stiff
         sum_x, sum_y, moment = sum_x + fx, sum_y + fy, moment + px * fy - py * fx
-    return sum_x, sum_y, moment
+    return sum_x, sum_y, moment, sliding
 
 
 @compiled
@@ -153,7 +158,7 @@ def support_by_table(grip: GripModel, body: BodyState) -> tuple[float, float]:
 @compiled
 def simulate(
     grip: GripModel, pad: Pad, tip: FingerState, body: BodyState, drive: Reals
-) -> tuple[Reals, float]:
+) -> tuple[Reals, float, float]:
     """Simulate a grip and sample it at the end.
 
     Args:
@@ -165,7 +170,8 @@ def simulate(
             (N, N, N m).
 
     Returns:
-        Pressure and tractions x and y on the pad (Pa), (3, n), and the mean sliding speed (m/s).
+        Pressure and tractions x and y on the pad (Pa), (3, n), and the mean sliding speeds (m/s) of the pad
+        and of the faster passive finger.
     """
     # state for `update_friction`: velocity and path relative to the body
     relative = FingerState(
@@ -174,7 +180,7 @@ def simulate(
     )  # fmt: skip
     model, pose, velocity, h = grip.contact, body.pose, body.velocity, grip.contact.step
     curved = model.k_x != 0.0 or model.k_y != 0.0
-    slid = 0.0
+    slid, slid_passive = 0.0, 0.0
     for row in drive:
         cx = body.hand[0] - tip.deflection[0] - pose[0]
         cy = body.hand[1] - tip.deflection[1] - pose[1]
@@ -195,7 +201,9 @@ def simulate(
             body.path[0] += h * slide
             for axis in range(3):
                 body.slide[axis] -= h * body.slip_velocity[axis]
-        fx, fy, twist = load_passive_fingers(grip, body, row, force)
+        fx, fy, twist, sliding = load_passive_fingers(grip, body, row, force)
+        if force > 0.0:
+            slid_passive += sliding
         upward, tilt = support_by_table(grip, body)
         move_tip(model, tip, row, (qx, qy, torque))
         tip.friction[0], tip.friction[1] = qx, qy
@@ -212,4 +220,5 @@ def simulate(
         tractions[0, i] = tip.pressure[i]
         tractions[1, i] = -model.k_t * tip.bristle[0, i]
         tractions[2, i] = -model.k_t * tip.bristle[1, i]
-    return tractions, slid / max(1, drive.shape[0])
+    steps = max(1, drive.shape[0])
+    return tractions, slid / steps, slid_passive / steps

@@ -1,8 +1,8 @@
 """Simulated grasp: one sensorised fingertip and two passive fingers hold an object that a mallet taps.
 
 The hand begins open around an object that stands on a table. The normal force follows the commands at a
-limited rate. The equations are in `connectors.sim.body`. The passive fingers
-are as stiff as the sensorised one; their material and that of the table are assumed.
+limited rate. The equations are in `connectors.sim.body`. The passive fingers are as stiff as the sensorised
+one and, unless stated otherwise, of the same rubber; the material of the table is assumed.
 """
 
 import math
@@ -21,7 +21,6 @@ from connectors.sim.objects import Object
 from connectors.sim.scene import Faults, Parameters, Scene, Travel, Vibration
 from operators.batch import Reals, Touch, s
 
-PASSIVE_FRICTION: Final = 0.6  # passive fingers on the scene's material; assumed: hard plastic pads
 FINGER_OFFSET: Final = 0.015  # m, from the middle of the hand to each passive finger; assumed
 TABLE_STIFFNESS: Final = 1e4  # N/m per corner; assumed: 0.25 mm under a box of 0.5 kg
 TABLE_DAMPING: Final = 0.3  # damping ratio; assumed
@@ -34,7 +33,7 @@ def least_force(
     *,
     friction: float = 1.0,
     mass: float = 1.0,
-    passive: float = PASSIVE_FRICTION,
+    passive: float | None = None,
 ) -> float:
     """Return the minimum normal force (N) that holds an object: m g / (mu_pad + mu_passive).
 
@@ -43,13 +42,14 @@ def least_force(
         parameters: Parameters of the fingertip and the material (default `Parameters()`).
         friction: Factor of all friction coefficients (default 1).
         mass: Factor of the mass (default 1).
-        passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
+        passive: Friction of the passive fingers for an object whose `friction` is 1 (default: as the pad).
 
     >>> from connectors.sim.objects import OBJECTS
     >>> round(least_force(OBJECTS["box"]), 2)
-    2.47
+    1.75
     """
-    mu = (parameters or Parameters()).static_friction + passive
+    pad_friction = (parameters or Parameters()).static_friction
+    mu = pad_friction + (pad_friction if passive is None else passive)
     return held.mass * mass * GRAVITY / (held.friction * friction * mu)
 
 
@@ -65,14 +65,16 @@ def surface(held: Object, parameters: Parameters) -> Scene:
     return Scene(curvature=held.curvature, radius=held.radius, parameters=material)
 
 
-def grip_model(held: Object, scene: Scene, position: tuple[float, float], passive: float) -> GripModel:
+def grip_model(
+    held: Object, scene: Scene, position: tuple[float, float], passive: float | None = None
+) -> GripModel:
     """Return the constants of a grip.
 
     Args:
         held: The object.
         scene: Its `surface`.
         position: Position of the pad's centre relative to the object's centre (m, m).
-        passive: Friction of the passive fingers for an object whose `friction` is 1.
+        passive: Friction of the passive fingers for an object whose `friction` is 1 (default: as the pad).
     """
     p, contact = scene.parameters, contact_model(scene)
     rubber = p.shear_stiffness * p.width * p.height  # N/m, of all bristles
@@ -82,7 +84,7 @@ def grip_model(held: Object, scene: Scene, position: tuple[float, float], passiv
         inertia=held.inertia,
         reach=held.reach,
         half_width=held.width / 2,
-        mu=passive * held.friction,
+        mu=p.static_friction if passive is None else passive * held.friction,
         spring=1 / (1 / p.stiffness + 1 / rubber),  # finger and rubber in series
         damper=contact.damper,
         finger_offset=FINGER_OFFSET,
@@ -122,6 +124,7 @@ class GraspState:
     slide_y: float  # m; negative when the object slips down
     turned: float  # rad, about the pad's normal, with the rubber's deflection
     speed: float  # m/s, sliding, mean over the pad since the previous sample
+    passive_speed: float  # m/s, sliding of the faster passive finger, mean since the previous sample
     height: float  # m, of the object above its initial position
     on_table: bool
     dropped: bool  # the fingers have lost the object permanently
@@ -143,7 +146,7 @@ class Grasp:
         lift: Lift of the hand; None if the object stays on the table.
         friction: Factor of all friction coefficients (default 1).
         mass: Factor of the object's mass and moment of inertia (default 1).
-        passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
+        passive: Friction of the passive fingers for an object whose `friction` is 1 (default: as the pad).
         grip: Position of the pad's centre relative to the object's centre (m, m).
         vibration: Vibration of the hand.
     """
@@ -159,7 +162,7 @@ class Grasp:
         lift: Travel | None = None,
         friction: float = 1.0,
         mass: float = 1.0,
-        passive: float = PASSIVE_FRICTION,
+        passive: float | None = None,
         grip: tuple[float, float] = (0.0, 0.0),
         vibration: Vibration | None = None,
     ) -> None:
@@ -201,15 +204,17 @@ class Grasp:
             instant: At least `Parameters.step` after the previous one.
         """
         steps = round(instant / self._step) - self._ticks
-        tractions, speed = body.simulate(self._grip, self._pad, self._tip, self._body, self._drive(steps))
+        tractions, speed, passive = body.simulate(
+            self._grip, self._pad, self._tip, self._body, self._drive(steps)
+        )
         self._ticks += steps
         t, aged = np.array([instant]), instant - self._sensed
         self._sensed = instant
         touch = Touch(np.array([round(instant * s)]), *self._cells.read(t, tractions[None], aged), finger=0)
-        return touch, self._state(instant, speed, tractions)
+        return touch, self._state(instant, tractions, (speed, passive))
 
-    def _state(self, instant: float, speed: float, tractions: Reals) -> GraspState:
-        """Return the true state, with tractions (3, n) (Pa) and sliding speed (m/s)."""
+    def _state(self, instant: float, tractions: Reals, speeds: tuple[float, float]) -> GraspState:
+        """Return the true state, with tractions (3, n) (Pa) and the sliding speeds (m/s)."""
         across, up, turned = self._body.slide.tolist()
         force = float(tractions[0].sum()) * self._grip.contact.area
         if force > 0:  # subtract the mean deflection of the bristles, weighted by pressure
@@ -220,7 +225,7 @@ class Grasp:
             across,
             up,
             turned,
-            speed,
+            *speeds,
             height=float(self._body.pose[1]) - self._start,
             on_table=bool(self._body.table[0] > 0),
             dropped=bool(self._body.dropped[0]),

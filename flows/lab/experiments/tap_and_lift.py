@@ -20,10 +20,10 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from connectors.sim.body import GRAVITY
-from connectors.sim.grasp import PASSIVE_FRICTION, Tap, grip_model, surface
+from connectors.sim.grasp import Tap, grip_model, surface
 from connectors.sim.scene import Travel
 from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments.trial import HELD, MOVED, STILL, Outcome, Trace, Trial, control_trial
+from flows.lab.experiments.trial import HELD, MOVED, PROMPT, STILL, Outcome, Trace, Trial, control_trial
 from operators.batch import Reals, s
 from operators.detectors import Detector
 from operators.grip import GripController
@@ -31,13 +31,11 @@ from operators.grip import GripController
 BLOWS: Final = (HELD, 5.0, 6.0)  # s: a soft blow, then one on top and one on the side in either order
 TAP_END: Final = 7.0  # s
 SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at; assumed
-PROMPT: Final = 0.2  # s from the blow; the slip must be registered within this time
 RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
 SECONDS: Final = 0.01  # s, duration of a blow
 KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative to static friction; assumed
 SIZES: Final = {"0.5 to 1 mm": (MOVED, 1.0), "1 to 2 mm": (1.0, 2.0), "above 2 mm": (2.0, math.inf)}  # slides
 SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
-FINGERS: Final = 3  # springs that hold the object
 
 LIFT: Final = Travel(2.5)  # 50 mm at 50 mm/s, assumed; the gripper closes at 1 s
 LIFT_END: Final = 6.0  # s; the arm stopped 2.3 s before
@@ -50,7 +48,8 @@ EARLY: Final = 0.02  # s; a slip may be registered this long before the sliding 
 
 class _Blow(NamedTuple):
     ending: str
-    slide: float  # mm
+    slide: float  # mm, of the pad
+    still: bool  # no finger slipped
     lead: float  # ms from the registered slip to the onset of sliding; NaN: not registered
     paper: bool  # success by the paper's words
 
@@ -76,6 +75,8 @@ def _draw_blows(trial: Trial) -> list[Tap]:
 def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float:
     """Draw a momentum (N s) that deflects fingers and rubber until they slip, and then slides the object.
 
+    The passive fingers carry a quarter of the friction each and slip at half the pad's deflection.
+
     Args:
         trial: The trial.
         excess: Friction left to resist the blow, relative to the weight.
@@ -85,8 +86,8 @@ def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float
     weight = mass * GRAVITY  # N
     low, high = SLIDES
     slide = low * (high / low) ** float(random.uniform()) / 1000  # m
-    grip = grip_model(trial.held, surface(trial.held, trial.fingertip), trial.position, PASSIVE_FRICTION)
-    deflected = (weight * excess) ** 2 / (2 * FINGERS * grip.spring)  # J
+    grip = grip_model(trial.held, surface(trial.held, trial.fingertip), trial.position)
+    deflected = 5 / 16 * (weight * excess) ** 2 / grip.spring  # J, in springs and by sliding passive fingers
     return math.sqrt(2 * mass * (weight * (KINETIC * trial.firm - 1) * slide + deflected))
 
 
@@ -94,7 +95,7 @@ def judge_tap(trace: Trace, rule: GripController) -> Outcome:
     """Return the outcome of a tap trial."""
     blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, TAP_END))]
     moved = [blow for blow in blows if blow.slide >= MOVED]
-    soft = [blow for blow in blows if blow.slide < STILL]
+    soft = [blow for blow in blows if blow.still]
     false_slips = trace.false_slips(rule)
     ending = next((blow.ending for blow in blows if blow.ending != "registered"), "registered")
     if any(false_slips.values()):
@@ -127,16 +128,20 @@ def _firm_metrics(false_slips: Mapping[str, int]) -> dict[str, float]:
 
 
 def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) -> _Blow:
-    """Judge the time from a blow until the next one (s); a slide between soft and moved may be either."""
+    """Judge the time from a blow until the next one (s).
+
+    A slide between still and moved, or of the passive fingers alone, may be judged either way.
+    """
     onsets, rows = trace.onsets(rule), trace.between(start, end)
     onsets = onsets[(onsets >= start) & (onsets < end)]
-    sliding = trace.t[rows][trace.speed[rows] > SLIDING]
+    sliding = trace.t[rows][trace.fastest[rows] > SLIDING]
     slide, registered = trace.travel(rows), trace.registered(rule)
+    still = trace.travel(rows, trace.fastest) < STILL or not len(sliding)
     rest = (float(sliding[-1]) if len(sliding) else start) + RINGING
     answered = slide < MOVED or bool(registered[trace.between(start, min(rest, end))].any())
     back = not registered[trace.between(rest, end)].any()
     lead = 1000 * float(sliding[0] - onsets[0]) if len(onsets) and len(sliding) else math.nan
-    if slide < STILL or not len(sliding):
+    if still:
         ending = "false at soft blow" if len(onsets) else "registered"
     elif slide >= MOVED and not len(onsets):
         ending = "missed"
@@ -144,7 +149,7 @@ def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) ->
         ending = "too late"
     else:
         ending = "registered" if back else "not back to static"
-    return _Blow(ending, slide, lead, paper=answered and back)
+    return _Blow(ending, slide, still, lead, paper=answered and back)
 
 
 def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
@@ -176,10 +181,12 @@ def judge_lift(
     or stands on the table; else ``too late``.
     """
     lifting = trace.between(LIFT.start, LIFT_END + 1)
-    slides = trace.t[lifting][trace.speed[lifting] > SLIDING]
-    began = float(slides[0]) if len(slides) else math.inf
+    first, began = (  # s, sliding of any finger and of the pad
+        float(times[0]) if len(times := trace.t[lifting][speed[lifting] > SLIDING]) else math.inf
+        for speed in (trace.fastest, trace.speed)
+    )
     onsets = trace.onsets(rule)
-    answers = onsets[onsets >= began - EARLY]
+    answers = onsets[onsets >= first - EARLY]
     delay = float(answers[0]) - began if len(answers) else math.nan
     slide: Reals = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])  # (m,) mm
     ending = _lift_ending(trace, rule, least, delay)

@@ -11,6 +11,7 @@ from connectors.gripper.robotiq import FULL, PACE, SETTLE
 from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
 from connectors.sim.objects import Object
 from connectors.sim.scene import Parameters, Travel, Vibration
+from connectors.sim.simulated_rig import SLIDING
 from operators import Score, Zero
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Touch, Zeroed, s
 from operators.detectors import Detector
@@ -21,7 +22,7 @@ SPREAD: Final = 0.1  # mass and friction vary by +-10 % from trial to trial; ass
 OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object's centre in x and y; assumed
 VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's recordings; amplitude assumed
 
-FIRM: Final = (1.6, 2.0)  # range of a firm grip's force, relative to the least; nothing slides above 1.6
+FIRM: Final = (2.6, 3.2)  # range of a firm grip's force, relative to the least; no finger slides in a lift
 FIRM_LIFT: Final = Travel(2.0)  # of a firm grip, until 3.1 s
 HELD: Final = 4.0  # s; a firm grip has been lifted and held undisturbed
 PHASES: Final = {  # s, starts of the phases of a firm lift
@@ -31,8 +32,9 @@ PHASES: Final = {  # s, starts of the phases of a firm lift
     "stopping": FIRM_LIFT.end - 0.1,
     "holding": FIRM_LIFT.end + 0.3,
 }
-STILL: Final = 0.1  # mm; a shorter slide, such as of the edge of the pad when the load rises, is not slip
-MOVED: Final = 0.5  # mm; a longer slide is a slip, one between the two may be either
+STILL: Final = 0.1  # mm; a shorter slide of every finger is not slip
+MOVED: Final = 0.5  # mm; a longer slide of the pad is a slip; anything between may be judged either way
+PROMPT: Final = 0.2  # s; a slip must be registered within this time
 FINGERTIP: Final = Parameters()  # of the experiments; no training grasp has it
 SCANS: Final = 100  # samples of the open gripper at least: a detector's first window
 
@@ -121,7 +123,7 @@ class Trial:
     def hold(self, taps: Sequence[Tap], seconds: float) -> "Trace":
         """Simulate a firm lift with constant force, without a detector: `Trace.scored` adds its scores."""
         force, grasp = self.firm * self.least_force, self.grasp(FIRM_LIFT, taps)
-        grasp.press(quantize(force), BASELINE - 1 / SCANS, RATE)
+        grasp.press(quantize(force), BASELINE - 1 / SCANS, RATE)  # when a controller first commands
         return simulate(grasp, _instants(self.conditions, SCANS, seconds), lambda _touch: force)
 
 
@@ -135,7 +137,8 @@ class Trace:
     commanded: Reals  # (n,) N, by the newest command
     force: Reals  # (n,) N, normal
     slide: Reals  # (n,) m, distance of the object from where it was gripped
-    speed: Reals  # (n,) m/s, of sliding
+    speed: Reals  # (n,) m/s, sliding of the pad
+    fastest: Reals  # (n,) m/s, sliding of the finger that slides fastest: the pad or a passive one
     height: Reals  # (n,) m, of the object
     gripper_height: Reals  # (n,) m
     on_table: Flags  # (n,)
@@ -171,14 +174,25 @@ class Trace:
         return self.t[now & ~np.concatenate(([False], now[:-1]))]
 
     def false_slips(self, rule: GripController) -> dict[str, int]:
-        """Return the number of slips registered in each phase of a firm lift without one."""
-        onsets = self.onsets(rule) if self.travel(self.between(0, HELD)) < MOVED else np.empty(0)
-        counts, _ = np.histogram(onsets, [*PHASES.values(), HELD])
+        """Return the number of slips registered in each phase of a firm lift while no finger slipped."""
+        false = [onset for onset in self.onsets(rule).tolist() if not self._slipped_before(onset)]
+        counts, _ = np.histogram(false, [*PHASES.values(), HELD])
         return dict(zip(PHASES, counts.tolist(), strict=True))
 
-    def travel(self, rows: slice) -> float:
-        """Return how far the pad slid on the object in some samples (mm), there and back."""
-        return 1000 * float(self.speed[rows] @ np.diff(self.t, prepend=0.0)[rows])
+    def _slipped_before(self, onset: float) -> bool:
+        """Return whether a finger slid by `STILL` or more, and fast, within `PROMPT` before a time (s)."""
+        rows = self.between(onset - PROMPT, onset + 0.5 / SCANS)
+        return self.travel(rows, self.fastest) >= STILL and float(self.fastest[rows].max()) > SLIDING
+
+    def travel(self, rows: slice, speed: Reals | None = None) -> float:
+        """Return how far the pad slid on the object in some samples (mm), there and back.
+
+        Args:
+            rows: The samples.
+            speed: Sliding speed (n,) (m/s); default that of the pad.
+        """
+        speed = self.speed if speed is None else speed
+        return 1000 * float(speed[rows] @ np.diff(self.t, prepend=0.0)[rows])
 
 
 class Actuator:
@@ -276,6 +290,7 @@ def simulate(grasp: Grasp, instants: Reals, react: Callable[[Touch], float]) -> 
         force=np.array([held.force for held in truth]),
         slide=np.array([np.hypot(held.slide_x, held.slide_y) for held in truth]),
         speed=np.array([held.speed for held in truth]),
+        fastest=np.array([max(held.speed, held.passive_speed) for held in truth]),
         height=np.array([held.height for held in truth]),
         gripper_height=np.array([held.hand for held in truth]),
         on_table=np.array([held.on_table for held in truth]),

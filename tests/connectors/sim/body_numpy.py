@@ -33,9 +33,9 @@ def place_surface(model: ContactModel, pad: Pad, tip: FingerState, body: BodySta
     pad.gap[:] = np.array([model.k_x, model.k_y]) / 2 @ nodes**2
 
 
-def load_passive_fingers(grip: GripModel, body: BodyState, hand: Reals, force: float) -> Reals:
-    """Move the springs of the passive fingers by one step; their force and moment (3,) on the body."""
-    total, step = np.zeros(3), grip.contact.step
+def load_passive_fingers(grip: GripModel, body: BodyState, hand: Reals, force: float) -> tuple[Reals, float]:
+    """Move the springs of the passive fingers by one step; their force and moment (3,), and sliding speed."""
+    total, step, sliding = np.zeros(3), grip.contact.step, 0.0
     for finger, side in enumerate((-1.0, 1.0)):
         arm = body.hand + np.array([side * grip.finger_offset, 0.0]) - body.pose[:2]
         velocity = hand - at(body, arm)
@@ -45,8 +45,10 @@ def load_passive_fingers(grip: GripModel, body: BodyState, hand: Reals, force: f
         if np.hypot(*pull) > limit:
             pull *= limit / np.hypot(*pull)
         body.passive[finger] = (pull + grip.damper / step * before) / (grip.spring + grip.damper / step)
+        stretched = (body.passive[finger] - before) / step
+        sliding = max(sliding, float(np.hypot(*(velocity - stretched))))
         total += [*pull, moment(arm, pull)]
-    return total
+    return total, sliding if force else 0.0
 
 
 def support_by_table(grip: GripModel, body: BodyState) -> Reals:
@@ -65,9 +67,9 @@ def support_by_table(grip: GripModel, body: BodyState) -> Reals:
 
 def simulate(
     grip: GripModel, pad: Pad, tip: FingerState, body: BodyState, drive: Reals
-) -> tuple[Reals, float]:
+) -> tuple[Reals, float, float]:
     """Run a grip and read it at the end, as `body.simulate` does."""
-    model, slid = grip.contact, list[float]()
+    model, slid, slid_passive = grip.contact, list[float](), list[float]()
     skin = tip._replace(velocity=body.slip_velocity, path=body.path)
     inertia = np.array([grip.mass, grip.mass, grip.inertia])
     for row in drive:
@@ -87,7 +89,9 @@ def simulate(
             body.path[0] += model.step * slide
             body.slide[:] -= model.step * body.slip_velocity
         table = support_by_table(grip, body)
-        forces = load_passive_fingers(grip, body, row[:2], force) + table + row[6:]
+        pull, sliding = load_passive_fingers(grip, body, row[:2], force)
+        slid_passive.append(sliding)
+        forces = pull + table + row[6:]
         forces -= [*friction[:2], friction[2] + moment(c, friction[:2])]
         forces[1] -= grip.mass * GRAVITY
         contact_numpy.move_tip(model, tip, row, friction)
@@ -96,4 +100,5 @@ def simulate(
         body.pose[:] += model.step * body.velocity
         body.hand[:] += model.step * row[:2]
         body.table[0] = table[1]
-    return np.stack([tip.pressure, *(-model.k_t * tip.bristle)]), float(np.mean(slid)) if slid else 0.0
+    tractions = np.stack([tip.pressure, *(-model.k_t * tip.bristle)])
+    return tractions, float(np.mean(slid)), float(np.mean(slid_passive))

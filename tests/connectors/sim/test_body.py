@@ -27,7 +27,7 @@ class Held:
         thing: Object,
         parameters: Parameters | None = None,
         place: tuple[float, float] = (0.0, 0.0),
-        passive: float = grasp.PASSIVE_FRICTION,
+        passive: float | None = None,
     ) -> None:
         scene = grasp.surface(thing, parameters or Parameters())
         self.thing, self.step = thing, scene.parameters.step
@@ -42,9 +42,9 @@ class Held:
         drive[:, 1], drive[:, 3] = climb, force
         return drive
 
-    def go(self, drive: Reals, by: ModuleType = body) -> tuple[Reals, float]:
-        tractions, slid = by.simulate(self.grip, self.pad, self.tip, self.body, drive)
-        return tractions, slid
+    def go(self, drive: Reals, by: ModuleType = body) -> tuple[Reals, float, float]:
+        tractions, slid, slid_passive = by.simulate(self.grip, self.pad, self.tip, self.body, drive)
+        return tractions, slid, slid_passive
 
     def lifted(self, force: float) -> "Held":
         """Gripped, lifted by a centimetre, and at rest."""
@@ -68,12 +68,12 @@ def both(
     for drive in drives:
         rows: list[Reals] = []
         for held, by in forms:
-            tractions, slid = held.go(drive, by)
+            tractions, *slid = held.go(drive, by)
             state = held.body
             rows.append(
                 np.concatenate([
                     tractions.ravel() / 1e4, state.pose, state.velocity, state.passive.ravel() * 1e2,
-                    state.slide, state.table, held.pad.gap, [slid],
+                    state.slide, state.table, held.pad.gap, slid,
                 ])
             )  # fmt: skip
         seen.append(np.stack(rows))

@@ -89,6 +89,16 @@ def test_a_slide_between_still_and_moved_may_be_registered_or_not(hit: Callable[
     assert judge_tap(hit(GOOD[0], slides=little), RULE).success
 
 
+def test_a_slip_of_the_passive_fingers_alone_may_be_registered_or_not(
+    hit: Callable[..., Trace], during: During
+) -> None:
+    trace = replace(hit(*GOOD, slides=[]), fastest=during((FIRST, FIRST + 0.05), value=0.04))
+    assert judge_tap(trace, RULE).ending == "false at soft blow"  # the second
+    first = replace(trace, probability=during(GOOD[0]))
+    assert judge_tap(first, RULE).success
+    assert judge_tap(replace(first, probability=during()), RULE).success
+
+
 def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trace], during: During) -> None:
     trace = replace(hit(*GOOD), dropped=during((5.5, TAP_END)) > 0)
     assert judge_tap(trace, RULE).ending == "dropped"

@@ -67,14 +67,16 @@ def test_scores_added_to_a_trace_are_those_of_the_closed_loop(rate: float) -> No
     assert (added.probability[known] == live.probability[known]).all()
 
 
-def test_a_slip_registered_in_a_firm_lift_is_false_unless_the_object_slid(
+def test_a_slip_registered_in_a_firm_lift_is_false_unless_a_finger_slipped_just_before(
     make_trace: Callable[..., Trace], during: Callable[..., Reals]
 ) -> None:
     rule, seen = Grip(settle=0), during((2.0, 2.1), (2.2, 2.3), (3.5, 3.6))
     none = dict.fromkeys(PHASES, 0)
     assert make_trace(probability=seen).false_slips(rule) == {**none, "load transfer": 2, "holding": 1}
-    slid = make_trace(probability=seen, speed=during((2.0, 2.1), value=0.02))
-    assert slid.false_slips(rule) == none
+    passive = make_trace(probability=seen, fastest=during((1.9, 2.0), value=0.02))
+    assert passive.false_slips(rule) == {**none, "load transfer": 1, "holding": 1}
+    slow = make_trace(probability=seen, speed=during((1.9, 2.0), value=0.002))
+    assert slow.false_slips(rule) == {**none, "load transfer": 2, "holding": 1}
     assert make_trace(probability=during((0.5, 0.6), (HELD, HELD + 0.1))).false_slips(rule) == none
 
 
