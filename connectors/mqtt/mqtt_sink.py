@@ -3,13 +3,13 @@
 import asyncio
 import logging
 from collections.abc import AsyncGenerator, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
 from connectors.events import Event, Fault, Model, encode, faults, finger_name, slips, timestamp
-from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
@@ -22,7 +22,7 @@ from connectors.mqtt.rig_names import (
     rig_topic,
 )
 from connectors.mqtt.sender import Sender
-from operators.batch import Clocks, Faults, Slips, ms
+from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.extras import software_version
@@ -30,6 +30,8 @@ from operators.ports import Clock, Finding, Json, Run, Sink
 from storage.files import check_disk
 
 log = logging.getLogger("slipflow")
+
+_STEPS_MAX: Final = 10  # newest steps of the host clock in a report
 
 
 @dataclass(eq=False)
@@ -154,7 +156,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             for _, fault, begins in faults(batch):
                 (known.add if begins else known.discard)(fault)
         elif isinstance(batch, Clocks):
-            self._clock = clock_report(batch)
+            self._clock = {  # from the newest row
+                "time_ns": batch.time.item(-1),
+                "offset_ms": batch.offset.item(-1) / ms,
+                "drift_ppm": round(batch.drift.item(-1) * 1e6, 3),
+                "residual_ms": round(batch.residual.item(-1) * 1e3, 3),
+            }
         else:
             await self._outbox.append(list(self._events(batch)))
 
@@ -266,3 +273,52 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         }
         about: dict[str, Json] = {"degraded": faults, "clock": self._clock, "outbox": outbox}
         return self._about_run("health", {**self._health.next(), **about})
+
+
+class HealthReports:
+    """Health reports of one run.
+
+    A rate covers the time since the previous report. A source has no rate in its first report with rows.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._time, self._rows = run.start, dict.fromkeys(run.sources, 0)
+
+    def next(self) -> dict[str, Json]:
+        """Return a report of the current state.
+
+        A source is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or
+        ``down``.
+        """
+        run, now = self._run, self._run.clock.now()
+        elapsed = (now - self._time) / s
+        sources: dict[str, Json] = {}
+        for name, source in run.sources.items():
+            before = self._rows.get(name, 0)
+            rows, known = source.rows - before, before > 0 and elapsed > 0
+            sources[name] = {
+                "state": "up" if source.up else "stale" if source.stale else "down",
+                "rate_hz": round(rows / elapsed, 3) if known else None,
+                "lag_ms": (now - source.newest) / ms if source.newest else None,
+                "rows": source.rows,
+                "late": source.late,
+                "gaps": len(source.gaps),
+            }
+        self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
+        return {
+            "session": run.session,
+            "time_ns": now,
+            "sources": sources,
+            "sinks": {
+                name: {
+                    "rows": sink.rows,
+                    "queued": sink.queued,
+                    "dropped": sink.dropped,
+                    "failures": sink.failures,
+                    "error": sink.error or None,
+                }
+                for name, sink in run.sinks.items()
+            },
+            "clock_steps": [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]],
+        }

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from connectors.health_report import HealthReports
+from connectors.mqtt.mqtt_sink import HealthReports
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.run.live_runner import LiveRunner

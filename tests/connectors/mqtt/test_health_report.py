@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from connectors.health_report import HealthReports
+from connectors.mqtt.mqtt_sink import HealthReports
 from operators.batch import ms, s
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 
