@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, cast
 import numpy as np
 
 from connectors.files.column_map import LABEL, MOTIONS, ColumnMap
+from connectors.rate_check import rate_finding
 from operators.batch import Touch, s
 from operators.checks import check_above
 from operators.device_clock import DeviceClock
@@ -31,7 +32,6 @@ POLL: Final = 0.01  # s, between looks at a file that does not grow
 READ: Final = 1 << 14  # bytes per turn of the event loop
 HEAD: Final = 1 << 16  # bytes of a file that may contain the names
 DIAGNOSIS: Final = 3.0  # s
-RATE_OFF: Final = 0.05  # share by which the measured rate may differ
 _PORT: Final = re.compile(r"COM\d+|[a-z+]+://.*", re.IGNORECASE)  # of Windows, or a URL of pyserial
 _REASONS: Final = {
     errno.ENOENT: "does not exist: is it plugged in, does the logger write there?",
@@ -165,12 +165,10 @@ class LineSource(Source[Touch]):
             "" if good else f": {self._damage}; check the map, and the cable and baud rate of a serial port"
         )
         yield Finding(self.where, text + remedy, "good" if good else "bad")
-        settled = time[len(time) // 2 :]  # the conversion to host time knows the delay by then
-        if (span := float(np.ptp(settled)) / s if settled else 0.0) > 1:
-            rate, stated = (len(settled) - 1) / span, self._fingertip.rate
-            text, off = f"{rate:.1f} rows per second of {stated:g}", abs(rate / stated - 1) > RATE_OFF
-            remedy = ": correct the rate in the map, or the rate of the logger"
-            yield Finding(self.where, text + remedy * off, "bad" if off else "good")
+        settled = np.array(time[len(time) // 2 :])  # the conversion to host time knows the delay by then
+        if len(settled) and np.ptp(settled) > s:
+            remedy = "correct the rate in the map, or the rate of the logger"
+            yield rate_finding(self.where, settled, self._fingertip.rate, remedy)
 
     def _report(self, before: int) -> None:
         """Log the first, the tenth, the hundredth, ... damaged line."""

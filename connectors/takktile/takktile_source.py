@@ -9,6 +9,7 @@ from typing import Final, cast
 
 import numpy as np
 
+from connectors.rate_check import DIAGNOSIS, rate_finding
 from connectors.takktile.scanner import CONVERSION, Scan, Scanner, ScanThread, Schedule
 from connectors.takktile.takktile_protocol import LEAST, MOST, ROWS, Coefficients
 from operators.batch import BAROMETERS, Touch, ms, s
@@ -16,8 +17,6 @@ from operators.errors import EndpointError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Finding, Json, Source
 
-DIAGNOSIS: Final = 1 * s  # ns, duration of the measurement of the rate
-RATE_LEAST: Final = 0.95  # smallest measured rate, of the nominal
 VALID_LEAST: Final = 0.5  # smallest share of valid samples of a cell
 ADAPTERS: Final = Path("/sys/class/i2c-dev")
 
@@ -130,7 +129,9 @@ class TakkTile(Source[Touch]):
             text = fault or f"{BAROMETERS} cells answer"
             yield Finding(f"{self.path} row {row}", text, "bad" if fault else "good")
         if scans:
-            yield _rate_finding(self._schedule, scans)
+            time = np.array([scan.time for scan in scans])
+            remedy = "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate; check the load"
+            yield rate_finding(self.path, time, self.rate, remedy)
 
     @property
     def fingertip(self) -> Fingertip:
@@ -214,17 +215,6 @@ def _row_fault(
         outside = f"the pressure is outside {LEAST:g} to {MOST:g} kPa: {', '.join(far)}"
         return f"{outside}; unload the fingertip, or replace it"
     return ""
-
-
-def _rate_finding(schedule: Schedule, scans: Sequence[Scan]) -> Finding:
-    """Return the measured rate of successive scans."""
-    nominal, span = s / schedule.period, scans[-1].time - scans[0].time
-    rate = (len(scans) - 1) * s / span if span else 0.0
-    text = f"{rate:.1f} scans per second of {nominal:g}"
-    if rate >= RATE_LEAST * nominal:
-        return Finding(schedule.path, text)
-    remedy = "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate; check the load"
-    return Finding(schedule.path, f"{text}: {remedy}", "bad")
 
 
 def _join(numbers: Sequence[int]) -> str:

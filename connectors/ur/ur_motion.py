@@ -7,6 +7,7 @@ from typing import Final, cast
 
 import numpy as np
 
+from connectors.rate_check import DIAGNOSIS, rate_finding
 from connectors.ur.rtde import PORT, Rows, RtdeClient
 from connectors.ur.ur_state import OUTPUTS as STATE_OUTPUTS
 from connectors.ur.ur_state import receive_states
@@ -19,8 +20,6 @@ LOWEST_RATE: Final = 2.0  # Hz; longer pauses count as a failure
 E_SERIES_RATE: Final = 500.0  # Hz
 CB3_RATE: Final = 125.0  # Hz
 CB3: Final = 3  # highest major version of CB3 software
-DIAGNOSIS: Final = 1 * s  # ns, duration of the measurement of the rate
-RATE_LEAST: Final = 0.95  # smallest measured rate, of the nominal
 
 _MAX_UPTIME: Final = 4e9  # s, 128 years
 
@@ -115,12 +114,8 @@ class UrMotion(Source[Motion]):
                 stamps = np.append(stamps, (await client.receive())[1]["timestamp"])
         finally:
             await client.close()
-        span = float(np.ptp(stamps)) if len(stamps) else 0.0  # s
-        rate = (len(stamps) - 1) / span if span else 0.0
-        text = f"{rate:.1f} packages per second of {self.rate:g}"
-        slow = rate < RATE_LEAST * self.rate
-        remedy = ": check the network, and that no other program loads the controller"
-        yield Finding(client.endpoint, text + remedy * slow, "bad" if slow else "good")
+        remedy = "check the network, and that no other program loads the controller"
+        yield rate_finding(client.endpoint, np.rint(stamps * s).astype(np.int64), self.rate, remedy)
 
     def describe(self) -> Description:
         """Return arm, address, rate, controller version and counts, which are updated live.

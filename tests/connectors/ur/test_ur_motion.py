@@ -253,7 +253,7 @@ def test_controller_and_rate_are_checked() -> None:
 
     assert [(found.text, found.state) for found in run_virtually(main(E_SERIES, 500.0))] == [
         ("controller of version 5.11.0.1", "good"),
-        ("500.0 packages per second of 500", "good"),
+        ("500.0 rows per second of 500", "good"),
     ]
     [found] = run_virtually(main(CB3, 100.0))
     assert (found.state, "sends 125.0 Hz at most" in found.text) == ("bad", True)
