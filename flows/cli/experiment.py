@@ -30,8 +30,8 @@ def experiment(
         typer.Option(
             "--object",
             metavar="NAME",
-            help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve or metal_can; repeatable"
-            " (default: all).",
+            help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve, metal_can, or random (as"
+            " many trials as the others together); repeatable (default: all).",
         ),
     ] = None,
     seed: Annotated[
@@ -56,13 +56,12 @@ def experiment(
       slipflow experiment lift --object ball --trials 5 --method psd:none
       slipflow experiment lift --stress --trials 5
     """
-    from connectors.sim.objects import OBJECTS
     from flows.lab.experiments.experiment_report import experiment_report
     from flows.lab.experiments.study import METHODS, Trials, parse_method, run_study
     from flows.run.executor import workers
 
     methods = [parse_method(text) for text in method or ()] or list(METHODS)
-    chosen = Trials(trials, seed, tuple(objects or OBJECTS))
+    chosen = Trials(trials, seed, tuple(objects or Trials.objects))
     prepare_report(out)
     with workers(jobs, cluster) as executor, progress_bar(name) as update:
         results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)

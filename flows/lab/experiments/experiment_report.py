@@ -7,11 +7,10 @@ from typing import Final
 
 import polars as pl
 
-from connectors.sim.objects import OBJECTS
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Method, Trials
 from flows.lab.experiments.tap_and_lift import BLOWS, LIFT, SIZES
-from flows.lab.experiments.trial import BASELINE, PHASES, Conditions, Trial
+from flows.lab.experiments.trial import BASELINE, PHASES, RANDOM, Conditions, Trial
 from flows.learn.event_metrics import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid
 from flows.report.report_page import Report, Section
@@ -29,6 +28,7 @@ PAPER: Final[Mapping[str, Mapping[str, int]]] = {
 }
 TITLES: Final = {"tap": "Mallet tap", "lift": "Object lift"}
 EXAMPLE: Final = "ball"  # object of the figure: one of the two hardest in the paper's lift
+_SIDES: Final = ("method", "objects")  # the six and the random objects side by side
 _REAL: Final = "paper, real objects"
 GOOD: Final = ("registered", "held")  # endings of a success
 SUCCESS: Final = "success %"
@@ -81,17 +81,21 @@ def experiment_report(
         trials: Trials of the study.
         command: Command line that ran it.
     """
+    kind = pl.when(pl.col("fold") == RANDOM).then(pl.lit(RANDOM)).otherwise(pl.lit("six"))
+    results = results.with_columns(kind.alias("objects"))
     nominal = results.filter(condition=NOMINAL)
-    found = estimates(nominal, STATISTICS[experiment])
+    found = estimates(nominal, STATISTICS[experiment], by=_SIDES)
     rates = [name for name in STATISTICS[experiment] if "%" in name]
-    table = estimate_table(found, _DECIMALS, intervals=rates)
-    events = estimates(nominal, EVENTS[experiment], draws=0)
-    mean = sum(PAPER[name][experiment] for name in trials.objects) / len(trials.objects)
-    real = [_REAL, *(mean if head == BY_PAPER else None for head in table.head[1:])]
+    table = estimate_table(found, _DECIMALS, index=_SIDES, intervals=rates)
+    if trials.six:
+        mean = sum(PAPER[name][experiment] for name in trials.six) / len(trials.six)
+        real: list[Value] = [_REAL, "six", *(mean if head == BY_PAPER else None for head in table.head[2:])]
+        table = replace(table, rows=[*table.rows, real])
+    events = estimate_table(estimates(nominal, EVENTS[experiment], by=_SIDES, draws=0), {}, index=_SIDES)
     figure = partial(trial_figure, experiment, methods[0], trials)
     sections = [
-        Section(experiment, "Success and false slips", _NOTES[experiment], [_with(table, real)]),
-        Section("events", "Events by phase", _EVENTS_NOTE[experiment], [estimate_table(events, {})]),
+        Section(experiment, "Success and false slips", _NOTES[experiment], [table]),
+        Section("events", "Events by phase", _EVENTS_NOTE[experiment], [events]),
         Section("objects", "Success by object, %", "", _objects(experiment, nominal, trials)),
         Section("failures", "Failed trials by ending", "", [_endings(nominal)], folded=True),
         Section("trial", "An example trial", "", draw=figure, folded=True),
@@ -102,11 +106,6 @@ def experiment_report(
     return Report(TITLES[experiment], _TEXT, sections, command, {**facts, "results": found.to_dicts()})
 
 
-def _with(table: Table, row: Sequence[Value]) -> Table:
-    """Return a table with another row at its end."""
-    return replace(table, rows=[*table.rows, row])
-
-
 def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> list[Table]:
     """Return the success of each method with each object, strictly and by the paper's words."""
     tables = list[Table]()
@@ -114,25 +113,27 @@ def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> list[Tab
         found = estimates(nominal, {name: RATES[name]}, by=("method", "fold"), draws=0)
         decimals = dict.fromkeys(trials.objects, 0)
         tables.append(estimate_table(found, decimals, columns="fold", caption=caption))
-    real: list[Value] = [_REAL, *(float(PAPER[name][experiment]) for name in trials.objects)]
-    return [tables[0], _with(tables[1], real)]
+    real = [PAPER[name][experiment] if name in PAPER else None for name in trials.objects]
+    return [tables[0], replace(tables[1], rows=[*tables[1].rows, [_REAL, *real]])]
 
 
 def _endings(nominal: pl.DataFrame) -> Table:
     """Return the number of failed trials of each method by ending."""
     endings = nominal.filter(pl.col("metric").str.starts_with("ending "))
     endings = endings.with_columns(pl.col("metric").str.strip_prefix("ending "))
-    counts = endings.group_by("method", "metric", maintain_order=True).agg(pl.col("value").sum().cast(int))
-    wide = counts.pivot("metric", index="method", values="value").fill_null(0)
-    _, *names = sorted(wide.columns, key=lambda name: (name != "method", name not in GOOD, name))
-    return Table(["method", *names], [list(row) for row in wide.select("method", *names).rows()])
+    counts = endings.group_by(*_SIDES, "metric", maintain_order=True).agg(pl.col("value").sum().cast(int))
+    wide = counts.pivot("metric", index=_SIDES, values="value").fill_null(0)
+    head = [*_SIDES, *sorted(wide.drop(_SIDES).columns, key=lambda name: (name not in GOOD, name))]
+    return Table(head, [list(row) for row in wide.select(head).rows()])
 
 
 def _breaking_points(results: pl.DataFrame) -> Section:
     """Return the section about the conditions that differ from the nominal one."""
-    found = estimates(results, RATES, by=("condition", "method"))
+    found = estimates(results, RATES, by=("condition", "objects", "method"))
     tables = [
-        estimate_table(found.filter(statistic=name), {}, index=("condition",), columns="method", caption=name)
+        estimate_table(
+            found.filter(statistic=name), {}, index=("condition", "objects"), columns="method", caption=name
+        )
         for name in RATES
     ]
     note = (
@@ -144,8 +145,8 @@ def _breaking_points(results: pl.DataFrame) -> Section:
 
 def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     """Draw the first trial of a method with the ball, or else with the first object."""
-    held = OBJECTS[EXAMPLE if EXAMPLE in trials.objects else trials.objects[0]]
-    trial, setup = Trial.draw(held, trials.seed, Conditions()), method.load()
+    name = EXAMPLE if EXAMPLE in trials.objects else trials.objects[0]
+    trial, setup = Trial.draw(name, trials.seed, Conditions()), method.load()
     [(trace, outcome)] = EXPERIMENTS[experiment](trial, [setup])
     least = trial.least_force
     figure, axes = grid(5, 1, (9, 8), sharex=True)
@@ -155,7 +156,7 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     force.plot(t, trace.force, color=MAIN, label="normal force")
     force.axhline(least, color=SECOND, linestyle="--", linewidth=0.9, label="least that holds")
     top = 1.3 * max(float(trace.commanded.max()), least)  # leaves room for the legend
-    force.set(ylabel="N", ylim=(0, top), title=f"{method}: {held.name.replace('_', ' ')}, {outcome.ending}")
+    force.set(ylabel="N", ylim=(0, top), title=f"{method}: {name.replace('_', ' ')}, {outcome.ending}")
     force.legend(loc="upper left", ncols=3)
     for cell, color in enumerate(CELLS):
         counts.plot(t, trace.counts[:, cell], color=color, linewidth=0.8)

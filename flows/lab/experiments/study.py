@@ -8,14 +8,13 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.tap_and_lift import lift, tap
-from flows.lab.experiments.trial import Conditions, Outcome, Trace, Trial
+from flows.lab.experiments.trial import RANDOM, Conditions, Outcome, Trace, Trial
 from flows.run.executor import map_tasks
 from operators import Debounce, Grip, GripController, StepGrip
 from operators.batch import Counts, Reals
@@ -117,9 +116,9 @@ def parse_method(text: str) -> Method:
     return Method(text, STEPS if text in RIVALS else OURS)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Trials:
-    """The trials of a study: a number of seeds for each object.
+    """The trials of a study: a number of seeds for each of the paper's objects, and random objects.
 
     Raises:
         ParameterError: on an unknown object.
@@ -127,11 +126,20 @@ class Trials:
 
     count: int = 20  # of each object; as in the paper
     seed: int = SEED  # of the first trial; the others follow
-    objects: tuple[str, ...] = tuple(OBJECTS)
+    objects: tuple[str, ...] = (*OBJECTS, RANDOM)
 
     def __post_init__(self) -> None:
         for name in self.objects:
-            check_choice("Trials", "object", name, OBJECTS)
+            check_choice("Trials", "object", name, (*OBJECTS, RANDOM))
+
+    @property
+    def six(self) -> tuple[str, ...]:
+        """Those of the paper's objects that take part."""
+        return tuple(name for name in self.objects if name != RANDOM)
+
+    def seeds(self, name: str) -> range:
+        """Return the seeds of an object; there are as many random objects as trials with the others."""
+        return range(self.seed, self.seed + self.count * (max(1, len(self.six)) if name == RANDOM else 1))
 
 
 def conditions_of(experiment: str, *, stress: bool) -> dict[str, Conditions]:
@@ -181,8 +189,12 @@ def run_study(
     check_choice("experiment", "name", experiment, EXPERIMENTS)
     conditions = conditions_of(experiment, stress=stress)
     setups = [method.load() for method in methods]
-    seeds = range(trials.seed, trials.seed + trials.count)
-    tasks = list(product(conditions, trials.objects, seeds))
+    tasks = [
+        (condition, name, seed)
+        for condition in conditions
+        for name in trials.objects
+        for seed in trials.seeds(name)
+    ]
     work = partial(_run, experiment, setups, conditions)
     return joined(
         result_rows(
@@ -206,7 +218,7 @@ def _run(
     task: tuple[str, str, int],
 ) -> list[Outcome]:
     condition, name, seed = task
-    trial = Trial.draw(OBJECTS[name], seed, conditions[condition])
+    trial = Trial.draw(name, seed, conditions[condition])
     return [outcome for _, outcome in EXPERIMENTS[experiment](trial, setups)]
 
 

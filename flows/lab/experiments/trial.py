@@ -8,8 +8,9 @@ from typing import Final, Self
 import numpy as np
 
 from connectors.gripper.robotiq import FULL, PACE, SETTLE
+from connectors.sim.drawn_grasp import draw_fingertip, draw_object
 from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
-from connectors.sim.objects import Object
+from connectors.sim.objects import OBJECTS, Object
 from connectors.sim.scene import Parameters, Travel, Vibration
 from connectors.sim.simulated_rig import SLIDING
 from operators import Score, Zero
@@ -35,7 +36,8 @@ PHASES: Final = {  # s, starts of the phases of a firm lift
 STILL: Final = 0.1  # mm; a shorter slide of every finger is not slip
 MOVED: Final = 0.5  # mm; a longer slide of the pad is a slip; anything between may be judged either way
 PROMPT: Final = 0.2  # s; a slip must be registered within this time
-FINGERTIP: Final = Parameters()  # of the experiments; no training grasp has it
+FINGERTIP: Final = Parameters()  # with the six objects; no training grasp has it
+RANDOM: Final = "random"  # objects and fingertips
 SCANS: Final = 100  # samples of the open gripper at least: a detector's first window
 
 # A Robotiq 3-Finger Gripper grips with at least 15 N, ten times the force that holds the objects of this
@@ -82,8 +84,22 @@ class Trial:
     conditions: Conditions
 
     @classmethod
-    def draw(cls, held: Object, seed: int, conditions: Conditions) -> Self:
-        """Draw the trial of a seed; it is the same for every detector and rule."""
+    def draw(cls, name: str, seed: int, conditions: Conditions) -> Self:
+        """Draw the trial of a seed with one of the six objects; it is the same for every detector and rule.
+
+        `RANDOM` draws object and fingertip from the ranges of the training grasps, with other seeds. Objects
+        that the gripper cannot hold firmly are left out.
+        """
+        if name != RANDOM:
+            return cls._draw(OBJECTS[name], FINGERTIP, seed, conditions)
+        random = np.random.default_rng([seed, 13])
+        while True:
+            held, fingertip = draw_object(random), draw_fingertip(random)
+            if least_force(held, fingertip) * FIRM[1] <= SPAN:
+                return cls._draw(held, fingertip, seed, conditions)
+
+    @classmethod
+    def _draw(cls, held: Object, fingertip: Parameters, seed: int, conditions: Conditions) -> Self:
         random = np.random.default_rng([seed, 7])
         friction, mass = (
             factor * float(random.uniform(1 - SPREAD, 1 + SPREAD))
@@ -92,7 +108,7 @@ class Trial:
         x, y = (random.uniform(-1, 1, 2) * np.minimum(OFFSET, (held.width / 4, held.reach / 2))).tolist()
         vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
         held = replace(held, stiffness=held.stiffness * conditions.stiffness)
-        fingertip = replace(FINGERTIP, tilt_stiffness=FINGERTIP.tilt_stiffness * conditions.tilt)
+        fingertip = replace(fingertip, tilt_stiffness=fingertip.tilt_stiffness * conditions.tilt)
         firm = float(random.uniform(*FIRM))
         return cls(held, fingertip, seed, friction, mass, (x, y), firm, vibration, conditions)
 

@@ -11,7 +11,7 @@ from flows.report.report_page import Report
 from flows.report.results import Metrics, joined, result_rows
 
 OURS, NONE = Method("psd"), Method("psd", "none")
-TRIALS = Trials(2, 7, ("ball", "box"))
+TRIALS = Trials(2, 7, ("ball", "box", "random"))
 HELD: Metrics = {
     "trials": 1,
     "success": 1,
@@ -47,7 +47,7 @@ def lifts(names: Sequence[str] = (NOMINAL,)) -> pl.DataFrame:
         )
         for condition in names
         for name in TRIALS.objects
-        for seed in (7, 8)
+        for seed in TRIALS.seeds(name)
         for method in (OURS, NONE)
     )
 
@@ -64,7 +64,7 @@ def report() -> Report:
 
 
 def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
-    ours, none, paper = rows(report, "lift")
+    ours, none, random, _, paper = rows(report, "lift")
     assert {name: ours[name] for name in ("method", "success %", "firm lift %", "force", "lead ms")} == {
         "method": "psd, ours",
         "success %": 75,
@@ -73,24 +73,31 @@ def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
         "lead ms": -20,
     }
     assert (none["success %"], none["force"]) == (0, None)
+    assert [(row["objects"], row["success %"]) for row in (ours, random)] == [("six", 75), ("random", 100)]
     assert (paper["method"], paper["success %"], paper["paper's %"]) == ("paper, real objects", None, 67.5)
 
 
 def test_false_slips_are_counted_by_phase(report: Report) -> None:
-    ours, none = rows(report, "events")
+    ours, none, *_ = rows(report, "events")
     assert [ours["load transfer"], none["load transfer"], none["holding"]] == [50, 200, 0]
 
 
 def test_success_with_each_object_stands_above_the_papers(report: Report) -> None:
-    strict = [{"method": "psd, ours", "ball": 50, "box": 100}, {"method": "psd, none", "ball": 0, "box": 0}]
+    strict = [
+        {"method": "psd, ours", "ball": 50, "box": 100, "random": 100},
+        {"method": "psd, none", "ball": 0, "box": 0, "random": 0},
+    ]
+    real = {"method": "paper, real objects", "ball": 35, "box": 100, "random": None}
     assert rows(report, "objects") == strict
-    assert rows(report, "objects", 1) == [*strict, {"method": "paper, real objects", "ball": 35, "box": 100}]
+    assert rows(report, "objects", 1) == [*strict, real]
 
 
 def test_trials_are_counted_by_ending(report: Report) -> None:
     assert rows(report, "failures") == [
-        {"method": "psd, ours", "held": 3, "missed": 1},
-        {"method": "psd, none", "held": 0, "missed": 4},
+        {"method": "psd, ours", "objects": "six", "held": 3, "missed": 1},
+        {"method": "psd, none", "objects": "six", "held": 0, "missed": 4},
+        {"method": "psd, ours", "objects": "random", "held": 4, "missed": 0},
+        {"method": "psd, none", "objects": "random", "held": 0, "missed": 4},
     ]
 
 
@@ -107,5 +114,5 @@ def test_a_stress_test_has_a_row_for_each_condition() -> None:
     conditions = list(conditions_of("lift", stress=True))
     report = experiment_report("lift", lifts(conditions), [OURS, NONE], TRIALS, "command")
     table = rows(report, "stress")
-    assert [row["condition"] for row in table] == conditions
-    assert table[1] == {"condition": conditions[1], "psd, ours": 75, "psd, none": 0}
+    assert [row["condition"] for row in table[::2]] == conditions
+    assert table[2] == {"condition": conditions[1], "objects": "six", "psd, ours": 75, "psd, none": 0}

@@ -5,7 +5,6 @@ from typing import TypeAlias
 import numpy as np
 import pytest
 
-from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.study import StepThreshold
 from flows.lab.experiments.tap_and_lift import LIFT, judge_lift, lift
 from flows.lab.experiments.trial import BASELINE, Conditions, Outcome, Trace, Trial
@@ -19,7 +18,6 @@ During: TypeAlias = Callable[..., Reals]
 UP = {"gripper_height": np.full(700, 0.05), "height": np.full(700, 0.048)}
 DOWN = {"gripper_height": np.full(700, 0.05), "height": np.zeros(700), "on_table": np.ones(700, np.bool_)}
 NEVER = StepThreshold(math.inf)  # never reports slip
-BALL = OBJECTS["ball"]
 
 
 def _judge(trace: Trace, least: float = 0.9) -> Outcome:
@@ -85,7 +83,7 @@ def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During)
 
 
 def test_without_control_a_weak_grip_loses_the_object() -> None:
-    [(trace, outcome)] = lift(Trial.draw(BALL, 1, Conditions()), [(NEVER, Grip())])
+    [(trace, outcome)] = lift(Trial.draw("ball", 1, Conditions()), [(NEVER, Grip())])
     assert outcome.ending == "missed"
     assert trace.force.max() < outcome.metrics["peak"] * 2
     assert outcome.metrics["peak"] < 1
@@ -95,6 +93,6 @@ def test_without_control_a_weak_grip_loses_the_object() -> None:
 
 @pytest.mark.parametrize("rate", [10.0, 25.0])
 def test_the_gripper_has_closed_before_the_lift_at_every_rate(rate: float) -> None:
-    [(trace, _)] = lift(Trial.draw(BALL, 1, Conditions(rate=rate)), [(load_detector("tcn_grasp"), Grip())])
+    [(trace, _)] = lift(Trial.draw("ball", 1, Conditions(rate=rate)), [(load_detector("tcn_grasp"), Grip())])
     assert trace.force[trace.between(BASELINE + 0.3, LIFT.start)].min() > 0
     assert np.diff(trace.t[trace.between(BASELINE, 6)]) == pytest.approx(1 / rate)

@@ -108,7 +108,7 @@ def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trac
 def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_nothing(
     name: str, seed: int
 ) -> None:
-    trace = simulated(Trial.draw(OBJECTS[name], seed, Conditions()))
+    trace = simulated(Trial.draw(name, seed, Conditions()))
     soft, *moved = (
         trace.travel(trace.between(*span)) for span in ((SOFT, FIRST), (FIRST, SECOND), (SECOND, TAP_END))
     )
@@ -119,7 +119,7 @@ def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_no
 
 
 def test_methods_share_one_simulation_and_draws_depend_on_the_seed_only() -> None:
-    trial = Trial.draw(OBJECTS["ball"], 3, Conditions())
+    trial = Trial.draw("ball", 3, Conditions())
     (first, outcome), (second, _) = tap(trial, [(NEVER, Grip()), (NEVER, RULE)])
     assert first.counts is second.counts
     assert (first.counts == simulated(trial).counts).all()

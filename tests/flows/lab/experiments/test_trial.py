@@ -12,6 +12,7 @@ from flows.lab.experiments.trial import (
     FIRM_LIFT,
     HELD,
     PHASES,
+    RANDOM,
     RATE,
     SPAN,
     SPREAD,
@@ -31,15 +32,22 @@ BALL = OBJECTS["ball"]
 
 
 def test_mass_and_friction_vary_by_ten_percent() -> None:
-    drawn = [Trial.draw(BALL, seed, Conditions()) for seed in range(200)]
+    drawn = [Trial.draw("ball", seed, Conditions()) for seed in range(200)]
     for values in ([trial.mass for trial in drawn], [trial.friction for trial in drawn]):
         assert 1 - SPREAD <= min(values) < 1 - 0.8 * SPREAD
         assert 1 + 0.8 * SPREAD < max(values) <= 1 + SPREAD
 
 
+def test_random_objects_differ_from_trial_to_trial_and_can_be_held_firmly() -> None:
+    drawn = [Trial.draw(RANDOM, seed, Conditions()) for seed in range(20)]
+    assert len({trial.held.mass for trial in drawn}) == len({trial.fingertip.lever for trial in drawn}) == 20
+    assert max(trial.least_force for trial in drawn) * FIRM[0] < SPAN
+    assert Trial.draw(RANDOM, 3, Conditions()) == drawn[3]
+
+
 def test_the_expected_force_assumes_nominal_friction_and_mass() -> None:
-    nominal = Trial.draw(BALL, 3, Conditions())
-    heavy = Trial.draw(BALL, 3, Conditions(friction=0.5, mass=2.0))
+    nominal = Trial.draw("ball", 3, Conditions())
+    heavy = Trial.draw("ball", 3, Conditions(friction=0.5, mass=2.0))
     assert heavy.least_force == pytest.approx(4 * nominal.least_force)
     assert heavy.expected_force == pytest.approx(nominal.expected_force)
     assert nominal.expected_force == pytest.approx(nominal.least_force)
@@ -49,7 +57,9 @@ def test_the_expected_force_assumes_nominal_friction_and_mass() -> None:
 
 
 def test_conditions_change_the_object_and_the_pad_but_not_the_rest() -> None:
-    nominal, changed = (Trial.draw(BALL, 3, each) for each in (Conditions(), Conditions(stiffness=2, tilt=3)))
+    nominal, changed = (
+        Trial.draw("ball", 3, each) for each in (Conditions(), Conditions(stiffness=2, tilt=3))
+    )
     assert changed.held.stiffness == 2 * BALL.stiffness
     assert changed.fingertip.tilt_stiffness == 3 * FINGERTIP.tilt_stiffness
     assert (changed.position, changed.firm, changed.mass) == (nominal.position, nominal.firm, nominal.mass)
@@ -58,7 +68,7 @@ def test_conditions_change_the_object_and_the_pad_but_not_the_rest() -> None:
 
 @pytest.mark.parametrize("rate", [25.0, 100.0])
 def test_scores_added_to_a_trace_are_those_of_the_closed_loop(rate: float) -> None:
-    trial = Trial.draw(BALL, 2, Conditions(rate=rate))
+    trial = Trial.draw("ball", 2, Conditions(rate=rate))
     added = trial.hold((), 3.0).scored(Psd())
     constant = StepGrip(force=trial.firm * trial.least_force, step=1e-12)
     live = control_trial(trial.grasp(FIRM_LIFT), Psd(), constant, trial.conditions, 3.0)
