@@ -5,14 +5,17 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import zip_longest
 from math import inf
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
+from unittest.mock import patch
 
 from operators import Slips, Touch
 from operators.batch import Batch
 from operators.errors import SlipflowError
-from storage import Session, recover, verify
+from storage import Session, parts, recover, session, verification, verify
 from tests.faults.schedule import STALL_MAX
 from tests.faults.simulated_rig import FINGERS, Identity, RigRun, Row, numbered_rows
 
@@ -145,29 +148,35 @@ def _recordings(world: World) -> Iterator[str]:
     root = world.folder / "data"
     if not root.exists():
         return
-    for rig_run in world.rig_runs:
-        folder = root / "sessions" / rig_run.session
-        if not folder.exists():
-            if rig_run.rows and rig_run.end != "power loss":
-                yield f"{rig_run.session}: is missing, but had rows"
-            continue
-        try:
-            if rig_run.end != "orderly":
-                recover(folder)
-            session = Session.open(folder)
-            recorded = {"Touch": _read(session, Touch), "Slips": _read(session, Slips)}
-            yield from _rows(world, rig_run, recorded)
-            result = verify(folder)
-        except SlipflowError as error:
-            if any(rig_run.rows.values()) or rig_run.end == "orderly":
-                yield f"{rig_run.session} ({rig_run.end}): {error}"
-            continue
-        lacks = any(len(rows) > len(recorded[name]) for name, rows in rig_run.rows.items())
-        cut = rig_run.end == "killed" and _next_power_loss(world, rig_run.ended) is not None
-        exactly = ("lossy",) if rig_run.dropped else ("note",)
-        allowed = FINDINGS.get("power loss" if cut else rig_run.end, exactly)
-        if result.worst not in allowed or (lacks and result.worst == "note"):
-            yield f"{rig_run.session} ({rig_run.end}): verify says {result.worst}: {result.findings}"
+    read_once = lru_cache(parts.read_part)  # neither reading nor verifying changes a part
+    with patch.object(session, "read_part", read_once), patch.object(verification, "read_part", read_once):
+        for rig_run in world.rig_runs:
+            yield from _recording(world, root, rig_run)
+
+
+def _recording(world: World, root: Path, rig_run: RigRun) -> Iterator[str]:
+    folder = root / "sessions" / rig_run.session
+    if not folder.exists():
+        if rig_run.rows and rig_run.end != "power loss":
+            yield f"{rig_run.session}: is missing, but had rows"
+        return
+    try:
+        if rig_run.end != "orderly":
+            recover(folder)
+        recording = Session.open(folder)
+        recorded = {"Touch": _read(recording, Touch), "Slips": _read(recording, Slips)}
+        yield from _rows(world, rig_run, recorded)
+        result = verify(folder)
+    except SlipflowError as error:
+        if any(rig_run.rows.values()) or rig_run.end == "orderly":
+            yield f"{rig_run.session} ({rig_run.end}): {error}"
+        return
+    lacks = any(len(rows) > len(recorded[name]) for name, rows in rig_run.rows.items())
+    cut = rig_run.end == "killed" and _next_power_loss(world, rig_run.ended) is not None
+    exactly = ("lossy",) if rig_run.dropped else ("note",)
+    allowed = FINDINGS.get("power loss" if cut else rig_run.end, exactly)
+    if result.worst not in allowed or (lacks and result.worst == "note"):
+        yield f"{rig_run.session} ({rig_run.end}): verify says {result.worst}: {result.findings}"
 
 
 def _rows(world: World, rig_run: RigRun, recorded: dict[str, list[Row]]) -> Iterator[str]:
@@ -183,10 +192,10 @@ def _rows(world: World, rig_run: RigRun, recorded: dict[str, list[Row]]) -> Iter
                 yield from _missing(world, rig_run, name, missing)
 
 
-def _read(session: Session, kind: type[Batch]) -> list[Row]:
+def _read(recording: Session, kind: type[Batch]) -> list[Row]:
     """Return the rows of both fingertips, each file read once."""
     found = list[Row]()
-    for batches in zip_longest(*(session.read(kind, finger) for finger in FINGERS)):
+    for batches in zip_longest(*(recording.read(kind, finger) for finger in FINGERS)):
         found += [row for batch in batches if batch for row in numbered_rows(batch)]
     return found
 

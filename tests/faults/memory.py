@@ -22,8 +22,8 @@ EVENTS_MAX: Final = 24  # in the memory of the outbox
 def excess(world: World) -> Iterator[str]:
     """Yield a line for each process, queue or buffer that has more objects than its bound."""
     for process in (world.rig, world.consumer):
-        if process and process.tasks > TASKS_MAX:
-            yield f"the {process.name} has {process.tasks} tasks"
+        if process and len(process.tasks) > TASKS_MAX:
+            yield f"the {process.name} has {len(process.tasks)} tasks"
     if not world.runner:
         return
     for queue in inside(world.runner, "_queues").values():

@@ -5,7 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from heapq import heappop
+from heapq import heappop, heappush
+from itertools import count
 from random import Random
 from typing import Any, Final, TypeVar
 
@@ -24,14 +25,14 @@ class SimulatedLoop(VirtualLoop):
     it. `latency` (s) is drawn for each call, so that a slow disk delays the tasks that wait for it.
     """
 
-    _ready: deque[asyncio.Handle]  # of asyncio's loop, like the next two
-    _scheduled: list[asyncio.TimerHandle]
+    _ready: deque[asyncio.Handle]  # of asyncio's loop, like the next
     _clock_resolution: float
 
     def __init__(self, random: Random) -> None:
         super().__init__()
         self._random = random
         self._turns, self._unfinished = 0, set[asyncio.Task[Any]]()
+        self._timers, self._numbers = list[tuple[float, int, asyncio.TimerHandle]](), count()
         self.failures: list[str] = []  # of tasks whose process was alive
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
 
@@ -41,12 +42,12 @@ class SimulatedLoop(VirtualLoop):
         Raises:
             AssertionError: if tasks keep each other busy.
         """
-        ready, scheduled = self._ready, self._scheduled
-        if not ready and scheduled:
-            self._virtual.time = max(self._virtual.time, scheduled[0].when())
+        ready, timers = self._ready, self._timers
+        if not ready and timers:
+            self._virtual.time = max(self._virtual.time, timers[0][0])
         due = self._virtual.time + self._clock_resolution
-        while scheduled and (scheduled[0].when() < due or scheduled[0].cancelled()):
-            ready.append(heappop(scheduled))
+        while timers and (timers[0][0] < due or timers[0][2].cancelled()):
+            ready.append(heappop(timers)[2])
         self._turns += 1
         assert self._turns < TURNS_MAX, "tasks keep each other busy"
         for _ in range(len(ready)):
@@ -54,13 +55,17 @@ class SimulatedLoop(VirtualLoop):
             if not handle.cancelled():
                 handle._run()
 
+    def call_at(self, when: float, callback: Any, *args: Any, context: Any = None) -> asyncio.TimerHandle:  # type: ignore[override]
+        """Call a function at a time; of equal times in the order of the calls."""
+        timer = asyncio.TimerHandle(when, callback, args, self, context)
+        heappush(self._timers, (when, next(self._numbers), timer))  # asyncio compares handles, which is slow
+        return timer
+
     def create_task(self, coro: Any, **options: Any) -> "asyncio.Task[Any]":
         """Create a task that belongs to the process of its context."""
         task = super().create_task(coro, **options)
-        if process := adopt(task, options.get("context")):
-            task.add_done_callback(partial(self._note_failure, process))
         self._unfinished.add(task)  # else those of a killed process end whenever garbage is collected
-        task.add_done_callback(self._unfinished.discard)
+        task.add_done_callback(partial(self._note_end, adopt(task, options.get("context"))))
         return task
 
     def close(self) -> None:
@@ -72,7 +77,11 @@ class SimulatedLoop(VirtualLoop):
                     coroutine.close()
         super().close()
 
-    def _note_failure(self, process: SimulatedProcess, task: "asyncio.Task[Any]") -> None:
+    def _note_end(self, process: SimulatedProcess | None, task: "asyncio.Task[Any]") -> None:
+        self._unfinished.discard(task)
+        if not process:
+            return
+        process.tasks.pop(task, None)
         error = None if task.cancelled() else task.exception()
         if process.alive and error and not isinstance(error, SlipflowError):
             self.failures.append(f"a task of the {process.name} died: {task.get_coro()}: {error!r}")

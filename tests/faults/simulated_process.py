@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from contextvars import Context, ContextVar, copy_context
 from typing import Any
-from weakref import WeakSet
 
 
 class Killed(BaseException):
@@ -21,7 +20,7 @@ class SimulatedProcess:
     def __init__(self, name: str) -> None:
         self.name, self.alive = name, True
         self.on_kill: list[Callable[[], object]] = []  # close links and files, as the operating system does
-        self._tasks = WeakSet[asyncio.Task[Any]]()
+        self.tasks: dict[asyncio.Task[Any], None] = {}  # that have not ended, in order of their start
         self._context: Context = copy_context()
         self._context.run(_CURRENT.set, self)
 
@@ -40,24 +39,15 @@ class SimulatedProcess:
         self.alive = False
         for call in self.on_kill:
             call()
-        for task in list(self._tasks):
+        for task in list(self.tasks):
             task.cancel()
-
-    @property
-    def tasks(self) -> int:
-        """Number of tasks that have not ended."""
-        return sum(not task.done() for task in self._tasks)
-
-    def add(self, task: "asyncio.Task[Any]") -> None:
-        """Cancel a task when the process is killed."""
-        self._tasks.add(task)
 
 
 def adopt(task: "asyncio.Task[Any]", context: Context | None) -> SimulatedProcess | None:
     """Let a new task end with the process of its context, by default the running one; return the process."""
     process = _CURRENT.get() if context is None else context.get(_CURRENT)
     if process:
-        process.add(task)
+        process.tasks[task] = None
     return process
 
 

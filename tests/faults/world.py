@@ -107,7 +107,7 @@ class World:
             self.loop.call_at(fault.start, self._apply, fault)
         rig = self.loop.create_task(self._keep_rig())
         consumer = self.loop.create_task(self._keep_consumer())
-        memory = self.loop.create_task(self._watch_memory())
+        self._watch_memory()
         await asyncio.sleep(self.schedule.span * self.random.uniform(1.0, 1.5))
         self._heal()
         if self.runner:
@@ -122,12 +122,11 @@ class World:
         if self.consumer:
             self.consumer.kill()
         await consumer
-        await memory
 
-    async def _watch_memory(self) -> None:
-        while not self.finished:
-            self.errors += [each for each in excess(self) if each not in self.errors]
-            await asyncio.sleep(WATCH_EVERY)
+    def _watch_memory(self) -> None:
+        self.errors += [each for each in excess(self) if each not in self.errors]
+        if not self.finished:
+            self.loop.call_later(WATCH_EVERY, self._watch_memory)
 
     async def _keep_rig(self) -> None:
         """Restart the rig whenever it ends, as a service manager does."""
