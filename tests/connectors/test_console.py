@@ -32,6 +32,7 @@ FAULTS = Faults(
     np.array([True, False]),
     finger=2,
 )
+SATURATED = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
 
 
 def printed(
@@ -54,8 +55,7 @@ def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:
 
 
 def test_each_slip_and_fault_is_one_line(run: Run) -> None:
-    saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
-    assert printed(io.StringIO(), run, slips(run.clock.now() - 12 * ms), FAULTS, saturated) == [
+    assert printed(io.StringIO(), run, slips(run.clock.now() - 12 * ms), FAULTS, SATURATED) == [
         "1970-01-01 00:01:39.988  finger 0  slip onset  p 0.93  sensor to event 12.0 ms",
         "1970-01-01 00:01:39.998  finger 0  slip end    p nan  sensor to event 2.0 ms",
         "1970-01-01 00:00:01.000  finger 2  barometer 3 stuck begins",
@@ -78,19 +78,14 @@ def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.
 
 
 def test_as_json_each_event_is_one_object_and_unknown_numbers_are_null(run: Run) -> None:
-    onset, end, begins, ends = objects(run, slips(run.clock.now() - 12 * ms), FAULTS)
+    onset, end, begins, ends, *limits = objects(run, slips(run.clock.now() - 12 * ms), FAULTS, SATURATED)
     about = {"finger": "0", "time": "1970-01-01T00:01:39.988000000Z"}
     assert onset == {"event": "slip_onset", "p": 0.931, "latency_ms": 12.0, **about}
     assert (end["event"], end["p"]) == ("slip_end", None)
     about = {"finger": "2", "time": "1970-01-01T00:00:01.000000000Z"}
     assert begins == {"event": "fault_begins", "barometer": 3, "fault": "stuck", **about}
     assert ends["event"] == "fault_ends"
-    saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
-    assert [each["event"] for each in objects(run, saturated)] == ["limit_begins", "limit_ends"]
-
-
-def test_as_json_a_replay_names_its_recording_and_has_no_latency(run: Run) -> None:
-    assert "recording" not in objects(run, slips(0))[0]
+    assert [each["event"] for each in limits] == ["limit_begins", "limit_ends"]
     run.live, run.recording = False, "stroke-9"
     found = objects(run, slips(0), FAULTS)
     assert [each["recording"] for each in found] == ["stroke-9"] * 4

@@ -15,28 +15,6 @@ TRACE = "t,p0,p1,p2,p3,p4,p5,slip\n" + "".join(
 )
 
 
-def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> None:
-    (tmp_path / "lab.csv").write_text(TRACE)
-    checked = slipflow("import", "lab.csv", "out", "--dry-run", cwd=tmp_path)
-    assert checked.returncode == 0, checked.stderr
-    assert "counts   p0 p1 p2 p3 p4 p5  (raw, recognised by name)" in checked.stdout
-    assert "labels of the file: 150 slip, 150 static" in checked.stdout
-    assert "dry run: nothing written" in checked.stderr
-    assert not (tmp_path / "out").exists()
-    (tmp_path / "pad.toml").write_text('time = "t"\ncounts.2 = "p0..p5"\nlabel = "slip"\nrate = 100')
-    done = slipflow("import", "lab.csv", "out", "--map", "pad.toml", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    [file] = json.loads(done.stdout)["files"]
-    assert (file["state"], file["recognised"], file["fingers"]) == ("written", [], [2])
-    samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
-    assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
-    judged = slipflow("evaluate", "out", "--split", "all", "--method", "paper_tcn", "--json", cwd=tmp_path)
-    assert judged.returncode == 0, judged.stderr
-    exported = slipflow("export", "out", "frames", "--to", "lerobot", cwd=tmp_path)
-    assert exported.returncode == 0, exported.stderr
-    assert "1 episode (train 0:1)" in exported.stdout
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

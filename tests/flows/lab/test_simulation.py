@@ -221,13 +221,14 @@ def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.usefixtures("few")
 def test_the_command_prints_the_number_of_sessions(tmp_path: Path, tiny: Path) -> None:
     out = tmp_path / "data"
     done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1")
     assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"{out}: 12 sessions (9 for train, 1 for validation, 2 for test)\n"
-    assert hashes(out) == hashes(tiny)
+    assert done.stdout == f"{out}: 3 sessions (1 for train, 1 for validation, 1 for test)\n"
+    assert hashes(out).items() <= hashes(tiny).items()
     assert error("simulate", out, "--plan", "tiny").startswith(f"{out}: exists already: give another name")
-    done = slipflow("simulate", tmp_path / "more", "--plan", "tiny", "--json")
+    done = slipflow("simulate", tmp_path / "more", "--plan", "tiny", "--jobs", "1", "--json")
     found = json.loads(done.stdout)
-    assert (found["plan"], found["seed"], sum(found["sessions"].values())) == ("tiny", 0, 12)
+    assert (found["plan"], found["seed"], sum(found["sessions"].values())) == ("tiny", 0, 3)
