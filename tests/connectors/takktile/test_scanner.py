@@ -11,38 +11,12 @@ import pytest
 from smbus2 import SMBus
 
 from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
-from connectors.takktile.takktile_protocol import Coefficients
+from connectors.takktile.takktile_protocol import Coefficients, Reading
 from operators.batch import Counts, us
-from tests.emulators.i2c_bus import (
-    Cell,
-    Defect,
-    EmulatedI2cBus,
-    Fingertip,
-    served,
-)
+from tests.connectors.takktile.takktile_rig import PATH, Bus
+from tests.emulators.i2c_bus import Cell, Defect, Fingertip, served
 
-PATH = "/dev/i2c-1"
 CELL, ALL = 0x60, 0x06
-
-
-class Skin:
-    """Counts that depend on finger, cell and number of the conversion."""
-
-    def __init__(self) -> None:
-        self.conversions = dict.fromkeys(range(8), 0)
-        self._times = dict.fromkeys(range(8), 0)
-
-    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        if time > self._times[finger]:
-            self._times[finger], self.conversions[finger] = time, self.conversions[finger] + 1
-        return self.pressure(finger), self.temperature(finger)
-
-    def pressure(self, finger: int) -> Counts:
-        cells = 300 + 13 * finger + 31 * np.arange(6) + self.conversions[finger] % 11
-        return cells.astype(np.int16)
-
-    def temperature(self, finger: int) -> Counts:
-        return (480 + 5 * finger + 3 * np.arange(6) + self.conversions[finger] % 3).astype(np.int16)
 
 
 class Rig:
@@ -52,10 +26,8 @@ class Rig:
     fingers = (4, 5)
 
     def __init__(self) -> None:
-        self.skin = Skin()
-        self.bus = EmulatedI2cBus(
-            self.skin, dict(zip(self.rows, self.fingers, strict=True)), conversion=50 * us
-        )
+        self.bus = Bus(dict(zip(self.rows, self.fingers, strict=True)))
+        self.skin = self.bus.skin
         self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
@@ -66,10 +38,13 @@ class Rig:
         """Check that valid cells have the counts of the last conversion."""
         for fingertip, finger in enumerate(self.fingers):
             valid = scan.valid[fingertip]
-            np.testing.assert_array_equal(scan.counts[fingertip][valid], self.skin.pressure(finger)[valid])
+            np.testing.assert_array_equal(scan.counts[fingertip][valid], self.pressure(finger)[valid])
             np.testing.assert_array_equal(
                 scan.temperature[fingertip][valid], self.skin.temperature(finger)[valid]
             )
+
+    def pressure(self, finger: int) -> Counts:
+        return self.skin.pressure(finger, self.skin.conversions)
 
     def sound(self, scan: Scan) -> None:
         """Check that all cells are valid and right."""
@@ -86,6 +61,23 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
         yield rig
 
 
+def test_an_emulated_cell_shows_its_previous_sample_until_a_conversion_ends() -> None:
+    cell = Cell(bytes(8), 3000, lambda now: (now, 500))
+    for begun in (100, 5000):
+        cell.write(b"\x12\1", begun)
+        for now, seen in ((begun + 2999, 0 if begun == 100 else 100), (begun + 3000, begun % 1024)):
+            cell.write(b"\0", now)
+            assert Reading.decode(cell.read(4, now)).pressure == seen
+
+
+def test_two_connected_cells_answer_together_as_the_logical_and(rig: Rig) -> None:
+    with SMBus(PATH) as client:
+        for cell, data in ((0, 0b1100), (1, 0b1010)):
+            rig.bus.fingertips[0].cells[cell].registers[0] = data
+            client.write_quick(cell)
+        assert client.read_i2c_block_data(CELL, 0, 1) == [0b1000]
+
+
 def invalid(scan: Scan) -> list[tuple[int, int]]:
     return [(int(fingertip), int(cell)) for fingertip, cell in np.argwhere(~scan.valid)]
 
@@ -99,7 +91,7 @@ def test_a_scan_has_the_counts_of_one_conversion(rig: Rig) -> None:
             rig.sound(scan)
             assert before <= scan.time <= time_ns()
             times.append(scan.time)
-    assert rig.skin.conversions[4] == rig.skin.conversions[5] == 3
+    assert rig.skin.conversions == 3
 
 
 @pytest.mark.parametrize("number", [121, 6, 110, 5, 19])
@@ -142,7 +134,7 @@ def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> N
             cell.overload = overload
             scan = scanner.scan()
             seen.append(bool(scan.valid[0, 3]))
-            assert scan.counts[0, 3] == (rig.skin.pressure(4)[3] - overload) % 1024
+            assert scan.counts[0, 3] == (rig.pressure(4)[3] - overload) % 1024
             assert scan.valid.sum() == 11 + seen[-1]
         assert seen == [True, True, True, False, False, False, True, True]
 

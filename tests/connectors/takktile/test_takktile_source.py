@@ -4,67 +4,35 @@ import asyncio
 import json
 import logging
 import threading
-from collections.abc import AsyncGenerator, Callable, Iterator
+from collections.abc import AsyncGenerator, Iterator
 from contextlib import aclosing
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from connectors import TakkTile
+from connectors.takktile.scanner import Scan, Scanner, next_scan
 from flows.run.clocks import LoopClock
 from operators import Clock, EndpointError, ParameterError, Touch, us
-from operators.batch import Counts, concat
-from tests.emulators.i2c_bus import EmulatedI2cBus, served
+from operators.batch import concat
+from tests.connectors.takktile.takktile_rig import PATH, Bus
+from tests.emulators.i2c_bus import served
+from tests.waiting import until
 
-PATH = "/dev/i2c-1"
 SILENT = f"{PATH}: no fingertip answers: check the power and the rows (errno 121)"
 
 
-class Skin:
-    """Counts that depend on finger and cell; functions can be called at given conversions."""
-
-    def __init__(self) -> None:
-        self.conversions = 0
-        self.then: dict[int, Callable[[], None]] = {}  # by number of the conversion
-        self._time = 0
-
-    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
-        if time != self._time:
-            self._time, self.conversions = time, self.conversions + 1
-            if happen := self.then.get(self.conversions):
-                happen()
-        return pressure(finger), np.full(6, 507, np.int16)
-
-
-def pressure(finger: int) -> Counts:
-    return (400 + 10 * finger + np.arange(6)).astype(np.int16)
-
-
-class Rig:
-    """Bus with the fingers 0, 1 and 2 at rows 0, 1 and 5."""
-
-    def __init__(self) -> None:
-        self.skin = Skin()
-        self.bus = EmulatedI2cBus(self.skin, {0: 0, 1: 1, 5: 2}, conversion=200 * us)
-
-    def source(
-        self,
-        rows: tuple[int, ...] = (0,),
-        fingers: tuple[int, ...] | None = None,
-        rate: float = 250.0,
-    ) -> TakkTile:
-        return TakkTile(1, rows, fingers=fingers, rate=rate)
-
-
 @pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
-    """Yield a bus with short conversions; check that no thread is left."""
-    monkeypatch.setattr("connectors.takktile.scanner.CONVERSION", 300 * us)
-    rig = Rig()
-    with served(rig.bus, PATH):
-        yield rig
+def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
+    """Yield a bus with the fingers 0, 1 and 2 at rows 0, 1 and 5; check that no thread is left."""
+    monkeypatch.setattr("connectors.takktile.scanner.CONVERSION", 100 * us)
+    bus = Bus({0: 0, 1: 1, 5: 2})
+    with served(bus, PATH):
+        yield bus
     for thread in threads():
         thread.join(10.0)
     assert not threads()
@@ -85,12 +53,14 @@ async def take(batches: AsyncGenerator[Touch], count: int) -> list[Touch]:
 async def lost(batches: AsyncGenerator[Touch]) -> tuple[list[Touch], str]:
     """Return the batches of a source until it fails, and the error."""
     taken = list[Touch]()
-    try:
-        async for touch in batches:
-            taken.append(touch)
-    except EndpointError as error:
-        return taken, str(error)
-    raise AssertionError("it ended")
+    with pytest.raises(EndpointError) as caught:
+        await gather(batches, taken)
+    return taken, str(caught.value)
+
+
+async def gather(batches: AsyncGenerator[Touch], taken: list[Touch]) -> None:
+    async for touch in batches:
+        taken.append(touch)  # noqa: PERF401 - of what came before an error
 
 
 def counted(source: TakkTile) -> dict[str, int]:
@@ -99,35 +69,36 @@ def counted(source: TakkTile) -> dict[str, int]:
 
 @pytest.mark.parametrize(("rows", "fingers"), [((0,), (7,)), ((0, 1, 5), (0, 1, 2))])
 async def test_one_or_three_fingertips_are_scanned_100_times_a_second(
-    rig: Rig, rows: tuple[int, ...], fingers: tuple[int, ...]
+    bus: Bus, rows: tuple[int, ...], fingers: tuple[int, ...]
 ) -> None:
-    source, clock = rig.source(rows=rows, fingers=fingers, rate=100.0), LoopClock()
+    source, clock = TakkTile(1, rows, fingers=fingers), LoopClock()
     begun = clock.now()
     async with aclosing(stream(source, clock)) as batches:
         taken = await take(batches, 30 * len(rows))
     assert [touch.finger for touch in taken] == [*fingers] * 30
-    for finger, is_ in zip(fingers, range(3), strict=False):
+    for index, finger in enumerate(fingers):
         touch = concat(Touch, [each for each in taken if each.finger == finger]).check()
         assert touch.valid.all()
         assert begun < touch.time[0]
         assert (np.diff(touch.time) > 0).all()
         assert touch.time[-1] <= clock.now()
-        assert (touch.counts == pressure(is_)).all()
-        assert (touch.temperature == 507).all()
+        expected = [bus.skin.pressure(index, row + 1) for row in range(30)]
+        np.testing.assert_array_equal(touch.counts, expected)
+        assert (touch.temperature == bus.skin.temperature(index)).all()
     assert len({touch.time.item() for touch in taken}) == 30  # all fingertips convert at once
 
 
-async def test_closing_the_source_disconnects_all_cells_and_ends_its_thread(rig: Rig) -> None:
-    async with aclosing(stream(rig.source())) as batches:
+async def test_closing_the_source_disconnects_all_cells_and_ends_its_thread(bus: Bus) -> None:
+    async with aclosing(stream(TakkTile(rate=250.0))) as batches:
         await take(batches, 3)
         assert len(threads()) == 1
     assert not threads()
-    assert not any(tip.connected for tip in rig.bus.fingertips.values())
+    assert not any(tip.connected for tip in bus.fingertips.values())
 
 
-async def test_an_unplugged_sensor_fails_and_is_found_again(rig: Rig) -> None:
-    source, clock = rig.source(), LoopClock()
-    rig.skin.then[20] = rig.bus.unplug
+async def test_an_unplugged_sensor_fails_and_is_found_again(bus: Bus) -> None:
+    source, clock = TakkTile(rate=250.0), LoopClock()
+    bus.skin.then[20] = bus.unplug
     taken, why = await lost(stream(source, clock))
     assert why == SILENT
     assert [bool(touch.valid.all()) for touch in taken[:19]] == [True] * 19
@@ -137,29 +108,29 @@ async def test_an_unplugged_sensor_fails_and_is_found_again(rig: Rig) -> None:
     assert counted(source)["silent"] >= len(taken[19:])
 
     assert await lost(stream(source, clock)) == ([], SILENT)
-    rig.bus.plug()
+    bus.plug()
     async with aclosing(stream(source, clock)) as batches:
         assert (await anext(batches)).valid.all()
 
 
 @pytest.mark.parametrize("number", [6, 19])
-async def test_a_replugged_adapter_is_opened_again(rig: Rig, number: int) -> None:
-    source, clock = rig.source(), LoopClock()
-    rig.skin.then[5] = lambda: rig.bus.remove(number)
+async def test_a_replugged_adapter_is_opened_again(bus: Bus, number: int) -> None:
+    source, clock = TakkTile(rate=250.0), LoopClock()
+    bus.skin.then[5] = lambda: bus.remove(number)
     _, why = await lost(stream(source, clock))
     assert f"(errno {number})" in why
-    rig.bus.restore()
+    bus.restore()
     async with aclosing(stream(source, clock)) as batches:
         assert (await anext(batches)).valid.all()
 
 
 async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(
-    rig: Rig, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    bus: Bus, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("connectors.takktile.scanner.TIMEOUT", 0.5)
     with caplog.at_level(logging.WARNING):
-        source = rig.source()
-        rig.skin.then[5] = rig.bus.wedge
+        source = TakkTile(rate=250.0)
+        bus.skin.then[5] = bus.wedge
         taken, why = await lost(stream(source))
         assert 4 <= len(taken) <= 5
         assert "is blocked" in why
@@ -167,15 +138,61 @@ async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(
             assert "reset a blocked adapter" in (await lost(stream(source, clock)))[1]
             assert len(threads()) == 1
         [blocked] = threads()
-        rig.bus.release()
+        bus.release()
         await asyncio.to_thread(blocked.join, 10.0)
         async with aclosing(stream(source, clock)) as batches:
             assert (await anext(batches)).valid.all()
     assert [record.message for record in caplog.records] == ["/dev/i2c-1: abandoned a blocked thread"]
 
 
-async def test_the_description_is_live_and_plain_data(rig: Rig) -> None:
-    source = rig.source(rows=(0, 5), fingers=(0, 4))
+async def test_scans_beyond_the_backlog_are_missed(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.takktile.scanner.BACKLOG", 5)
+    source = TakkTile(rate=300.0)
+    async with aclosing(stream(source)) as batches:
+        await anext(batches)
+        await until(lambda: counted(source)["made"] >= 6)
+        before = counted(source)["missed"]
+        await until(lambda: counted(source)["missed"] >= before + 10)
+        assert counted(source)["made"] == 6
+
+
+async def test_an_error_of_the_program_comes_after_the_scans_before_it(
+    bus: Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(_: Scanner) -> Scan:
+        monkeypatch.undo()
+        raise ZeroDivisionError("oh")
+
+    bus.skin.then[3] = lambda: monkeypatch.setattr(Scanner, "scan", broken)
+    taken = list[Touch]()
+    with pytest.raises(ZeroDivisionError, match="oh"):  # no failure of the device: not retried
+        await gather(stream(TakkTile()), taken)
+    assert len(taken) == 3
+
+
+def test_a_thread_without_its_loop_ends(bus: Bus) -> None:  # which the fixture checks
+    async def main() -> AsyncGenerator[Touch]:
+        batches = stream(TakkTile())
+        await anext(batches)
+        return batches
+
+    loop = asyncio.new_event_loop()
+    loop.run_until_complete(main())
+    loop.close()
+    assert threads()
+
+
+@given(st.integers(0, 10**12), st.integers(0, 10**10), st.integers(1, 10**9))
+def test_the_schedule_skips_and_never_drifts(due: int, took: int, period: int) -> None:
+    then, missed = next_scan(due, due + took, period)
+    assert then - due == (1 + missed) * period
+    assert missed >= 0
+    assert then > due + took - period  # it can still begin within its own period
+    assert missed == 0 or then <= due + took  # none is missed without need
+
+
+async def test_the_description_is_live_and_plain_data(bus: Bus) -> None:
+    source = TakkTile(1, (0, 5), fingers=(0, 4), rate=250.0)
     described = source.describe()
     before = json.loads(json.dumps(dict(described)))
     assert before["coefficients"] == {"0": [None] * 6, "4": [None] * 6}
