@@ -27,6 +27,7 @@ class Lab:
     server: GripperServer
     run: Run
     asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
+    answered: list[bytes]  # the same
 
     def gripper(self, **parameters: Any) -> Gripper:
         """Return a sink."""
@@ -59,18 +60,20 @@ class Lab:
 @asynccontextmanager
 async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> AsyncGenerator[Lab]:
     """Serve a gripper for a block."""
-    loop, asked = asyncio.get_running_loop(), list[tuple[float, bytes]]()
+    loop, asked, answered = asyncio.get_running_loop(), list[tuple[float, bytes]](), list[bytes]()
     begun = loop.time()
     server = GripperServer(host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters)
 
     def listen(sending: bool, data: bytes) -> bytes:
-        if data and not sending:
+        if sending:
+            answered.append(data[2:])
+        elif data:
             asked.append((loop.time(), data[2:]))
         return data
 
     server.trace = listen
     async with server:
-        yield Lab(server, Run("run1", "live", LoopClock(), 0), asked)
+        yield Lab(server, Run("run1", "live", LoopClock(), 0), asked, answered)
 
 
 def commands(*forces: float) -> Commands:

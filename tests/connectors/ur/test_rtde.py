@@ -2,9 +2,6 @@
 
 import asyncio
 import logging
-from collections.abc import Callable
-from contextlib import suppress
-from functools import partial
 from itertools import pairwise
 from unittest.mock import MagicMock, patch
 
@@ -13,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.ur import rtde
-from connectors.ur.rtde import Kind, RtdeClient, RtdeError, Version, granted_recipe, pack, text
+from connectors.ur.rtde import Kind, RtdeClient, RtdeError, Version, pack
 from connectors.ur.ur_motion import OUTPUTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
@@ -73,15 +70,6 @@ def test_versions_travel_as_four_numbers() -> None:
         Version.read(bytes(12))
 
 
-@pytest.mark.parametrize("parse", [Version.read, partial(granted_recipe, OUTPUTS), text])
-@given(payload=st.binary(max_size=600))
-def test_rubbish_in_a_payload_is_an_error_of_our_own_or_none(
-    parse: Callable[[bytes], object], payload: bytes
-) -> None:
-    with suppress(RtdeError):
-        parse(payload)
-
-
 @given(st.lists(st.integers(0, 700), max_size=20))
 def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
     stream = b"".join([*ANSWERS, *(pack(Kind.DATA, payload) for payload in DATA)])
@@ -92,8 +80,11 @@ def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
 
 @given(st.binary(max_size=2000))
 def test_rubbish_is_an_error(data: bytes) -> None:
-    received, reason, _ = fed([data])
-    assert (received, bool(reason)) == (b"", True)
+    kinds = Kind.PROTOCOL, Kind.CONTROLLER, Kind.OUTPUTS, Kind.START, Kind.DATA
+    rubbish = [data, *(b"".join([*ANSWERS[:k], pack(kind, data)]) for k, kind in enumerate(kinds))]
+    for sent in rubbish:
+        received, reason, _ = fed([sent])
+        assert (received, bool(reason)) == (b"", True)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The command `slipflow collect`."""
 
-import importlib.util
 import json
 import re
 import signal
@@ -10,12 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from flows.graph.validation import problems
 from tests.command import SLIPFLOW, error, slipflow
 
-NEEDS_UR = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
 SPHERE = """
 speeds = ["50mm/s"]
 repeats = 1
@@ -65,27 +61,6 @@ def test_a_printed_plan_is_a_plan(tmp_path: Path) -> None:
     again = slipflow("collect", plan(tmp_path, done.stdout), "--print", cwd=tmp_path)
     assert again.stdout == done.stdout
     assert 'speeds = ["50mm/s"' in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["grand", "--dry-run"], "one of paper, tiny, wide"),
-        (["mine.toml", "--dry-run"], "mine.toml: path.depth is '2', must be a length with its unit"),
-        (["tiny"], "--robot HOST"),
-        (["both.toml", "--virtual"], "has several surfaces; the virtual arm has one"),
-        pytest.param(["tiny", "--robot", "127.0.0.1", "--rows", "a"], "must be row numbers", marks=NEEDS_UR),
-        pytest.param(["tiny", "--robot", "127.0.0.1:x"], "rtde://", marks=NEEDS_UR),
-    ],
-)
-def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], reason: str, tmp_path: Path) -> None:
-    plan(tmp_path, "[path]\ndepth = '2'")
-    (tmp_path / "both.toml").write_text("[[surfaces]]\n[[surfaces]]\npose = [1, 0, 0, 3, 0, 0]")
-    done = slipflow("collect", *arguments, cwd=tmp_path)
-    assert done.returncode == 2
-    line = done.stderr.splitlines()[-1]  # after progress messages
-    assert line.startswith("error: ")
-    assert reason in line
 
 
 def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:

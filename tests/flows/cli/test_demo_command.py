@@ -6,10 +6,7 @@ import signal
 import subprocess
 from pathlib import Path
 
-import pytest
-
-from tests.command import SLIPFLOW, slipflow
-from tests.connectors.mqtt.broker_process import TestBroker
+from tests.command import SLIPFLOW
 from tests.connectors.web.reading import listening
 from tests.waiting import PATIENCE, until
 
@@ -39,11 +36,3 @@ def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -
     output, _ = process.communicate(timeout=5 * PATIENCE)
     assert process.returncode == 0
     assert re.search(r"\d+ true slips: \d+ detected, \d+ missed", output)
-
-
-@pytest.mark.broker
-def test_a_requested_broker_that_refuses_is_a_one_line_error(tmp_path: Path) -> None:
-    with TestBroker(tmp_path, "allow_anonymous false") as broker:
-        done = slipflow("demo", "--mqtt", broker.url, "--for", "8s", cwd=tmp_path)
-        assert done.returncode == 2
-        assert done.stderr.splitlines()[-1].startswith(f"error: {broker.url}: ")

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tests.command import error, slipflow
+from tests.command import slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
 
 FLOW = """
@@ -59,7 +59,3 @@ def test_without_a_flow_the_machine_is_checked(tmp_path: Path) -> None:
     assert {each["part"] for each in found} == {"machine"}
     assert {"Python", "slipflow", "clock", "I2C"} < {each["subject"] for each in found}
     assert any(str(tmp_path / "recordings") in each["subject"] for each in found)
-
-
-def test_parameters_need_a_flow() -> None:
-    assert error("doctor", "--set", "a=1") == "--set requires a flow"

@@ -51,14 +51,3 @@ def test_without_a_method_ours_and_its_rivals_run_each_with_its_rule(tmp_path: P
     assert methods == [*ours, "paper, real objects"]
     assert "no figures, which need matplotlib" in done.stderr
     assert "nan" not in (tmp_path / "lift.md").read_text()
-
-
-def test_an_unknown_experiment_object_or_rule_is_named(tmp_path: Path) -> None:
-    for words, text in (
-        (["drop"], "name is 'drop', must be one of tap, lift"),
-        (["tap", "--object", "egg"], "object is 'egg', must be one of box"),
-        (["tap", "--method", "psd:best"], "rule is 'best', must be one of ours, steps, none"),
-    ):
-        done = slipflow("experiment", *words, "--out", str(tmp_path))
-        assert done.returncode == 2
-        assert text in done.stderr

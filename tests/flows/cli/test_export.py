@@ -3,9 +3,7 @@
 import json
 from pathlib import Path
 
-import pytest
-
-from tests.command import error, slipflow
+from tests.command import slipflow
 from tests.storage.made import session_names
 
 
@@ -27,16 +25,3 @@ def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
         "/motion",
     ]
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "out" / f"{names[0]}.mcap").read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["export", "nowhere", "out", "--to", "lerobot"], "nowhere: there is no such folder"),
-        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot or mcap"),
-        (["export", "nowhere", "out", "--to", "mcap", "--rate", "5"], "--rate requires --to lerobot"),
-    ],
-)
-def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: str, tmp_path: Path) -> None:
-    assert message in error(*arguments, cwd=tmp_path)
-    assert list(tmp_path.iterdir()) == []

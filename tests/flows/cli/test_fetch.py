@@ -14,11 +14,6 @@ def test_without_a_name_the_recipes_are_listed_with_size_licence_and_citation() 
     assert "  47 recordings, 122 MB; licence: none\n  cite: nomadik" in done.stdout
 
 
-def test_errors_are_one_line(tmp_path: Path) -> None:
-    assert "NAME is 'stroke', must be one of grasps, strokes" in error("fetch", "stroke", tmp_path / "out")
-    assert "OUT is None, must be the folder of the new dataset" in error("fetch", "grasps")
-
-
 ADDRESSES = (
     "http://[::1",
     "http://host:port/x",

@@ -6,36 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pytest
 
-from tests.command import error, slipflow
+from tests.command import slipflow
 
 TRACE = "t,p0,p1,p2,p3,p4,p5,slip\n" + "".join(
     f"{k / 100},{','.join(str(500 + (k + c) % 5) for c in range(6))},{k // 50 % 2}\n" for k in range(300)
 )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["import", "lab.csv", "out", "--map", "time"], "must be written as time=t,counts=p0..p5"),
-        (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: has '500', '501'"),
-        (["import", "lab.csv", "out", "--map", "mine.toml"], "mine.toml: cannot be read: No such file"),
-        (["import", "lab.csv", "out", "--map", "rate=soon"], "rate is 'soon', must be a number"),
-        (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
-        (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
-        (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
-        (["import", "lab.csv", "out", "--map", "layout=3x3"], "must be of 6 cells"),
-        (["import", "lab.csv", "lab.csv", "out", "--session", "x"], "left out if there are several files"),
-        (["import", "lab.csv", "lab.csv"], "OUT is 'lab.csv', must be a folder: the last argument is"),
-        (["import", "lab.csv", "lab.csv", "out"], "has the same session name as lab.csv"),
-        (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
-    ],
-)
-def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: str, tmp_path: Path) -> None:
-    (tmp_path / "lab.csv").write_text(TRACE)
-    assert message in error(*arguments, cwd=tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
 
 
 def test_rising_counts_with_a_stated_range_are_not_taken_for_falling_ones(tmp_path: Path) -> None:

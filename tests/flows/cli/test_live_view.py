@@ -14,7 +14,6 @@ from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
 from operators import Debounce, Scores, Slips, Touch, Zero
-from tests.command import slipflow
 from tests.waiting import PATIENCE
 
 
@@ -82,17 +81,6 @@ def test_a_browser_is_opened_only_if_no_program_reads_the_output(
     announce_page("page", "http://two", "http://two", browse=False)
     announce_page("page", "http://three", "http://three/?token=secret", browse=True)
     assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
-
-
-def test_a_page_for_other_machines_without_a_token_is_a_one_line_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("SLIPFLOW_PAGE_TOKEN", raising=False)
-    trace = tmp_path / "trace.csv"
-    trace.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(20)))
-    done = slipflow("run", "live", "--replay", trace, "--pace", "1", "--listen", "0.0.0.0:0")
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("error: Page: token is None, must be set")
 
 
 def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are() -> None:

@@ -11,7 +11,7 @@ from time import monotonic, sleep
 import polars as pl
 import pytest
 
-from tests.command import SLIPFLOW, error, slipflow
+from tests.command import SLIPFLOW, slipflow
 
 HEADER = "t,s1,s2,s3,s4,s5,s6"
 
@@ -46,30 +46,6 @@ def test_a_trace_of_another_rate_is_refused_with_the_operator_that_converts_it(t
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
     assert done.returncode == 2
     assert "psd needs 100 Hz; the data has 200 Hz: Resample(rate=100)" in done.stderr
-
-
-def test_other_invalid_input_is_a_one_line_error(tmp_path: Path) -> None:
-    here = shaking(tmp_path)
-    wrong = tmp_path / "wrong.csv"
-    wrong.write_text("a,b\n1,2\n")
-    broken = tmp_path / "broken.py"
-    broken.write_text("def broken(:\n")
-    assert "nowhere.py: there is no such file" in error("run", "nowhere.py")
-    assert "broken.py:1: invalid syntax" in error("run", str(broken))
-    assert "missing.csv" in error("run", "live", "--replay", str(tmp_path / "missing.csv"))
-    assert "wrong.csv" in error("run", "live", "--replay", str(wrong))
-    assert str(tmp_path / "none") in error("run", "live", "--replay", str(tmp_path / "none"))
-    assert "oracle: is not a detector: give " in error("check", "live", "--set", "detector=oracle")
-    assert error("check", "live", "--set", "seeds=1").startswith(
-        "live: has no parameter 'seeds'; did you mean 'seed'? It has detector, broker, "
-    )
-    assert "has no motion stream" in error("run", "record", "--replay", here)
-
-
-def test_an_unwritable_output_is_an_error_before_the_run(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    line = error("run", "record", "--set", f"out={tmp_path / 'file'}", "--for", "1s")
-    assert str(tmp_path / "file") in line
 
 
 def test_a_missing_broker_is_a_one_line_error(tmp_path: Path) -> None:
@@ -128,26 +104,3 @@ def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
     samples = pl.read_parquet(f"{out}/sessions/*/samples/*.parquet")
     assert len(samples) > 100
     assert samples["label"].is_in([-1, 0, 1]).all()
-
-
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        ("--for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 1h or 30d"),
-        ("--pace 2", "--pace is for replays: add --replay PATH"),
-        ("--jobs 2", "--jobs is for replays at full speed: add --replay PATH"),
-        ("--cluster tcp://x:1", "--cluster is for replays at full speed: add --replay PATH"),
-        ("--replay x.csv --log json", "--log json is for a run in real time: add --pace 1"),
-        ("--replay x.csv --jobs 2 --page", "--jobs is for replays at full speed: omit --page"),
-        ("--replay x.csv --jobs 2 --pace 1", "--jobs is for replays at full speed: omit --pace"),
-        ("--replay x.csv y.csv --pace 1", "a further recording is for replays at full speed: omit --pace"),
-        ("--replay . --cluster tcp://x:1 --jobs 2", "workers: jobs is 2, must be omitted with a cluster"),
-        ("--set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
-        ("--set =1", "--set : write it as NAME=VALUE"),
-        ("--listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
-        ("--metrics ::1:80", "--metrics ::1:80: write it as PORT or HOST:PORT"),
-        ("--listen 99999", "--listen 99999: write it as PORT or HOST:PORT"),
-    ],
-)
-def test_incompatible_options_are_a_one_line_error(words: str, line: str) -> None:
-    assert error("run", "live", *words.split()).startswith(line)

@@ -120,13 +120,6 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_and_labelled_wit
     assert [each.value for each in session.hand_labels().spans] == ["slip"]
 
 
-def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:
-    done = slipflow("show", tmp_path)
-    assert done.returncode == 2
-    [line] = done.stderr.splitlines()
-    assert line.startswith(f"error: {tmp_path}: is not a session")
-
-
 @pytest.mark.parametrize("token", [None, "short"])
 def test_an_invalid_token_is_an_error_before_anything_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str | None

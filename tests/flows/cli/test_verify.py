@@ -80,9 +80,3 @@ def test_the_other_sessions_are_repaired_if_one_cannot_be(
     assert found["repaired"] == [{"session": "crashed", "rows": {"touch": 5}}]
     assert "session.json: is not valid JSON" in done.stderr
     assert "a-link: is a link; a session must have none" in done.stderr
-
-
-def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
-    done = slipflow("verify", tmp_path / "nowhere", "--repair")
-    assert done.returncode == 2
-    assert "nowhere: there is no such folder" in done.stderr

@@ -7,7 +7,7 @@ import pytest
 from connectors import Event
 from connectors.events import timestamp
 from operators import s
-from tests.command import SLIPFLOW, slipflow
+from tests.command import SLIPFLOW
 from tests.connectors.mqtt.broker_process import TestBroker
 
 pytestmark = pytest.mark.broker
@@ -73,11 +73,3 @@ def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
     assert watch.stderr.readline().startswith(f"ignoring malformed message: slip/v1/lab/{rig}/1/event: ")
     watch.terminate()
     watch.communicate()
-
-
-@pytest.mark.parametrize("options", [["mqtt://127.0.0.1:1"], ["localhost"], ["--since", "yesterday"]])
-def test_a_usage_error_is_one_line_and_exit_code_2(options: list[str]) -> None:
-    done = slipflow("watch", *options)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert done.stderr

@@ -2,7 +2,6 @@
 
 import asyncio
 import hashlib
-import json
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -162,29 +161,6 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> N
     assert [path.name for path in out.iterdir()] == ["chapter.txt"]
 
 
-def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Path, write: Write) -> None:
-    lines = [f"{k / 50},{counts(0)},{k / 100},{k % 2}" for k in range(11)]
-    path = write(f"T,{CELLS},force,contact", lines)
-    trace_import = read(path, tmp_path / "out", ColumnMap.parse("label=contact,speed=force"))
-    found = trace_import.summary()
-    assert json.loads(json.dumps(found)) == found
-    assert found["recognised"] == ["time", "counts"]
-    assert found["labels"] == {"slip": 5, "static": 6, "unknown": 0}
-    assert (found["seconds"], found["rate"]) == (0.2, pytest.approx(50))
-    assert trace_import.report().splitlines() == [
-        f"{path}: 11 rows, 0.2 s, 50.0 Hz",
-        "  time     T  (s, recognised by name)",
-        "  counts   s1 s2 s3 s4 s5 s6  (raw, recognised by name)",
-        "  speed    force  (m/s)",
-        "  label    contact",
-        "  readings from 495 to 500 counts",
-        "  the arm moves in 10 of 11 rows, above 0.003 m/s, at up to 0.1 m/s",
-        "  labels of the file: 5 slip, 6 static",
-        f"session trace of {tmp_path / 'out'}, finger 0",
-    ]
-    assert not (tmp_path / "out").exists()
-
-
 def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Write) -> None:
     lines = [f"{k / 100},{counts(0)},{40 if k > 4 else 0}" for k in range(9)]
     path = write(f"t,{CELLS},v", lines)
@@ -252,17 +228,6 @@ def test_files_are_imported_one_by_one_with_the_resolution_of_the_dataset(tmp_pa
         assert touch.counts[:, 1] * fingertip.resolution == pytest.approx(expected, abs=0.00501)
 
 
-def test_a_bad_file_does_not_stop_the_others_and_is_an_error_alone(tmp_path: Path) -> None:
-    bad, good = put(tmp_path / "bad.parquet", time="clock"), put(tmp_path / "good.parquet")
-    first, second = imports([bad, good], tmp_path / "out")
-    assert second.state == "written"
-    assert str(first).startswith(f"{bad}: no column is recognised as time; state time=...")
-    with pytest.raises(
-        InputError, match=r"no column is recognised as time.* try --map time=clock,counts=p0,p1"
-    ):
-        imports([bad], tmp_path / "out")
-
-
 def test_a_file_that_the_dataset_has_is_left_out(tmp_path: Path) -> None:
     path, out = put(tmp_path / "a.parquet"), tmp_path / "out"
     imports([path], out)
@@ -272,18 +237,6 @@ def test_a_file_that_the_dataset_has_is_left_out(tmp_path: Path) -> None:
     put(path, low=80)
     with pytest.raises(InputError, match="already has a session 'a' of another file: rename the file"):
         imports([path], out)
-
-
-def test_the_columns_of_like_files_are_reported_once(tmp_path: Path) -> None:
-    paths = [put(tmp_path / f"{name}.parquet") for name in "ab"]
-    first, second = imports(paths, tmp_path / "out", dry_run=True)
-    assert (first.state, second.state) == ("checked", "checked")
-    assert "  counts   p0 p1" in first.report()
-    assert second.report(short=True).splitlines()[:2] == [
-        f"{paths[1]}: 300 rows, 3.0 s, 100.0 Hz",
-        "  readings from 90 to 90.5 kPa",
-    ]
-    assert not (tmp_path / "out").exists()
 
 
 @given(cuts=st.lists(st.integers(0, 30), max_size=8))

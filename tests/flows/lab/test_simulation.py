@@ -156,14 +156,6 @@ def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(se
         assert 2 <= sum(groups[f"{curvature}-{speed}", "validation"] for speed in ("050", "075", "100")) <= 3
 
 
-@pytest.mark.slow
-def test_the_papers_plan_has_the_papers_size(tmp_path: Path) -> None:
-    done = simulate(tmp_path / "paper", "paper", 0)
-    labels = Counter(pl.read_parquet(f"{done}/sessions/*/samples/*.parquet")["label"].to_list())
-    assert abs(labels.total() - 266_502) < 5_000
-    assert abs(labels[0] / (labels[0] + labels[1]) - 0.54) < 0.02
-
-
 def test_an_interrupted_simulation_leaves_nothing(tmp_path: Path) -> None:
     def stop(done: int, of: int) -> None:
         if done == 2:

@@ -86,14 +86,3 @@ def test_the_seed_determines_the_order_of_directions() -> None:
         for seed in (0, 0, 1)
     ]
     assert orders[0] == orders[1] != orders[2]
-
-
-def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
-    for stroke in only(STROKES, Surface("sphere")).strokes:
-        down = stroke.approach[-1].end(PLACE)
-        (line,) = [step for step in stroke.contact if isinstance(step, Line)]
-        centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.path.depth)
-        for point in (down[:3], *(pose[:3] for pose in line.poses)):
-            assert math.dist(point, centre) == pytest.approx(0.06)
-        assert line.speed == 0.1
-        assert math.dist(down[:2], line.poses[-1][:2]) == pytest.approx(0.06)

@@ -1,0 +1,127 @@
+"""A mistake on the command line is one line that says what to do, with exit code 2; nothing is written."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+from tests.command import slipflow
+from tests.connectors.mqtt.broker_process import TestBroker
+
+NEEDS_UR = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
+ROWS = [f"{k / 100},{','.join(str(500 + (k + c) % 5) for c in range(6))},{k // 50 % 2}" for k in range(300)]
+FILES = {
+    "lab.csv": "\n".join(["t,p0,p1,p2,p3,p4,p5,slip", *ROWS, ""]),
+    "wrong.csv": "a,b\n1,2\n",
+    "broken.py": "def broken(:\n",
+    "mine.toml": "[path]\ndepth = '2'",
+    "both.toml": "[[surfaces]]\n[[surfaces]]\npose = [1, 0, 0, 3, 0, 0]",
+}
+MISTAKES = [
+    # usage
+    ("run live --fr 5s", "no such option: --fr. Did you mean --for? See slipflow run --help"),
+    ("run", "missing argument 'FILE[:FLOW]'. See slipflow run --help"),
+    ("run live --log xml", "invalid value for '--log': 'xml' is not one of 'text', 'json'. See slipflow run"),
+    ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
+    ("simulate out --seed x", "invalid value for '--seed': must be a valid integer. See slipflow simulate"),
+    ("simulate", "missing argument 'OUT'. See slipflow simulate --help"),
+    ("run live --pace 0", "invalid value for '--pace': must be greater than or equal to 0.01. See slip"),
+    # run and check
+    ("run nowhere.py", "nowhere.py: there is no such file"),
+    ("run broken.py", "broken.py:1: invalid syntax"),
+    ("run live --replay missing.csv", "missing.csv"),
+    ("run live --replay wrong.csv", "wrong.csv"),
+    ("run live --replay none", "none"),
+    ("run record --replay lab.csv", "has no motion stream"),
+    ("run record --set out=lab.csv --for 1s", "lab.csv"),
+    ("run live --replay lab.csv --pace 1 --listen 0.0.0.0:0", "Page: token is None, must be set"),
+    ("run live --for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 1h or 30d"),
+    ("run live --pace 2", "--pace is for replays: add --replay PATH"),
+    ("run live --jobs 2", "--jobs is for replays at full speed: add --replay PATH"),
+    ("run live --cluster tcp://x:1", "--cluster is for replays at full speed: add --replay PATH"),
+    ("run live --replay x.csv --log json", "--log json is for a run in real time: add --pace 1"),
+    ("run live --replay x.csv --jobs 2 --page", "--jobs is for replays at full speed: omit --page"),
+    ("run live --replay x.csv --jobs 2 --pace 1", "--jobs is for replays at full speed: omit --pace"),
+    ("run live --replay x.csv y.csv --pace 1", "a further recording is for replays at full speed: omit --pa"),
+    ("run live --replay . --cluster tcp://x:1 --jobs 2", "workers: jobs is 2, must be omitted with a cluste"),
+    ("run live --set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
+    ("run live --set =1", "--set : write it as NAME=VALUE"),
+    ("run live --listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
+    ("run live --metrics ::1:80", "--metrics ::1:80: write it as PORT or HOST:PORT"),
+    ("run live --listen 99999", "--listen 99999: write it as PORT or HOST:PORT"),
+    ("run live --set false_alarms=1/min", "run `slipflow calibrate tcn --on SESSIONS"),
+    ("check live --set detector=oracle", "oracle: is not a detector: give "),
+    (
+        "check live --set seeds=1",
+        "live: has no parameter 'seeds'; did you mean 'seed'? It has detector, brok",
+    ),
+    ("check record --set delay=70mm", "delay is '70mm', must be a time with its unit: 500ms, 30s, 1h or 30d"),
+    ("doctor --set a=1", "--set requires a flow"),
+    ("show .", ": is not a session"),
+    ("watch mqtt://127.0.0.1:1", "mqtt://127.0.0.1:1: cannot connect"),
+    ("watch localhost", "localhost"),
+    ("watch --since yesterday", "yesterday"),
+    # detectors and experiments
+    ("calibrate tcn --on TINY --false-alarms 2", "must be a rate with its unit: 1/min or 6/h"),
+    ("calibrate tcn --on TINY --false-alarms 0/min", "must be above 0"),
+    ("calibrate tcn --on TINY --confidence 0.95", "must be a share with its unit: 95%"),
+    ("calibrate tcn --on TINY --confidence 50%", "must be from 0.8 to 0.999"),
+    ("calibrate tcn --on TINY -o nowhere/tcn.safetensors", "folder nowhere does not exist"),
+    ("evaluate nowhere", "there is no such folder"),
+    ("evaluate TINY --split holdout", "has no split 'holdout'"),
+    ("evaluate TINY --hold-out steel", "states fewer than two groups"),
+    ("evaluate TINY --train", "needs --hold-out"),
+    ("evaluate", "needs a dataset, or --stress without one"),
+    ("evaluate TINY --stress", "needs a dataset, or --stress without one"),
+    ("evaluate TINY --method oracle", "oracle: is not a method"),
+    ("evaluate nowhere --method missing.safetensors", "missing.safetensors: cannot be read"),
+    ("experiment drop", "name is 'drop', must be one of tap, lift"),
+    ("experiment tap --object egg", "object is 'egg', must be one of box"),
+    ("experiment tap --method psd:best", "rule is 'best', must be one of ours, steps, none"),
+    # data
+    ("collect grand --dry-run", "one of paper, tiny, wide"),
+    ("collect mine.toml --dry-run", "mine.toml: path.depth is '2', must be a length with its unit"),
+    ("collect tiny", "--robot HOST"),
+    ("collect both.toml --virtual", "has several surfaces; the virtual arm has one"),
+    pytest.param("collect tiny --robot 127.0.0.1 --rows a", "must be row numbers", marks=NEEDS_UR),
+    pytest.param("collect tiny --robot 127.0.0.1:x", "rtde://", marks=NEEDS_UR),
+    ("export nowhere out --to lerobot", "nowhere: there is no such folder"),
+    ("export nowhere out --to rosbag", "--to rosbag: give lerobot or mcap"),
+    ("export nowhere out --to mcap --rate 5", "--rate requires --to lerobot"),
+    ("fetch stroke out", "NAME is 'stroke', must be one of grasps, strokes"),
+    ("fetch grasps", "OUT is None, must be the folder of the new dataset"),
+    ("import lab.csv out --map time", "must be written as time=t,counts=p0..p5"),
+    ("import lab.csv out --map label=p0", "lab.csv, line 2, column p0: has '500', '501'"),
+    ("import lab.csv out --map none.toml", "none.toml: cannot be read: No such file"),
+    ("import lab.csv out --map rate=soon", "rate is 'soon', must be a number"),
+    ("import missing.csv out", "missing.csv: cannot be read"),
+    ("import lab.csv out --group (", "--group is '(', must be a regular expression"),
+    ("import lab.csv out --group x", "its name does not match --group 'x'"),
+    ("import lab.csv out --map layout=3x3", "must be of 6 cells"),
+    ("import lab.csv lab.csv out --session x", "left out if there are several files"),
+    ("import lab.csv lab.csv", "OUT is 'lab.csv', must be a folder: the last argument is"),
+    ("import lab.csv lab.csv out", "has the same session name as lab.csv"),
+    ("import lab.csv out --session ../x", "must be a file name"),
+    ("verify nowhere --repair", "nowhere: there is no such folder"),
+]
+
+
+@pytest.mark.parametrize(("words", "text"), MISTAKES)
+def test_a_mistake_is_one_line_and_exit_code_2(words: str, text: str, tiny: Path, tmp_path: Path) -> None:
+    for name, content in FILES.items():
+        (tmp_path / name).write_text(content)
+    done = slipflow(*words.replace("TINY", str(tiny)).split(), cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, ""), done
+    assert "Traceback" not in done.stderr
+    line = done.stderr.splitlines()[-1]  # after messages of progress
+    assert line.startswith("error: ")
+    assert text in line
+    assert {path.name for path in tmp_path.iterdir()} - {"state", "recordings"} == FILES.keys()
+
+
+@pytest.mark.broker
+def test_a_broker_that_refuses_is_a_one_line_error(tmp_path: Path) -> None:
+    with TestBroker(tmp_path, "allow_anonymous false") as broker:
+        done = slipflow("demo", "--mqtt", broker.url, "--for", "8s", cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.splitlines()[-1].startswith(f"error: {broker.url}: ")
