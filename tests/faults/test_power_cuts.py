@@ -1,22 +1,26 @@
-"""A power cut at any operation on the disk leaves the durable rows, and never a wrong one."""
+"""A power cut or kill at any operation on the disk leaves the durable rows, and never a wrong one."""
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from errno import EIO
 from functools import partial
 from pathlib import Path
 from random import Random
+from shutil import copytree
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import pytest
 
 from flows.run.session_output import new_session
 from operators import EVERY, Batch, Episodes, Motion, Slips, Touch, concat
-from storage import Session
+from operators.errors import EndpointError
+from storage import Session, recover, verify
 from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_process import Killed, SimulatedProcess
 from tests.faults.world import MEMORY
-from tests.storage.disk_steps import ROWS, record, row
-from tests.storage.made import new_run
+from tests.storage.disk_steps import ROWS, observed, record, row
+from tests.storage.made import leave, new_run, rows, session_names, side_by_side
 
 STREAMS: tuple[tuple[type[Batch], int], ...] = ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY))
 EVERY_NTH = 11  # operation at which the power is cut
@@ -29,14 +33,14 @@ def root() -> Iterator[Path]:
         yield Path(folder)
 
 
-def cut(folder: Path, number: int, work: Callable[[], object]) -> int:
+def cut(folder: Path, number: int, work: Callable[[], object], *, power: bool = True) -> int:
     """Do a piece of work up to an operation, cut the power, and return the number of operations."""
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     disk, process = SimulatedDisk(folder, Random(number)), SimulatedProcess("rig")
     disk.kill_in = number
     with disk.attached(), suppress(Killed):
         process.run(work)
-    if number:
+    if number and power:
         disk.lose_power()
     return disk.operations
 
@@ -78,5 +82,30 @@ def test_a_power_cut_of_a_replay_leaves_it_complete_or_absent(root: Path) -> Non
         if (folder / "data/sessions/one").exists():
             session = Session.open(folder / "data")
             assert (session.about["complete"], counted(session)) == (True, [ROWS] * len(STREAMS)), number
+            assert verify(folder / "data").code == 0, number
             complete += 1
     assert complete
+
+
+def test_a_replay_whose_fsync_failed_is_absent(root: Path) -> None:
+    def fail(step: str) -> None:
+        if step == "fsync part":
+            raise OSError(EIO, "Input/output error")
+
+    with observed(fail), pytest.raises(EndpointError, match="Input/output error"):
+        replay(root)
+    assert session_names(root) == []
+
+
+def test_a_recovery_killed_at_any_operation_is_carried_out_by_the_next(root: Path) -> None:
+    batches = side_by_side(5)
+    left = leave(root / "data", new_run(), batches)
+    operations = cut(root / "whole", 0, partial(recover, copytree(left, root / "whole")))
+    assert operations > 40
+    for number in range(1, operations + 1):
+        folder = copytree(left, root / str(number))
+        cut(folder, number, partial(recover, folder), power=False)
+        recover(folder)
+        assert rows(folder, batches) == [25] * 5, number
+        about: Any = Session.open(folder).about
+        assert about["recovered"]["rows"] == {"touch": 10, "motion": 5, "samples": 5, "slips": 25}

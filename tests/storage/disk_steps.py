@@ -1,8 +1,8 @@
-"""Steps of storage on the disk, which tests observe, fail, hold up, or end the process at."""
+"""Steps of storage on the disk, which tests observe, fail or hold up."""
 
 import os
 from collections.abc import Callable, Generator, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -20,10 +20,6 @@ ROWS = 45  # of each stream
 SYNC_EVERY = 7  # rows
 KINDS = {".parquet": "part", ".wal": "segment"}
 CHANGES = ("pwrite", "fsync", "ftruncate", "replace", "rename", "unlink", "mkdir", "rmdir", "open")
-
-
-class Ended(BaseException):
-    """The process ends here: nothing that follows changes the disk."""
 
 
 @contextmanager
@@ -51,20 +47,6 @@ def steps_of(work: Callable[[], object]) -> list[str]:
     with observed(found.append):
         work()
     return found
-
-
-def end_at(number: int, work: Callable[[], object]) -> None:
-    """Do a piece of work up to a step."""
-    reached = 0
-
-    def reach(_: str) -> None:
-        nonlocal reached
-        reached += 1
-        if reached > number:
-            raise Ended
-
-    with observed(reach), suppress(Ended):
-        work()
 
 
 def each_kind(steps: list[str], turns: tuple[int, ...] = (0, 2), every: int = 9) -> Iterator[int]:

@@ -3,7 +3,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Callable, Coroutine, Generator, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from shutil import copytree
@@ -33,8 +33,8 @@ from operators.errors import BatchError, EndpointError, InputError, ParameterErr
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 from storage import Dataset, Session, files, verify
 from storage.description import describe_dataset, read_dataset
-from tests.storage.disk_steps import observed
-from tests.storage.made import new_batch, new_run, session_names
+from tests.storage.disk_steps import each_kind, observed, steps_of
+from tests.storage.made import STREAMS, new_batch, new_run, rows, session_names, side_by_side
 
 
 @pytest.fixture
@@ -188,6 +188,42 @@ def test_a_description_that_cannot_be_json_is_refused_at_the_start(tmp_path: Pat
     with pytest.raises(InputError, match="description of source 'rig': is not JSON"):
         record(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
     assert session_names(tmp_path) == []
+
+
+async def stubborn(root: Path, batches: Iterable[Any]) -> None:
+    """Record a replay as a runner does: each call that fails is repeated once."""
+
+    async def insist(call: Callable[..., Coroutine[Any, Any, None]], *given: Any) -> None:
+        try:
+            await call(*given)
+        except EndpointError:
+            await call(*given)
+
+    dataset = Dataset(root, part_span=100 * ms, part_rows=20)
+    await insist(dataset.open, new_run(live=False))
+    for batch in batches:
+        await insist(dataset.write, batch)
+    await insist(dataset.close)
+
+
+def test_a_failure_at_any_step_of_a_replay_costs_nothing_but_a_second_try(tmp_path: Path) -> None:
+    streams = [*STREAMS, (Faults, 1)]
+    batches = side_by_side(4, streams)
+    steps = steps_of(lambda: asyncio.run(stubborn(tmp_path / "whole", batches)))
+    assert len(steps) > 60
+    for number in each_kind(steps, every=20):
+        root, reached = tmp_path / str(number), list[str]()
+
+        def fail(step: str, reached: list[str] = reached, number: int = number) -> None:
+            reached.append(step)
+            if len(reached) - 1 == number:
+                raise OSError(28, "No space left on device")
+
+        with observed(fail):
+            asyncio.run(stubborn(root, batches))
+        assert sum(rows(root, batches, streams)) == sum(map(len, batches)), steps[number]
+        assert Session.open(root).about["complete"] is True
+        assert [*root.rglob("*.tmp"), *root.rglob("journal")] == []
 
 
 async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
