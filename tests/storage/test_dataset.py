@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from operators.batch import (
+    Batch,
     Clocks,
     Faults,
     Labelled,
@@ -207,7 +208,7 @@ async def stubborn(root: Path, batches: Iterable[Any]) -> None:
 
 
 def test_a_failure_at_any_step_of_a_replay_costs_nothing_but_a_second_try(tmp_path: Path) -> None:
-    streams = [*STREAMS, (Faults, 1)]
+    streams: list[tuple[type[Batch], int]] = [*STREAMS, (Faults, 1)]
     batches = side_by_side(4, streams)
     steps = steps_of(lambda: asyncio.run(stubborn(tmp_path / "whole", batches)))
     assert len(steps) > 60

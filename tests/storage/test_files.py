@@ -1,10 +1,16 @@
+"""Files: read with typed errors, written completely or not at all, on a disk that is checked first."""
+
+import errno
+import os
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from operators.errors import InputError
+from operators.errors import EndpointError, InputError
 from storage import files
+from storage.files import PARTIAL, check_disk, partial_output
 
 
 def test_an_unreadable_file_is_an_input_error(tmp_path: Path) -> None:
@@ -52,3 +58,70 @@ def test_a_flipped_bit_anywhere_in_a_checked_object_is_refused_or_changes_nothin
             assert files.read_checked(path) == content, bit
         except InputError:
             continue
+
+
+Make = Callable[..., None]
+MAKERS = [Path.touch, Path.mkdir]
+
+
+def write_half(make: Make, path: Path, error: type[BaseException]) -> None:
+    with partial_output(path, make) as scratch:
+        (scratch / "half" if scratch.is_dir() else scratch).write_text("half")
+        raise error
+
+
+def test_an_output_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new/a.mcap"
+    with partial_output(path, Path.touch) as scratch:
+        scratch.write_bytes(b"whole")
+        assert not path.exists()
+    assert path.read_bytes() == b"whole"
+    with partial_output(tmp_path / "out") as folder:
+        (folder / "meta").mkdir()
+        (folder / "meta/info.json").write_text("{}")
+        assert not (tmp_path / "out").exists()
+    assert {each.relative_to(tmp_path).as_posix() for each in tmp_path.rglob("*.*")} == {
+        "new/a.mcap",
+        "out/meta/info.json",
+    }
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_failed_block_leaves_nothing(tmp_path: Path, make: Make, error: type[BaseException]) -> None:
+    with pytest.raises(error):
+        write_half(make, tmp_path / "a", error)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("make", MAKERS)
+@pytest.mark.parametrize("there", ["a", "a" + PARTIAL])
+def test_existing_files_are_neither_replaced_nor_removed(tmp_path: Path, make: Make, there: str) -> None:
+    (tmp_path / there).write_text("mine")
+    with pytest.raises(EndpointError, match=r"exists already|being written"):
+        write_half(make, tmp_path / "a", AssertionError)
+    assert (tmp_path / there).read_text() == "mine"
+
+
+def test_space_and_fsync_of_the_disk_are_measured_without_leaving_a_file(tmp_path: Path) -> None:
+    space, sync = check_disk(tmp_path / "new" / "recordings")
+    assert space.text.endswith(" GB free")
+    assert sync.text.startswith("fsync ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_and_slow_disk_is_bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "FREE_MIN", 1e18)
+    monkeypatch.setattr(files, "SYNC_MAX", 0.0)
+    space, sync = check_disk(tmp_path)
+    assert (space.state, sync.state) == ("bad", "bad")
+    assert space.text.endswith(": free some space, or use another disk")
+
+
+def test_a_folder_that_cannot_be_written_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_: int) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(EndpointError, match="cannot be written: Read-only file system; use a writable"):
+        check_disk(tmp_path)

@@ -1,17 +1,12 @@
-import json
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators.batch import (
-    Slips,
-    Touch,
-)
+from operators.batch import Slips, Touch
 from operators.errors import InputError
 from storage import journal
 from storage.append_log import AppendLog, LogReader
@@ -56,27 +51,6 @@ def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete_and
         written.rotate([slips])
         assert list(numbered_files(tmp_path, SEGMENTS)) == [number, number + 1]
     assert found(tmp_path) == [("Slips", 0, 2), ("Touch", 6, 1), ("Touch", 7, 1), ("Slips", 0, 2)]
-
-
-CHANGES: list[tuple[dict[str, Any], str]] = [
-    (
-        {"version": 3},
-        "has version 3 or other columns; this slipflow reads 6: recover it with the software named",
-    ),
-    ({"session": "two"}, "is segment 3 of session 'two'; move it back there"),
-    ({"segment": 4}, "is segment 4 of session 'one'"),
-    ({"columns": "0f"}, "has version 6 or other columns"),
-]
-
-
-@pytest.mark.parametrize(("changes", "complaint"), CHANGES)
-def test_segments_of_other_versions_are_refused(
-    tmp_path: Path, changes: dict[str, object], complaint: str
-) -> None:
-    about: dict[str, Any] = json.loads(journal.identity("one", 3)) | changes
-    AppendLog(tmp_path / "000003.wal", json.dumps(about).encode()).close()
-    with pytest.raises(InputError, match=rf"000003\.wal: {complaint}"):
-        rows(tmp_path / "000003.wal", 3)
 
 
 @given(records=st.lists(st.binary(max_size=80)), identity=st.none() | st.binary())

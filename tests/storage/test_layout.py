@@ -13,20 +13,14 @@ from storage.layout import (
 )
 from tests.storage.made import session_names
 
-
-@pytest.mark.parametrize(
-    "name",
-    ["", ".", "..", "../x", "a/b", "/etc", "a\\b", "a\0b", "a\n", ".hidden", "-x", "a b", "ä", "x" * 129],
-)
-def test_a_new_session_has_a_plain_file_name(name: str) -> None:
-    with pytest.raises(ParameterError, match=r"session is .* must be a file name"):
-        new_session_folder(Path("data"), name)
+OUTSIDE = ["", ".", "..", "../x", "a/b", "/etc", "a\0b"]
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "/etc", "a\0b"])
-def test_a_session_is_inside_the_dataset_whatever_its_name(name: str) -> None:
-    with pytest.raises(ParameterError, match=r"session is .* must be a file name"):
-        session_folder(Path("data"), name)
+@pytest.mark.parametrize("name", [*OUTSIDE, "a\\b", "a\n", ".hidden", "-x", "a b", "ä", "x" * 129])
+def test_a_session_is_inside_the_dataset_and_a_new_one_has_a_plain_file_name(name: str) -> None:
+    for folder in (new_session_folder, session_folder) if name in OUTSIDE else (new_session_folder,):
+        with pytest.raises(ParameterError, match=r"session is .* must be a file name"):
+            folder(Path("data"), name)
     assert session_folder(Path("data"), "my copy") == Path("data/sessions/my copy")
 
 
@@ -56,6 +50,10 @@ def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:
     (tmp_path / "sessions/lost/MANIFEST.json").touch()
     assert session_names(tmp_path) == ["a", "b"]
     assert [path.name for path in session_folders(tmp_path, lost=True)] == ["a", "b", "lost"]
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/sessions").touch()
+    with pytest.raises(InputError, match="sessions: is a file, must be the folder of the sessions"):
+        session_folders(tmp_path / "other")
 
 
 @pytest.mark.parametrize(("number", "kind"), [(errno.EACCES, InputError), (errno.EIO, EndpointError)])
@@ -70,10 +68,4 @@ def test_sessions_that_cannot_be_looked_for_are_an_error(
     monkeypatch.setattr(os, "listdir", listdir)
     monkeypatch.setattr(os, "scandir", listdir)
     with pytest.raises(kind, match=f"sessions: cannot be read: {os.strerror(number)}; "):
-        session_folders(tmp_path)
-
-
-def test_a_file_in_the_place_of_the_sessions_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "sessions").touch()
-    with pytest.raises(InputError, match="sessions: is a file, must be the folder of the sessions"):
         session_folders(tmp_path)

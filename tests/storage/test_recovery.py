@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import json
 import os
 from pathlib import Path
 from shutil import copyfile, rmtree
@@ -11,7 +12,9 @@ import pytest
 
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
+from storage.append_log import AppendLog
 from storage.files import lock
+from storage.journal import identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
 from tests.storage.made import leave, new_run, rows, side_by_side
@@ -159,12 +162,25 @@ def test_a_session_that_was_not_closed_and_lacks_its_journal_says_so(left: Path,
     assert "lacks its journal" in recovered(left)["lost"][0]
 
 
-def test_a_journal_of_another_version_is_refused_and_nothing_is_changed(
-    left: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        (
+            {"version": 3},
+            "has version 3 or other columns; this slipflow reads 6: recover it with the software named",
+        ),
+        ({"columns": "0f"}, "has version 6 or other columns"),
+        ({"session": "two"}, "is segment 3 of session 'two'; move it back there"),
+        ({"segment": 4}, "is segment 4 of session 'one'"),
+    ],
+)
+def test_a_journal_of_another_version_or_session_is_refused_and_nothing_is_changed(
+    left: Path, changes: dict[str, Any], complaint: str
 ) -> None:
+    about: dict[str, Any] = json.loads(identity("one", 3)) | changes
+    AppendLog(left / "journal/000003.wal", json.dumps(about).encode()).close()
     before = contents(left)
-    monkeypatch.setattr("storage.journal.VERSION", 9)
-    with pytest.raises(InputError, match=r"\.wal: has version 6 or other columns; this slipflow reads 9"):
+    with pytest.raises(InputError, match=rf"000003\.wal: {complaint}"):
         recover(left)
     assert contents(left) == before
 
