@@ -17,6 +17,7 @@ from hypothesis import settings
 from connectors.mqtt import outbox
 from connectors.mqtt.broker_link import Link
 from flows.graph.testing import run_virtually
+from flows.run.clocks import EventClock
 from operators.extras import EXTRAS
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
@@ -63,19 +64,6 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
     return True
 
 
-class SetClock:
-    """Clock that shows the time it is set to; waiting sets it."""
-
-    def __init__(self, time: int) -> None:
-        self.time = time
-
-    def now(self) -> int:
-        return self.time
-
-    async def sleep_until(self, time: int) -> None:
-        self.time = max(self.time, time)
-
-
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Folder for state that outlives a run, instead of the user's."""
@@ -86,7 +74,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def run() -> Run:
     """Run that began 90 s after the start of 1970, 10 s ago."""
-    return Run("run1", "live", SetClock(100_000_000_000), 90_000_000_000)
+    return Run("run1", "live", EventClock(100_000_000_000), 90_000_000_000)
 
 
 @pytest.fixture

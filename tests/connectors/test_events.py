@@ -1,18 +1,15 @@
 import json
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from msgspec.structs import replace
 
-from connectors.events import Event, Fault, Model, encode, faults
-from operators.batch import Faults
+from connectors.events import Event, Fault, Model, encode
 from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
-from operators.health import FaultKind
 from operators.ports import Json
 from tests.asyncapi import EVENT_SCHEMA
 
@@ -184,16 +181,6 @@ def test_any_malformed_payload_raises_an_input_error(payload: bytes) -> None:
 def test_contradictory_fields_are_rejected(name: str, value: str) -> None:
     with pytest.raises(InputError, match=name if name != "source" else "source|finger"):
         Event.decode(altered((name,), value))
-
-
-def test_faults_have_the_names_of_their_kinds() -> None:
-    batch = Faults(
-        np.array([1, 2]),
-        np.array([3, 4], np.int8),
-        np.array([FaultKind.DEAD, FaultKind.STUCK], np.int8),
-        np.array([True, False]),
-    )
-    assert list(faults(batch)) == [(1, Fault(3, "dead"), True), (2, Fault(4, "stuck"), False)]
 
 
 def test_a_sequence_of_any_kind_becomes_an_array() -> None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors import Replay
+from flows.run.clocks import EventClock
 from operators.batch import Batch, Motion, Scores, concat, ms, s
 from operators.errors import InputError
 from operators.ports import Description, Recording
@@ -38,20 +39,7 @@ class Recorded:
         return {"rig": "ur10"}
 
 
-class VirtualClock:
-    """Time passes only while somebody waits."""
-
-    def __init__(self, time: int) -> None:
-        self.time = time
-
-    def now(self) -> int:
-        return self.time
-
-    async def sleep_until(self, time: int) -> None:
-        self.time = max(self.time, time)
-
-
-def replay(source: Replay[Scores], clock: VirtualClock) -> list[tuple[int, Scores]]:
+def replay(source: Replay[Scores], clock: EventClock) -> list[tuple[int, Scores]]:
     """Each batch with the clock's time when it came."""
 
     async def main() -> list[tuple[int, Scores]]:
@@ -71,25 +59,25 @@ times = st.lists(st.integers(0, 10**12), min_size=1, max_size=30).map(sorted)
 @given(times, st.integers(0, 10**15))
 def test_all_rows_are_replayed_with_their_recorded_timestamps(time: list[int], start: int) -> None:
     recording = Recorded({0: time})
-    replayed = replay(Replay(recording, Scores), VirtualClock(start))
+    replayed = replay(Replay(recording, Scores), EventClock(start))
     assert rows(replayed) == (time, recording.streams[0].probability.tolist())
 
 
 def test_each_row_is_a_batch_when_it_is_due_and_streams_of_one_origin_stay_synchronous() -> None:
     source = Replay(Recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
     due = [(100 * s + time, 1) for time in (0, 10 * ms, 30 * ms)]
-    assert [(now, len(batch)) for now, batch in replay(source, VirtualClock(100 * s))] == due
+    assert [(now, len(batch)) for now, batch in replay(source, EventClock(100 * s))] == due
     late = Replay(Recorded({0: [9 * s]}), Scores, origin=7 * s)
-    assert [now for now, _ in replay(late, VirtualClock(0))] == [2 * s]
+    assert [now for now, _ in replay(late, EventClock(0))] == [2 * s]
 
 
 def test_the_chosen_fingertips_are_merged_by_timestamp() -> None:
     recording = Recorded({0: [0, 2, 4], 1: [1, 2, 3]})
     both, one = Replay(recording, Scores), Replay(recording, Scores, (1,))
     assert (both.fingers, one.fingers) == ((0, 1), (1,))
-    found = [(batch.time.item(), batch.finger) for _, batch in replay(both, VirtualClock(0))]
+    found = [(batch.time.item(), batch.finger) for _, batch in replay(both, EventClock(0))]
     assert found == [(0, 0), (1, 1), (2, 0), (2, 1), (3, 1), (4, 0)]
-    assert [batch.time.item() for _, batch in replay(one, VirtualClock(0))] == [1, 2, 3]
+    assert [batch.time.item() for _, batch in replay(one, EventClock(0))] == [1, 2, 3]
 
 
 def test_a_missing_stream_cannot_be_replayed() -> None:

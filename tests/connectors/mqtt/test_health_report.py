@@ -1,3 +1,4 @@
+import asyncio
 from typing import Any
 
 import pytest
@@ -7,33 +8,12 @@ from operators.batch import ms, s
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 
 
-class Present:
-    """Clock that shows a set time."""
-
-    time = 100 * s
-
-    def now(self) -> int:
-        return self.time
-
-    async def sleep_until(self, time: int) -> None:
-        raise NotImplementedError
-
-
-@pytest.fixture
-def clock() -> Present:
-    return Present()
-
-
-@pytest.fixture
-def run(clock: Present) -> Run:
-    return Run("run1", "live", clock, 90 * s)
-
-
-def test_a_rate_is_since_the_previous_report_that_has_rows(run: Run, clock: Present) -> None:
+def test_a_rate_is_since_the_previous_report_that_has_rows(run: Run) -> None:
     run.sources["touch"] = touch = SourceStatus(up=True)
     reports, rates = HealthReports(run), list[Any]()
     for rows, seconds in (0, 0), (83, 1), (100, 1), (0, 1), (50, 2), (5, 0):  # the first 83 began late
-        touch.rows, clock.time = touch.rows + rows, clock.time + seconds * s
+        touch.rows += rows
+        asyncio.run(run.clock.sleep_until(run.clock.now() + seconds * s))
         report: Any = reports.next()
         rates.append(report["sources"]["touch"]["rate_hz"])
     assert rates == [None, None, 100, 0, 25, None]

@@ -1,4 +1,3 @@
-from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -10,17 +9,6 @@ from connectors.sim.scene import Move, Scene
 
 def moves(scene: Scene, seed: int = 0) -> list[Move]:
     return list(scene.plan.moves(np.random.default_rng([seed, 0])))
-
-
-def test_the_plan_covers_every_surface_at_every_speed() -> None:
-    scenes = list(PaperPlan().scenes(0))
-    assert all(isinstance(scene.plan, PaperStrokes) for scene in scenes)
-    found = Counter(
-        (scene.curvature, scene.plan.speed) for scene in scenes if isinstance(scene.plan, PaperStrokes)
-    )
-    surfaces = ("plane", "sphere", "cylinder_x", "cylinder_y")
-    expected = {(surface, speed): 9 for surface in surfaces for speed in (0.05, 0.075, 0.1)}
-    assert found == expected | {(surface, None): 5 for surface in surfaces}
 
 
 def test_the_plan_lasts_as_long_and_rests_as_often_as_the_papers() -> None:

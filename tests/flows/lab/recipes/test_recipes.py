@@ -117,6 +117,26 @@ def test_a_missing_or_altered_file_is_an_error_and_leaves_no_dataset(
     assert not (tmp_path / "out.partial").exists()
 
 
+@pytest.mark.usefixtures("source")
+@pytest.mark.parametrize(
+    "address", ["http://[::1", "http://host:port/x", "://", "ftp://x/y", "http://\u2100/", "%"]
+)
+def test_a_redirect_to_a_malformed_address_is_an_error(
+    tmp_path: Path, recipe: DatasetRecipe, monkeypatch: pytest.MonkeyPatch, address: str
+) -> None:
+    def redirect(handler: Handler) -> None:
+        handler.send_response(302)
+        handler.send_header("Location", address.encode().decode("latin-1"))
+        handler.end_headers()
+
+    monkeypatch.setattr("flows.lab.recipes.dataset_recipe._ATTEMPTS", 0)
+    monkeypatch.setattr(Handler, "do_GET", redirect)
+    with pytest.raises(EndpointError, match="was not fetched: ") as caught:
+        recipe.fetch(tmp_path / "out")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
 # --- the recipes -----------------------------------------------------------------------------------------
 
 
