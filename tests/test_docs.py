@@ -103,14 +103,10 @@ def resolved(words: list[str]) -> tuple[Any, list[str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_in_code_is_valid(page: Path) -> None:
+def test_every_command_is_valid_in_code_and_exists_with_its_options_in_prose(page: Path) -> None:
     for words in commands(page):
         command, rest = resolved(words)
         command.make_context(f"slipflow {' '.join(words)}", list(rest))  # raises an error if it is not
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_in_prose_exists_with_its_options(page: Path) -> None:
     for words in mentioned(page):
         command, rest = resolved(words)
         options = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
@@ -118,12 +114,6 @@ def test_every_command_in_prose_exists_with_its_options(page: Path) -> None:
 
 
 # --- links, figures, index -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_link_target_exists(page: Path) -> None:
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
-        assert re.match(r"https?://", target) or (page.parent / target).exists(), target
 
 
 def anchors(page: Path) -> set[str]:
@@ -134,9 +124,11 @@ def anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_link_to_a_heading_has_its_heading(page: Path) -> None:
-    for target, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#([^)]+)\)", page.read_text()):
-        assert anchor in anchors(page.parent / target if target else page), f"{target}#{anchor}"
+def test_every_link_has_its_target_and_its_heading(page: Path) -> None:
+    for target, _, anchor in re.findall(r"\]\((?!https?:)([^)#]*)(#([^)]+))?\)", page.read_text()):
+        linked = page.parent / target if target else page
+        assert linked.exists(), target
+        assert not anchor or anchor in anchors(linked), f"{target}#{anchor}"
 
 
 def test_the_navigation_of_the_site_names_every_page_once() -> None:

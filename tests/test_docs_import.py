@@ -96,10 +96,6 @@ FILES: dict[str, tuple[str, Callable[[Path], None]]] = {
     "pad.h5": ("hdf5.py", write_hdf5),
     "pad.mcap": ("mcap_json.py", write_mcap),
     "pad.bag": ("bag.py", partial(write_bag, store_name=Stores.ROS1_NOETIC, writer=Bag1Writer)),
-    "sqlite": (
-        "bag.py",
-        partial(write_bag, store_name=Stores.ROS2_HUMBLE, writer=partial(Bag2Writer, version=9)),
-    ),
     "mcap": (
         "bag.py",
         partial(

@@ -9,14 +9,15 @@ import re
 from collections.abc import Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Final, cast
+from typing import Final, TypeAlias, cast
 
 from connectors.ur.rtde import Version
 from operators.batch import Reals
-from tests.emulators.rtde_recipe import Value
 from tests.emulators.ur_program import REGISTERS, Drive, Program, Registers
 
 log = logging.getLogger("slipflow")
+
+Value: TypeAlias = float | tuple[float, ...]  # includes integers
 
 CB3: Final = 3  # major version of the controllers that run at 125 Hz; later ones run at 500 Hz
 

@@ -7,15 +7,18 @@ port is always 30004.
 import asyncio
 import socket
 import struct
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from struct import Struct
 from time import time_ns
+from types import MappingProxyType
 from typing import Final, NamedTuple, Self, TypeAlias
 
 from connectors.ur.rtde import PROTOCOL, Kind, Version, pack
 from operators.batch import Reals, s
 from storage.background_task import BackgroundTask
-from tests.emulators.rtde_recipe import HEADER, Recipe, Request, names, outputs_asked, version_payload
-from tests.emulators.ur_control_box import GREETING, INPUTS, OUTPUTS, ControlBox, answer
+from tests.emulators.ur_control_box import GREETING, INPUTS, OUTPUTS, ControlBox, Value, answer
 
 E_SERIES: Final = Version(5, 11, 0, 1)
 CB3: Final = Version(3, 15, 8, 1)
@@ -32,8 +35,71 @@ class Ports(NamedTuple):
     dashboard: int = 29999
 
 
+_FORMATS: Final = MappingProxyType({"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"})
+_HEADER: Final = Struct(">HB")  # size and kind
+_RATE: Final = Struct(">d")
+_INPUTS: Final = ord("I")  # request that our client does not make: names -> uint8 number of the recipe, types
+
 PORTS: Final = Ports()
 ANYWHERE: Final = Ports(0, 0, 0)
+
+
+def names(payload: bytes) -> tuple[str, ...]:
+    """Parse names or types separated by commas; a trailing comma is allowed.
+
+    >>> names(b"timestamp,actual_q,")
+    ('timestamp', 'actual_q')
+    """
+    return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Fields of a data package, in order.
+
+    >>> recipe = Recipe(1, ("timestamp", "actual_q"), ("DOUBLE", "VECTOR6D"))
+    >>> recipe.unpack(recipe.pack((0.5, (1, 2, 3, 4, 5, 6))))["timestamp"]
+    0.5
+    """
+
+    number: int  # 1..255
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+
+    @cached_property
+    def row(self) -> Struct:
+        """Layout of a package."""
+        return Struct(">B" + "".join(_FORMATS[kind] for kind in self.types))
+
+    @property
+    def answer(self) -> bytes:
+        """Payload of the answer that grants the recipe."""
+        return bytes([self.number]) + ",".join(self.types).encode()
+
+    def pack(self, values: Sequence[Value]) -> bytes:
+        """Pack values into a payload."""
+        flat: list[float] = []
+        for value in values:
+            flat.extend(value if isinstance(value, tuple) else (value,))
+        return self.row.pack(self.number, *flat)
+
+    def unpack(self, payload: bytes) -> dict[str, float]:
+        """Unpack the values of a payload by name; of a vector, the first one."""
+        flat, found, begin = self.row.unpack(payload)[1:], dict[str, float](), 0
+        for name, kind in zip(self.names, self.types, strict=True):
+            found[name] = flat[begin]
+            begin += int(_FORMATS[kind][:-1] or 1)
+        return found
+
+
+def version_payload(version: Version) -> bytes:
+    """Return the payload of the answer with a controller's version."""
+    return Struct(">4I").pack(*version)
+
+
+def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
+    """Parse a client's request for outputs into rate (Hz) and names."""
+    return _RATE.unpack_from(payload)[0], names(payload[_RATE.size :])
 
 
 class UrController:
@@ -140,8 +206,8 @@ class UrController:
         self.clients.append(client)
         try:
             while True:
-                size, kind = HEADER.unpack(await reader.readexactly(HEADER.size))
-                client.handle(kind, await reader.readexactly(size - HEADER.size))
+                size, kind = _HEADER.unpack(await reader.readexactly(_HEADER.size))
+                client.handle(kind, await reader.readexactly(size - _HEADER.size))
         finally:
             self.clients.remove(client)
 
@@ -203,8 +269,8 @@ class RtdeConnection:
                 self.send(Kind.CONTROLLER, version_payload(self.box.version))
             case Kind.OUTPUTS:
                 self.send(Kind.OUTPUTS, self._grant_outputs(payload))
-            case Request.INPUTS:
-                self.send(Request.INPUTS, self._grant_inputs(names(payload)))
+            case k if k == _INPUTS:
+                self.send(_INPUTS, self._grant_inputs(names(payload)))
             case Kind.START:
                 self._started = self._outputs is not None
                 self.send(Kind.START, bytes([self._started]))

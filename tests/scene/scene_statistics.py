@@ -64,9 +64,7 @@ TABLE: Final = (
     Published("ratio 1 s", "the same, 1-s windows", (1.3,), (2.0,)),
     Published("rise", "signal rises after the label's onset by, ms (median)", (-20,), (20,)),
     Published("ring", "signal rings after the label's end for, ms (median)", (0,), (150,)),
-    Published("saturation", "samples at a barometer's floor, %"),
     Published("slip spectrum", "amplitude in slip at 2, 5, 10, 20 Hz, counts"),
-    Published("static spectrum", "the same in static"),
 )  # fmt: skip
 
 
@@ -96,9 +94,7 @@ def measure(recordings: Sequence[LabelledRecording]) -> dict[str, Reals]:
         "static std": _static_std(used),
         "ratio 0.2 s": _ratio(used, 20),
         "ratio 1 s": _ratio(used, 100),
-        "saturation": _saturation(used),
-        "slip spectrum": _spectrum(used, slip=True),
-        "static spectrum": _spectrum(used, slip=False),
+        "slip spectrum": _spectrum(used),
     }
     rises, rings = edges(recordings)
     found["rise"], found["ring"] = _median(rises), _median(rings)
@@ -191,11 +187,11 @@ def _ratio(used: Used, length: int) -> Reals:
     return np.array([size[moving].mean() / size[still].mean()])
 
 
-def _spectrum(used: Used, *, slip: bool) -> Reals:
-    """Return the mean amplitude (counts) at `FREQUENCIES`: loaded barometers, 0.4-s windows of one label."""
+def _spectrum(used: Used) -> Reals:
+    """Return the mean amplitude (counts) at `FREQUENCIES`: loaded barometers, 0.4-s windows of slip."""
     length = 40
     windows, _, share = _cut(used, length, 10)
-    chosen = windows[share == float(slip)]  # (k, 40, 6)
+    chosen = windows[share == 1]  # (k, 40, 6)
     loaded = np.abs(chosen.mean(axis=1)) > _LOADED  # (k, 6)
     if not loaded.any():
         return np.full(len(FREQUENCIES), np.nan)
@@ -205,9 +201,3 @@ def _spectrum(used: Used, *, slip: bool) -> Reals:
     size = np.abs(np.einsum("ft,ktc->fkc", wave, centred))  # (4, k, 6)
     spectrum: Reals = size[:, loaded].mean(axis=1)
     return spectrum
-
-
-def _saturation(used: Used) -> Reals:
-    """Return the share (%) of samples within a count of their barometer's floor in their recording."""
-    low = [(z <= z.min(axis=0) + 1) & (z.min(axis=0) < _DEEP) for z, _ in used]
-    return np.array([100 * np.concatenate(low).mean()])

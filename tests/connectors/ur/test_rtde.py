@@ -15,8 +15,7 @@ from connectors.ur.ur_motion import OUTPUTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
 from operators import EndpointError
-from tests.emulators.rtde_recipe import Recipe, Request, version_payload
-from tests.emulators.ur_controller import CB3
+from tests.emulators.ur_controller import CB3, Recipe, version_payload
 
 RECIPE = Recipe(7, tuple(OUTPUTS), tuple(OUTPUTS.values()))
 ANSWERS = [
@@ -100,7 +99,7 @@ def test_rubbish_is_an_error(data: bytes) -> None:
         (3, pack(Kind.DATA, DATA[0]), "'U', expected 'S'"),
         (4, pack(Kind.DATA, DATA[0][:-1]), "data of 104 bytes"),
         (4, pack(Kind.DATA, b"\1" + DATA[0][1:]), "recipe 01, not 105 for 07"),
-        (4, pack(Request.PAUSE, b"\1"), "'P', expected 'U'"),
+        (4, pack(ord("P"), b"\1"), "'P', expected 'U'"),
         (4, b"HTTP/1.1 400 Bad Request", "package of 18516 bytes"),
     ],
 )

@@ -154,33 +154,41 @@ def test_it_follows_an_arc_at_its_speed_and_height() -> None:
     assert all(state.pose[3:] == pytest.approx(BEGIN[3:]) for state in seen)
 
 
-def test_it_is_stopped_off_its_path() -> None:
-    poses = [(0.4, 0.02, 0.1, *BEGIN[3:]), (0.4, 0.04, 0.1, *BEGIN[3:])]
-
-    def push(here: Lab) -> None:
-        cast("Any", here.arm)._path_tolerance = -1.0
-
-    here = refused(push, lambda arm: arm.line(poses, 0.02, 0.5, 2.0))
-    assert re.fullmatch(r"it is \d\.\d mm off its path", here.arm.fault)
+def push(here: Lab) -> None:
+    cast("Any", here.arm)._path_tolerance = -1.0
 
 
-def test_a_protective_stop_ends_its_moves() -> None:
-    here = refused(lambda here: here.controller.box.stop_for(SafetyMode.PROTECTIVE_STOP), away)
-    assert here.arm.fault == "protective stop"
+def narrow(here: Lab) -> None:
+    here.arm.bounds = Bounds((0.3, -0.1, 0.05), (0.5, 0.02, 0.2))
 
 
-def test_it_is_stopped_at_the_bounds_of_its_workspace() -> None:
-    def narrow(here: Lab) -> None:
-        here.arm.bounds = Bounds((0.3, -0.1, 0.05), (0.5, 0.02, 0.2))
-
-    here = refused(narrow, lambda arm: arm.line([(0.4, 0.09, 0.1, *BEGIN[3:])], 0.1, 0.5, 1.0))
-    assert "outside its workspace" in here.arm.fault
-    assert here.arm.state.pose[1] < 0.05
+def stop(here: Lab) -> None:
+    here.controller.box.stop_for(SafetyMode.PROTECTIVE_STOP)
 
 
-def test_a_target_outside_its_workspace_is_refused() -> None:
-    here = refused(None, lambda arm: arm.line([(0.6, 0.0, 0.1, math.pi, 0, 0)], 0.1, 0.5, 2.0))
-    assert here.arm.state.pose == pytest.approx(BEGIN)
+def to(*y: float, x: float = 0.4) -> Callable[[UrArm], Coroutine[Any, Any, None]]:
+    return lambda arm: arm.line([(x, each, 0.1, *BEGIN[3:]) for each in y], 0.05, 0.5, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("act", "move", "fault", "farthest"),
+    [
+        (push, to(0.02, 0.04), r"it is \d\.\d mm off its path", 0.03),
+        (stop, away, "protective stop", 1e-6),
+        (narrow, to(0.09), "at y 0.0.* m it is outside its workspace", 0.05),
+        (None, to(0.0, x=0.6), ".*", 1e-6),
+    ],
+    ids=["path", "safety", "bounds", "target"],
+)
+def test_it_is_stopped_for_good(
+    act: Callable[[Lab], None] | None,
+    move: Callable[[UrArm], Coroutine[Any, Any, None]],
+    fault: str,
+    farthest: float,
+) -> None:
+    here = refused(act, move)
+    assert re.fullmatch(fault, here.arm.fault)
+    assert math.dist(here.arm.state.pose[:3], BEGIN[:3]) < farthest
 
 
 @real
