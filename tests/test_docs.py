@@ -14,6 +14,8 @@ import typer.main
 from flows.cli.main import app
 from tests.command import slipflow
 from tests.pages import PAGES, ROOT, blocks, commands, mentioned
+from tests.reference_pages import FOLDER
+from tests.reference_pages import PAGES as GENERATED
 
 RUN = [
     "tutorial/own-detector.md",
@@ -129,6 +131,11 @@ def test_every_link_has_its_target_and_its_heading(page: Path) -> None:
         linked = page.parent / target if target else page
         assert linked.exists(), target
         assert not anchor or anchor in anchors(linked), f"{target}#{anchor}"
+
+
+@pytest.mark.parametrize("name", GENERATED)
+def test_the_generated_page_is_up_to_date(name: str) -> None:
+    assert (FOLDER / name).read_text() == GENERATED[name](), "run `make docs`"
 
 
 def test_the_navigation_of_the_site_names_every_page_once() -> None:

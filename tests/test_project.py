@@ -140,16 +140,19 @@ def test_all_loggers_are_below_slipflow() -> None:
     assert [name for name in names - foreign if not re.fullmatch(r'"slipflow(\.\w+)?"', name)] == []
 
 
-def test_operators_import_no_heavy_package() -> None:
-    heavy = ("scipy", "pandas", "polars", "pyarrow", "torch", "aiomqtt", "numba", "asyncio")
-    code = f"import operators, sys; print([m for m in {heavy!r} if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
-def test_check_imports_no_heavy_package() -> None:
-    heavy = {"scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba", "matplotlib"}
-    code = f"import sys; from flows.cli.check import check; check('live'); print({heavy} & {{*sys.modules}})"
+@pytest.mark.parametrize(
+    ("code", "light"),
+    [
+        ("import operators", {"numpy"}),
+        ("from connectors import Console, Mqtt; Console(), Mqtt('mqtt://localhost')", {"asyncio", "numpy"}),
+        ("import flows.cli.main", {"asyncio"}),
+        ("from flows.cli.check import check; check('live')", {"asyncio", "numpy"}),
+    ],
+)
+def test_heavy_packages_are_imported_when_they_are_needed(code: str, light: set[str]) -> None:
+    heavy = {"aiohttp", "aiomqtt", "asyncio", "matplotlib", "numba", "numpy", "pandas", "polars", "pyarrow"}
+    heavy |= {"rich", "scipy", "torch"}
+    code = f"{code}; import sys; print({heavy - light} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
 

@@ -1,10 +1,10 @@
 import multiprocessing
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from itertools import groupby
 from multiprocessing.connection import Connection
 from threading import Thread
 from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 
@@ -22,46 +22,15 @@ POSE = (0.4, 0.0, 0.1, 3.14, 0.0, 0.0)
 FORWARD = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-@dataclass
-class TestControl:
-    """Record of the calls to ur-rtde, except kicks."""
-
-    __test__ = False
-    sent: list[tuple[Any, ...]] = field(default_factory=list[tuple[Any, ...]])
-    obeys: bool = True
-
-    def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool:  # noqa: N802
-        self.sent.append(("moveL", pose, speed, acceleration, asynchronous))
-        return self.obeys
-
-    def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool:  # noqa: N802
-        self.sent.append(("speedL", velocity, acceleration, time))
-        return self.obeys
-
-    def speedStop(self, deceleration: float, /) -> bool:  # noqa: N802
-        self.sent.append(("speedStop",))
-        return self.obeys
-
-    def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802
-        self.sent.append(("stopL", asynchronous))
-
-    def setWatchdog(self, rate: float, /) -> bool:  # noqa: N802
-        self.sent.append(("setWatchdog", rate))
-        return True
-
-    def kickWatchdog(self) -> bool:  # noqa: N802
-        return True
-
-    def stopScript(self) -> None:  # noqa: N802
-        self.sent.append(("stopScript",))
-
-    def disconnect(self) -> None:
-        self.sent.append(("disconnect",))
+def calls(control: MagicMock) -> list[tuple[Any, ...]]:
+    """Return the calls to ur-rtde but kicks, without repeats."""
+    made = [(name, *values) for name, values, _ in control.method_calls if name != "kickWatchdog"]
+    return [call for call, _ in groupby(made)]
 
 
-def calls(control: TestControl) -> list[tuple[Any, ...]]:
-    """Return the calls to ur-rtde, without repeats."""
-    return [call for call, _ in groupby(control.sent)]
+def ended(control: MagicMock) -> list[str]:
+    """Return the names of the last three calls."""
+    return [call[0] for call in calls(control)[-3:]]
 
 
 def ignored(number: int, handler: object) -> None:
@@ -77,21 +46,21 @@ def pipe(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Connection, Connecti
     theirs.close()
 
 
-def begin(pipe: Connection, control: TestControl) -> None:
-    def connect(host: str) -> TestControl:
+def begin(pipe: Connection, control: MagicMock) -> None:
+    def connect(host: str) -> MagicMock:
         assert host == "robot"
         return control
 
     serve(pipe, "robot", 5.0, connect)
 
 
-def started(pipe: Connection, control: TestControl) -> Thread:
+def started(pipe: Connection, control: MagicMock) -> Thread:
     thread = Thread(target=begin, args=(pipe, control))
     thread.start()
     return thread
 
 
-def served(pipe: tuple[Connection, Connection], control: TestControl, *commands: Command) -> list[Reply]:
+def served(pipe: tuple[Connection, Connection], control: MagicMock, *commands: Command) -> list[Reply]:
     """Return the replies of the process to commands, until it ends."""
     ours, theirs = pipe
     thread = started(theirs, control)
@@ -106,7 +75,7 @@ def served(pipe: tuple[Connection, Connection], control: TestControl, *commands:
 
 
 def test_commands_become_asynchronous_calls(pipe: tuple[Connection, Connection]) -> None:
-    control = TestControl()
+    control = MagicMock()
     replies = served(
         pipe,
         control,
@@ -123,33 +92,31 @@ def test_commands_become_asynchronous_calls(pipe: tuple[Connection, Connection])
         ("moveL", [*POSE], 0.1, 0.5, True),
         ("speedL", [*FORWARD], 0.5, 0.0),
         ("speedL", [0.0] * 6, control_process.STOP_DECELERATION, 0.0),
-        ("speedStop",),
+        ("speedStop", control_process.STOP_DECELERATION),
         ("stopScript",),
         ("disconnect",),
     ]
 
 
 def test_a_stop_is_repeated_until_release(pipe: tuple[Connection, Connection]) -> None:
-    control, (ours, theirs) = TestControl(), pipe
+    control, (ours, theirs) = MagicMock(), pipe
     thread = started(theirs, control)
     ours.send(Move(FORWARD, 0.5))
     ours.send(Signal.STOP)
     stopped = ("speedL", [0.0] * 6, control_process.STOP_DECELERATION, 0.0)
-    while control.sent.count(stopped) < 3:
+    while [(name, *values) for name, values, _ in control.method_calls].count(stopped) < 3:
         assert ours.recv()
         ours.send(Signal.KEEP_ALIVE)
     ours.send(Signal.RELEASE)
     ours.send(Signal.END)
     thread.join(10)
-    assert control.sent[-3:] == [("speedStop",), ("stopScript",), ("disconnect",)]
+    assert ended(control) == ["speedStop", "stopScript", "disconnect"]
 
 
 def test_an_ended_program_is_reported_with_possible_causes(pipe: tuple[Connection, Connection]) -> None:
-    class Ended(TestControl):
-        def kickWatchdog(self) -> bool:  # noqa: N802
-            return False
-
-    replies = served(pipe, Ended())
+    control = MagicMock()
+    control.kickWatchdog.return_value = False
+    replies = served(pipe, control)
     assert replies[-1].kind == "failed"
     assert "after 0.2 s without a message (watchdog 5 Hz)" in replies[-1].text
 
@@ -158,40 +125,39 @@ def test_the_arm_is_stopped_when_no_command_arrives(
     pipe: tuple[Connection, Connection], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control_process, "SILENCE", 0.05)
-    control = TestControl()
+    control = MagicMock()
     *_, last = served(pipe, control, MoveTo(POSE, 0.1, 0.5))
     assert last.text == "no command for 0.2 s: the arm was stopped"  # the watchdog's period
     assert last.kind == "failed"
-    assert [call[0] for call in control.sent[-3:]] == ["stopL", "stopScript", "disconnect"]
+    assert ended(control) == ["stopL", "stopScript", "disconnect"]
 
 
 def test_the_arm_is_stopped_when_the_commanding_process_is_gone(pipe: tuple[Connection, Connection]) -> None:
     ours, theirs = pipe
-    control = TestControl()
+    control = MagicMock()
     ours.send(MoveTo(POSE, 0.1, 0.5))
     thread = started(theirs, control)
     while ours.recv().kind != "alive":
         pass
     ours.close()
     thread.join(10)
-    assert [call[0] for call in control.sent[-3:]] == ["stopL", "stopScript", "disconnect"]
+    assert ended(control) == ["stopL", "stopScript", "disconnect"]
 
 
 def test_the_process_disconnects_even_if_the_arm_cannot_be_stopped(
     pipe: tuple[Connection, Connection],
 ) -> None:
-    class Unstoppable(TestControl):
-        def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802
-            raise RuntimeError("connection lost")
-
-    control, (ours, theirs) = Unstoppable(), pipe
+    control, (ours, theirs) = MagicMock(), pipe
+    control.stopL.side_effect = RuntimeError("connection lost")
     ours.send(MoveTo(POSE, 0.1, 0.5))
     ours.send(Signal.END)
     with pytest.raises(RuntimeError, match="connection lost"):
         begin(theirs, control)
-    assert [call[0] for call in control.sent[-2:]] == ["stopScript", "disconnect"]
+    assert ended(control) == ["stopL", "stopScript", "disconnect"]
 
 
 def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]) -> None:
-    replies = served(pipe, TestControl(obeys=False), MoveTo(POSE, 0.1, 0.5))
+    control = MagicMock()
+    control.moveL.return_value = False
+    replies = served(pipe, control, MoveTo(POSE, 0.1, 0.5))
     assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")

@@ -176,10 +176,10 @@ def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def restart(here: Lab) -> None:
-        asyncio.get_running_loop().call_later(20.0, here.controller.restart)
+        asyncio.get_running_loop().call_later(16.0, here.controller.restart)
 
     with caplog.at_level(logging.WARNING):
-        run, sink, here = live(restart, 27)
+        run, sink, here = live(restart, 22)
     [gap] = run.sources["motion"].gaps
     assert 0 < gap.end - gap.start < 0.3 * s
     assert [record.message.split(":")[0] for record in caplog.records] == [
@@ -194,7 +194,7 @@ def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
         shown = motion.time[first:stop] - began - motion.device_time[first:stop] / (1 + 50e-6)
         assert np.abs(shown).max() < 0.3 * ms  # until the drift is known, after 5 s
     assert clocks.drift[3] == pytest.approx(-50e-6, abs=1e-6)
-    assert clocks.offset[-1] - clocks.offset[0] == pytest.approx(20 * s, abs=0.1 * s)
+    assert clocks.offset[-1] - clocks.offset[0] == pytest.approx(16 * s, abs=0.1 * s)
     assert here.source.describe()["connections"] == 2
 
 

@@ -31,13 +31,6 @@ def test_version_prints_the_installed_version() -> None:
     assert (done.returncode, done.stdout) == (0, f"slipflow {version('slipflow')}\n")
 
 
-def test_the_command_line_imports_no_heavy_package() -> None:
-    heavy = {"numpy", "scipy", "polars", "pyarrow", "torch", "aiohttp", "aiomqtt", "numba", "rich"}
-    code = f"import sys; import flows.cli.main; print({heavy} & {{*sys.modules}})"
-    done = subprocess.run([sys.executable, "-c", code], stdout=PIPE, text=True, check=True)
-    assert done.stdout == "set()\n"
-
-
 def test_debug_shows_the_traceback() -> None:
     done = slipflow("--debug", "run", "nowhere.py")
     assert done.returncode == 2

@@ -102,6 +102,7 @@ MISTAKES = [
     ("import lab.csv lab.csv", "OUT is 'lab.csv', must be a folder: the last argument is"),
     ("import lab.csv lab.csv out", "has the same session name as lab.csv"),
     ("import lab.csv out --session ../x", "must be a file name"),
+    ("simulate out --plan papre", "plan is 'papre', must be one of paper, wide, slow, tiny"),
     ("verify nowhere --repair", "nowhere: there is no such folder"),
 ]
 
