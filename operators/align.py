@@ -1,20 +1,16 @@
 """Alignment of the arm's motion with the touch samples."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import isfinite, nan
-from typing import Any, Final, Literal, get_args
+from typing import Final, Literal, get_args
 
-import numpy as np
-
-from operators.batch import Flags, Motion, Reals, Sample, Times, Zeroed, ms, s
+from operators.batch import Motion, Sample, Zeroed, ms, s
 from operators.checks import check_at_least, check_choice
 from operators.operator import Join
-from operators.row_loop import row_loop
-from operators.row_queues import END, Chain
+from operators.steps import END, Record, RowType, Steps, copy, queue
 
 How = Literal["nearest", "previous"]
 
-_ROWS: Final = 1024  # of motion, smallest size of the arrays
 _NEAREST: Final = 0  # index of `How`
 
 
@@ -32,8 +28,9 @@ class Align(Join[Zeroed, Motion, Sample]):
 
     A touch sample is released when motion newer than t has arrived, when the touch stream is `wait` past t,
     or when it ends. The result is exact if motion lags touch by at most `wait` (for nearest, which looks
-    ahead, `wait` - `within`) and touch lags motion by at most `keep`. With ``how="previous"`` and ``wait=0``
-    no sample is delayed.
+    ahead, `wait` - `within`) and touch lags motion by at most `keep`, for streams of up to 1 kHz: rows of
+    faster ones are released or forgotten earlier. With ``how="previous"`` and ``wait=0`` no sample is
+    delayed.
 
     Args:
         within: Largest distance of motion from t, ns.
@@ -44,6 +41,7 @@ class Align(Join[Zeroed, Motion, Sample]):
     Raises:
         ParameterError: if a parameter is invalid.
 
+    >>> import numpy as np
     >>> zeroed = Zeroed(np.array([10 * ms]), *np.zeros((2, 1, 6), np.int16), np.ones((1, 6), bool))
     >>> motion = Motion(np.array([8 * ms, 16 * ms]), np.zeros(2, int), np.ones((2, 6)), np.zeros((2, 6)))
     >>> Align().push(zeroed, motion).matched
@@ -54,132 +52,85 @@ class Align(Join[Zeroed, Motion, Sample]):
     how: How = "nearest"
     wait: int = 100 * ms
     keep: int = 10 * s
-    _stamps: Times = field(init=False, repr=False, compare=False)  # of the motion kept, ns
-    _values: Reals = field(init=False, repr=False, compare=False)  # (n, 12) velocity and pose
-    # start and stop of the motion kept in these arrays; `within`, longest distance from the newest, `how`
-    _state: Times = field(init=False, repr=False, compare=False)
-    _free: int = field(default=0, init=False, repr=False)  # rows for which there certainly is room
-    _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
-    _touched: int = field(default=-END, init=False, repr=False)  # ns, newest touch
-    _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_choice("Align", "how", self.how, get_args(How))
         check_at_least("Align", "within", self.within, 0, "ns")
         check_at_least("Align", "keep", self.keep, 0, "ns")
         check_at_least("Align", "wait", self.wait, 0 if self.how == "previous" else self.within, "ns")
-        self._stamps, self._values = np.empty(0, np.int64), np.empty((0, 12))
-        self._state = np.array([0, 0, self.within, self.keep + self.within, get_args(How).index(self.how)])
 
-    def process(self, left: Zeroed, right: Motion) -> Sample:
-        """Store the motion, then return the touch samples that can be matched."""
-        oldest = self._newest - self.keep  # ns, oldest touch that still has all its motion
-        if right.time.size:
-            self._store(right)
-        if left.time.size:
-            self._held.append(left)
-            self._touched = left.time.item(-1)
-        # touch up to `wait` before the newest one has waited long enough
-        rows = self._held.take(max(self._newest, self._touched - self.wait + 1))
-        return self._match(rows, oldest) if rows.time.size else Sample.empty()
-
-    def flush(self) -> Sample:
-        """Return the held touch samples, matched with the motion so far."""
-        rows = self._held.take()
-        return self._match(rows, -END) if rows.time.size else Sample.empty()
-
-    def _store(self, motion: Motion) -> None:
-        self._free -= motion.time.size
-        if self._free < 0:
-            start, stop = self._state[:2].tolist()
-            self._resize(max(_ROWS, 2 * (stop - start) + motion.time.size))
-            self._free -= motion.time.size
-        values = motion.velocity, motion.pose
-        self._newest = _keep(motion.time, *values, self._stamps, self._values, self._state, self._newest)
-
-    def _resize(self, size: int) -> None:
-        """Move the motion kept to new arrays with room for `size` rows."""
-        start, stop = self._state[:2].tolist()
-        stamps, values = np.empty(size, np.int64), np.empty((size, 12))
-        stamps[: stop - start], values[: stop - start] = self._stamps[start:stop], self._values[start:stop]
-        self._stamps, self._values = stamps, values
-        self._state[:2] = 0, stop - start
-        self._free = size - (stop - start)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state without motion that is too old."""
-        start, stop = self._state[:2].tolist()
-        oldest = self._newest - self.keep - self.within
-        self._state[0] = start + int(self._stamps[start:stop].searchsorted(oldest))
-        self._resize(stop - int(self._state[0]))
-        return vars(self)
-
-    def _match(self, rows: Zeroed, oldest: int) -> Sample:
-        size = rows.time.size
-        velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
-        _match(rows.time, self._stamps, self._values, self._state, oldest, velocity, pose, matched)
-        return Sample(  # without *, which takes 0.2 us
-            rows.time,
-            rows.counts,
-            rows.temperature,
-            rows.valid,
-            velocity,
-            pose,
-            matched,
-            finger=rows.finger,
+    def steps(self, *given: RowType) -> Steps:
+        """Return the functions that take touch and motion, and give samples."""
+        held = queue(given[0], self.wait)
+        return Steps(
+            settings={
+                "within": self.within,
+                "wait": self.wait,
+                "keep": self.keep,
+                "how": get_args(How).index(self.how),
+            },
+            state={
+                "held": held,  # touch that waits
+                "first": 0,  # number of the oldest row that waits
+                "last": 0,  # number after the newest one
+                "motion": queue(RowType(Motion), self.keep),
+                "start": 0,  # number of the oldest motion kept
+                "stop": 0,  # number after the newest one
+                "newest": -END,  # ns, motion
+                "touched": -END,  # ns, newest touch
+                "oldest": -END,  # ns, oldest touch that still has all its motion
+                "ended": 0,
+            },
+            takes=(_take_touch, _take_motion),
+            give=_give_sample,
+            held=len(held),
         )
 
 
-@row_loop
-def _keep(
-    time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, state: Times, newest: int
-) -> int:
-    """Drop old rows, then store those with finite velocity; return the newest time."""
-    start, stop = int(state[0]), int(state[1])
-    while start < stop and stamps[start] < newest - state[3]:
-        start += 1
-    for row in range(len(time)):
-        finite = True
-        for axis in range(6):
-            values[stop, axis], values[stop, 6 + axis] = velocity[row, axis], pose[row, axis]
-            finite = finite and isfinite(velocity[row, axis])
-        if finite:
-            stamps[stop] = newest = int(time[row])
-            stop += 1
-    state[0], state[1] = start, stop
-    return newest
+def _take_touch(settings: Record, state: Record, row: Record) -> None:
+    copy(state.held[state.last % len(state.held)], row)
+    state.last += 1
+    state.touched = row.time
+    state.oldest = state.newest - settings.keep
 
 
-@row_loop
-def _match(
-    time: Times,
-    /,
-    stamps: Times,
-    values: Reals,
-    state: Times,
-    oldest: int,
-    velocity: Reals,
-    pose: Reals,
-    matched: Flags,
-) -> None:
-    """Select the motion of each row."""
-    start, stop, within, how = int(state[0]), int(state[1]), int(state[2]), int(state[4])
-    after = stop  # index of the first motion after the row
-    while after > start and stamps[after - 1] > time[0]:
+def _take_motion(settings: Record, state: Record, row: Record) -> None:
+    state.oldest = state.newest - settings.keep
+    for axis in range(6):
+        if not isfinite(row.velocity[axis]):
+            return
+    if state.stop - state.start == len(state.motion):
+        state.start += 1
+    copy(state.motion[state.stop % len(state.motion)], row)
+    state.stop += 1
+    state.newest = row.time
+
+
+def _give_sample(settings: Record, state: Record, out: Record) -> bool:
+    """Match the oldest touch that has waited long enough with the motion at its time."""
+    if state.first == state.last:
+        return False
+    row = state.held[state.first % len(state.held)]
+    instant = row.time
+    full = state.last - state.first == len(state.held)
+    if instant >= max(state.newest, state.touched - settings.wait + 1) and not (state.ended or full):
+        return False
+    copy(out, row)
+    state.first += 1
+    after, kept = state.stop, len(state.motion)  # number of the first motion after the row
+    while after > state.start and state.motion[(after - 1) % kept].time > instant:
         after -= 1
-    for row in range(len(time)):
-        instant = time[row]
-        while after < stop and stamps[after] <= instant:
-            after += 1
-        since = instant - stamps[after - 1] if after > start else END
-        ahead = stamps[after] - instant if after < stop else END
-        source, distance = after - 1, since
-        if how == _NEAREST and ahead <= since:
+    source, distance = after - 1, END
+    if after > state.start:
+        distance = instant - state.motion[source % kept].time
+    if settings.how == _NEAREST and after < state.stop:
+        ahead = state.motion[after % kept].time - instant
+        if ahead <= distance:
             source, distance = after, ahead
-        matched[row] = distance <= within and instant >= oldest
-        if not matched[row]:
-            for axis in range(6):
-                velocity[row, axis] = pose[row, axis] = nan
-        else:
-            for axis in range(6):
-                velocity[row, axis], pose[row, axis] = values[source, axis], values[source, 6 + axis]
+    matched = distance <= settings.within and (state.ended or instant >= state.oldest)
+    out.matched = matched
+    motion = state.motion[source % kept]
+    for axis in range(6):
+        out.velocity[axis] = motion.velocity[axis] if matched else nan
+        out.pose[axis] = motion.pose[axis] if matched else nan
+    return True

@@ -1,20 +1,21 @@
-"""Batches: typed columns of numpy arrays with a common first axis.
+"""Batches: rows of one type, as columns with a common first axis or as one array of packed rows.
 
-The same code processes batches of one row, in a live run, and of a million rows, in a replay.
+The same code processes batches of one row, in a live run, and of a million rows, in a replay. Either form
+is made from the other when it is first read: operators of slipflow take and give packed rows, so that a batch
+of one row needs a single array; users' code and files read columns.
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import Field, dataclass, field, fields
-from inspect import get_annotations
+from dataclasses import field
+from functools import cache, cached_property
 from operator import attrgetter
-from types import MappingProxyType
-from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform
+from typing import Any, Final, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
+from operators.column import CELLS, Column, Declared, column, declared
 from operators.errors import BatchError
-from operators.row_loop import row_loop
 
 Times: TypeAlias = NDArray[np.int64]  # ns since 1970-01-01 UTC
 Counts: TypeAlias = NDArray[np.int16]  # ADC counts of a barometer
@@ -23,7 +24,6 @@ Codes: TypeAlias = NDArray[np.int8]
 Reals: TypeAlias = NDArray[np.float64]
 
 BAROMETERS: Final = 6  # cells of a TakkTile fingertip
-CELLS: Final = -2  # size of a column: the number of cells, the same in all columns of a batch
 EVERY: Final = -1  # finger of a batch that belongs to all fingertips, such as the arm's motion
 SLIP: Final = 1
 STATIC: Final = 0
@@ -36,68 +36,52 @@ s: Final = 1_000_000_000  # ns
 minute: Final = 60 * s  # ns
 
 
-@dataclass(frozen=True)
-class Column:
-    """Element type, shape of one row (-1: any length; `CELLS`: one value per cell) and unit of one field."""
-
-    dtype: np.dtype[Any]
-    shape: tuple[int, ...]
-    unit: str
-    names: tuple[str, ...] = ()  # names of the codes 0, 1, ..., which files store; empty: not coded
-
-    def sizes(self, cells: int) -> tuple[int, ...]:
-        """Return the shape of one row of a fingertip with this number of cells; any length is 0."""
-        return tuple(cells if size == CELLS else max(size, 0) for size in self.shape)
-
-
-def column(dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()) -> Any:
-    """Declare a column of a batch type; checks, empty batches and Arrow schemas are derived from it.
-
-    >>> class Force(Batch):
-    ...     normal: Reals = column(np.float64, unit="N")  # (n,)
-    >>> Force.zeros(rows=2).normal
-    array([0., 0.])
-    """
-    return field(metadata={"column": Column(np.dtype(dtype), shape, unit, names)})
-
-
-_columns: Final[dict[type[Any], Mapping[str, Column]]] = {}
-
-
-@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(column, field))
-class _Declared:
-    """Base whose subclasses become dataclasses.
-
-    Type checkers treat batches as frozen. At run time they are not: the constructor of a frozen dataclass
-    takes several times as long, which is much of the cost of a batch of one row.
-
-    Raises:
-        BatchError: if a field is no column.
-    """
-
-    def __init_subclass__(cls) -> None:
-        for name, hint in get_annotations(cls).items():
-            given = vars(cls).get(name)
-            is_column = isinstance(given, Field) and "column" in given.metadata
-            if _Declared not in cls.__bases__ and not is_column and "ClassVar" not in str(hint):
-                reason = f"is not a column: write {name}: Reals = column(np.float64, unit=...)"
-                raise BatchError(cls.__name__, name, reason)
-        dataclass(eq=False)(cls)
-        kind: Any = cls
-        own = {each.name: each.metadata["column"] for each in fields(kind) if "column" in each.metadata}
-        for base in cls.__mro__:
-            own = {**_columns.get(base, {}), **own}
-        _columns[cls] = MappingProxyType(own)
-
-
-class Batch(_Declared):
+class Batch(Declared):
     """Rows of one type, ordered by event time."""
 
     time: Times = column(np.int64, unit="ns")  # (n,) event time
     finger: int = field(default=EVERY, kw_only=True)  # fingertip of all rows
 
+    @classmethod
+    def unpack(cls, packed: NDArray[Any], finger: int = EVERY) -> Self:
+        """Return a batch of packed rows, (n,) of `packed_type`.
+
+        >>> Scores.unpack(np.array([(1, 0.5)], packed_type(Scores))).probability
+        array([0.5])
+        """
+        batch = _new(cls)
+        attributes = batch.__dict__
+        attributes["packed"], attributes["finger"] = packed, finger
+        return batch
+
+    @classmethod
+    def rows(cls, *values: Any, finger: int = EVERY) -> Self:
+        """Return packed rows of these columns, as a source yields them; lists serve as well as arrays.
+
+        >>> Scores.rows([1, 2], 0.5).probability
+        array([0.5, 0.5])
+        """
+        names = columns(cls)
+        cells = next((len(v[0]) for v, c in zip(values, names.values(), strict=True) if CELLS in c.shape), 0)
+        rows = np.empty(len(values[0]), packed_type(cls, cells))
+        for name, value in zip(names, values, strict=True):
+            rows[name] = value
+        return cls.unpack(rows, finger)
+
+    def later(self, by: int) -> Self:
+        """Return a copy of the rows with later times, by ns."""
+        rows = self.packed.copy()
+        rows["time"] += by
+        return type(self).unpack(rows, self.finger)
+
+    @cached_property
+    def packed(self) -> NDArray[Any]:
+        """Rows as one array, (n,) of `packed_type`."""
+        return pack(self, packed_type(type(self), self.cells))
+
     def __len__(self) -> int:
-        return len(self.time)
+        rows = vars(self).get("packed")
+        return len(self.time if rows is None else rows)
 
     @property
     def cells(self) -> int:
@@ -108,6 +92,8 @@ class Batch(_Declared):
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> Self:
         """Return rows by slice (as views), or by flags or indices (as copies)."""
         kind = type(self)
+        if "packed" in vars(self):
+            return kind.unpack(self.packed[rows], self.finger)
         return kind(*[column[rows] for column in layout(kind).take(self)], finger=self.finger)
 
     @classmethod
@@ -134,7 +120,12 @@ class Batch(_Declared):
         Raises:
             BatchError: if a column is invalid.
         """
-        expected = layout(type(self))
+        expected, rows = layout(type(self)), vars(self).get("packed")
+        if rows is not None and rows.dtype is expected.row:
+            return self
+        if rows is not None and rows.dtype == packed_type(type(self), self.cells):
+            expected.row = rows.dtype
+            return self
         try:
             traits = expected.traits(self)
         except AttributeError:  # a column is not an array
@@ -146,7 +137,8 @@ class Batch(_Declared):
 
     def is_ordered(self) -> bool:
         """Return True if time never decreases."""
-        return _is_ordered(self.time)
+        time = self.time
+        return bool((time[1:] >= time[:-1]).all())
 
     def check_order(self) -> Self:
         """Return this batch if its time never decreases.
@@ -154,7 +146,7 @@ class Batch(_Declared):
         Raises:
             BatchError: if it does.
         """
-        if self.time.size > 1 and not self.is_ordered():
+        if len(self) > 1 and not self.is_ordered():
             row = int(np.argmax(self.time[1:] < self.time[:-1])) + 1
             reason = f"decreases at row {row}, must be in order: sort the rows, or yield them one by one"
             raise BatchError(type(self).__name__, "time", reason)
@@ -192,6 +184,7 @@ class Layout:
         traits = "__class__", "dtype", "shape"  # of each column
         self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in traits))
         self.valid: object = None  # traits of the newest valid batch
+        self.row: object = None  # type of the rows of the newest valid packed batch
         self.cell_column = next((name for name, each in expected.items() if CELLS in each.shape), None)
         getter = attrgetter(*expected)
         self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
@@ -199,14 +192,32 @@ class Layout:
         )
 
 
-@row_loop
-def _is_ordered(time: Times, /) -> bool:
-    ordered = True
-    for row in range(1, len(time)):
-        ordered = ordered and time[row] >= time[row - 1]
-    return bool(ordered)
+def pack(batch: Batch, row: np.dtype[Any]) -> NDArray[Any]:
+    """Return the rows of a batch as one array; columns that the row lacks are left out."""
+    rows = np.empty(len(batch), row)
+    for name in row.names or ():
+        rows[name] = getattr(batch, name)
+    return rows
 
 
+def packed_type(kind: type[Batch], cells: int = BAROMETERS) -> np.dtype[Any]:
+    """Return the type of a packed row of a fingertip with this number of cells; the same object each time.
+
+    A subtype begins with the columns of its base. Flags are bytes: numba has no records with arrays of flags.
+    """
+    return _packed_type(cast("Any", kind), cells if layout(kind).cell_column else 0)
+
+
+@cache
+def _packed_type(kind: type[Any], cells: int) -> np.dtype[Any]:
+    flag, byte = np.dtype(np.bool_), np.dtype(np.uint8)
+    return np.dtype(
+        [(n, byte if c.dtype == flag else c.dtype, c.sizes(cells)) for n, c in columns(kind).items()],
+        align=True,
+    )
+
+
+_new: Final = object.__new__
 _layouts: Final[dict[type[Any], Layout]] = {}
 _empty: Final[dict[type[Any], Any]] = {}
 
@@ -217,7 +228,7 @@ def columns(kind: type[Batch]) -> Mapping[str, Column]:
     >>> list(columns(Motion))
     ['time', 'device_time', 'velocity', 'pose']
     """
-    return _columns[kind]
+    return declared[kind]
 
 
 def layout(kind: type[Batch]) -> Layout:
@@ -240,6 +251,8 @@ def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
         return kind.empty()
     if len({batch.finger for batch in full}) > 1:
         raise BatchError(kind.__name__, "finger", "cannot concatenate batches of several fingertips")
+    if all("packed" in vars(batch) and type(batch) is kind for batch in full):
+        return kind.unpack(np.concatenate([batch.packed for batch in full]), full[0].finger)
     parts = zip(*map(layout(kind).take, full), strict=True)  # arrays of each column
     return kind(*map(np.concatenate, parts), finger=full[0].finger)
 

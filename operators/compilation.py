@@ -1,11 +1,22 @@
 """Compilation of functions with numba; machine code is cached on disk where that is possible."""
 
 import logging
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+import re
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from dis import get_instructions
+from functools import cache
+from types import CodeType, FunctionType
+from typing import Any, Final, TypeVar, cast
 
-from numba import njit
-from numba.core import event
+import numpy as np
+from numba import njit, typeof, types
+from numba.core import cgutils, event
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
+from numba.np.numpy_support import as_struct_dtype
+
+from operators import steps
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -29,6 +40,9 @@ class _Announcer(event.Listener):
         if self.compiled % 10 == 0:
             log.info("compiling: %d functions are ready", self.compiled)
 
+
+_ADDRESS: Final = re.compile(" at 0x[0-9a-f]+")  # differs in each process
+_programs: Final = dict[object, Any]()  # of this process; their machine code lives as long as they do
 
 cast("Any", event).register("numba:compile", _Announcer())
 
@@ -55,3 +69,96 @@ def compile_function(
         return cast("Function", result)
 
     return decorate
+
+
+def compile_program(function: FunctionType, arguments: Sequence[object]) -> Callable[..., Any]:
+    """Compile a function, with all functions that it calls, for arguments of the types of these.
+
+    The result skips numba's dispatcher, which inspects the type of each array for 10 us: the caller must
+    pass arguments of the same types. Arrays may have any strides.
+    """
+    signature, names = tuple(_argument_type(each) for each in arguments), dict[FunctionType, str]()
+    key = _name(function, names), signature
+    if key not in _programs:
+        _programs[key] = compile_function([signature], nogil=False)(_linked(function, names, {}))
+    compiled = _programs[key]
+    return cast("Callable[..., Any]", compiled.overloads[compiled.signatures[0]].entry_point)
+
+
+def _argument_type(value: object) -> Any:
+    if isinstance(value, tuple):
+        return cast("Any", types).Tuple([_argument_type(each) for each in value])
+    found = cast("Any", typeof)(value)
+    return types.Array(found.dtype, found.ndim, "A") if isinstance(value, np.ndarray) else found
+
+
+def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
+    """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in."""
+    if function not in names:
+        if function.__code__.co_freevars:
+            reason = "reads variables of the function around it: use settings"
+            raise TypeError(f"{function.__qualname__} {reason}")
+        text, loaded = _contents(function.__code__)
+        parts = [text, repr((function.__defaults__, function.__kwdefaults__))]
+        for name in loaded:
+            value = function.__globals__.get(name)
+            if isinstance(helper := getattr(value, "py_func", value), FunctionType):
+                parts.append(_name(helper, names))
+            else:  # perhaps from another file
+                text = repr(value.tobytes() if isinstance(value, np.ndarray) else value)
+                parts.append(f"{name}={_ADDRESS.sub('', text)}")
+        names[function] = f"{function.__name__}_{zlib.crc32(repr(parts).encode()):x}"
+    return names[function]
+
+
+def _linked(
+    function: FunctionType, names: dict[FunctionType, str], known: dict[FunctionType, Any]
+) -> FunctionType:
+    """Return a copy of a function that calls compiled functions."""
+    scope = dict(function.__globals__)
+    for name in _contents(function.__code__)[1]:
+        helper = scope.get(name)
+        if helper is steps.copy:
+            scope[name] = _copy
+        elif isinstance(helper, FunctionType):
+            if helper not in known:
+                known[helper] = njit(error_model="numpy")(_linked(helper, names, known))
+            scope[name] = known[helper]
+    result = FunctionType(function.__code__, scope, names[function], function.__defaults__)
+    result.__qualname__, result.__kwdefaults__ = names[function], function.__kwdefaults__
+    return result
+
+
+@cache
+def _contents(code: CodeType) -> tuple[str, list[str]]:
+    """Return what a function and the comprehensions in it do, as text, and the globals that they read."""
+    codes = list(_codes(code))
+    plain = [[each for each in part.co_consts if not isinstance(each, CodeType)] for part in codes]
+    text = repr([(part.co_code, part.co_names, kept) for part, kept in zip(codes, plain, strict=True)])
+    loads = (each for part in codes for each in get_instructions(part) if each.opname == "LOAD_GLOBAL")
+    return text, sorted({each.argval for each in loads})
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """Return the code of a function, and of comprehensions in it."""
+    yield code
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _codes(each)
+
+
+@intrinsic
+def _copy(context: Any, out: Any, row: Any) -> Any:
+    """Compile `steps.copy`: the columns of the shorter row lie at the same place in both."""
+    ours, theirs = (cast("Any", as_struct_dtype(each)).fields for each in (out, row))
+    shorter, longer = sorted((ours, theirs), key=len)
+    if any(longer.get(name) != each for name, each in shorter.items()):
+        raise TypingError(f"cannot copy: {list(longer)} does not begin with the columns {list(shorter)}")
+    size = max(offset + kind.itemsize for kind, offset in shorter.values())
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> None:
+        pointers = [builder.bitcast(each, cgutils.voidptr_t) for each in arguments]
+        count = context.get_constant(types.intp, size)
+        cast("Any", cgutils).raw_memcpy(builder, *pointers, count, 1)
+
+    return types.void(out, row), generate

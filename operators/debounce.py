@@ -1,14 +1,12 @@
 """Debouncing of slip probabilities."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import numpy as np
-
-from operators.batch import SLIP, STATIC, UNKNOWN, Reals, Scores, Slips, Times
+from operators.batch import SLIP, STATIC, UNKNOWN, Scores, Slips
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
-from operators.row_loop import Ints, row_loop
+from operators.steps import Record, RowType, Steps
 
 
 @dataclass
@@ -30,6 +28,7 @@ class Debounce(Operator[Scores, Slips]):
     References:
         "Under Pressure" (2021), section V-B.
 
+    >>> import numpy as np
     >>> scores = Scores(np.arange(5), np.array([0.9, 0.8, 0.9, 0.1, 0.2]))
     >>> slips = Debounce().push(scores)
     >>> slips.state, slips.start, slips.time
@@ -40,8 +39,6 @@ class Debounce(Operator[Scores, Slips]):
     consecutive: int = 2
     release: int = 2
     minimum: int = 0
-    _state: Times = field(init=False, repr=False, compare=False)
-    _limits: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
@@ -49,46 +46,40 @@ class Debounce(Operator[Scores, Slips]):
         check_at_least("Debounce", "consecutive", self.consecutive, 1, "decision")
         check_at_least("Debounce", "release", self.release, 1, "decision")
         check_at_least("Debounce", "minimum", self.minimum, 0, "ns")
-        self._limits = self.consecutive, self.release, self.minimum
-        self._state = np.array([UNKNOWN, 0, 0, STATIC, 0])
 
-    def process(self, batch: Scores) -> Slips:
-        """Return the onsets and ends within the batch."""
-        events = np.empty((3, batch.time.size), np.int64)
-        threshold = float(self.threshold)
-        count = _debounce(batch.time, batch.probability, threshold, self._limits, self._state, events)
-        if not count:
-            return Slips.empty()
-        rows, starts, states = events[:, :count].copy()  # not views: sinks may keep the few events
-        probability = batch.probability[rows]
-        return Slips(batch.time[rows], states.astype(np.int8), starts, probability, finger=batch.finger)
+    def steps(self, *given: RowType) -> Steps:
+        """Return the step."""
+        return Steps(
+            settings={
+                "threshold": float(self.threshold),
+                "consecutive": self.consecutive,
+                "release": self.release,
+                "minimum": self.minimum,
+            },
+            state={
+                "decision": UNKNOWN,  # of the current run
+                "length": 0,  # decisions of the run
+                "start": 0,  # ns, of the run
+                "slip": STATIC,  # SLIP during a slip
+                "earliest": 0,  # ns, end of the slip
+            },
+            step=_debounce,
+        )
 
 
-# State: decision of the current run, its length and start (ns); SLIP during a slip, and its earliest end (ns)
-_DECISION, _LENGTH, _START, _STATE, _EARLIEST = range(5)
-
-
-@row_loop
-def _debounce(
-    time: Times, probability: Reals, /, threshold: float, limits: Ints, state: Times, events: Times
-) -> int:
-    """Write row, start and state of each event, and return their number."""
-    consecutive, release, minimum = limits
-    count = 0
-    for row in range(len(time)):
-        value = probability[row]
-        decision = SLIP if value >= threshold else STATIC if value < threshold else UNKNOWN
-        if decision == state[_DECISION]:
-            state[_LENGTH] += 1
-        else:
-            state[_DECISION], state[_LENGTH], state[_START] = decision, 1, time[row]
-        if state[_STATE] == STATIC:
-            changes = decision == SLIP and state[_LENGTH] >= consecutive
-        else:
-            long_enough = state[_LENGTH] >= release and time[row] >= state[_EARLIEST]
-            changes = decision == STATIC and long_enough
-        if changes:
-            state[_STATE], state[_EARLIEST] = decision, state[_START] + minimum
-            events[0, count], events[1, count], events[2, count] = row, state[_START], decision
-            count += 1
-    return count
+def _debounce(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    value = row.probability
+    decision = SLIP if value >= settings.threshold else STATIC if value < settings.threshold else UNKNOWN
+    if decision == state.decision:
+        state.length += 1
+    else:
+        state.decision, state.length, state.start = decision, 1, row.time
+    if state.slip == STATIC:
+        changes = decision == SLIP and state.length >= settings.consecutive
+    else:
+        long_enough = state.length >= settings.release and row.time >= state.earliest
+        changes = decision == STATIC and long_enough
+    if changes:
+        state.slip, state.earliest = decision, state.start + settings.minimum
+        out.time, out.start, out.state, out.probability = row.time, state.start, decision, value
+    return bool(changes)

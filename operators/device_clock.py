@@ -16,17 +16,16 @@ References:
     1999.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import inf
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from operators.batch import EVERY, Clocks, Motion, Reals, Times, s
+from operators.batch import Clocks, Motion, Reals, Times, s
 from operators.checks import check_at_least
 from operators.operator import Operator
-from operators.row_loop import row_loop
-from operators.row_queues import END
+from operators.steps import END, Record, RowType, Steps, copy
 
 BLOCKS: Final = 60  # per window; the least late row of each block is kept
 PAUSE: Final = 5  # windows without rows, after which a new epoch starts
@@ -73,25 +72,20 @@ class DeviceClock(Operator[Motion, Motion]):
 
     window: int = 120 * s
     jump: int = 2 * s
-    _envelope: Envelope = field(init=False, repr=False, compare=False)
-    _newest: int = field(default=-END, init=False, repr=False)  # ns, of the output
 
     def __post_init__(self) -> None:
-        self._envelope = envelope("DeviceClock", self.window, self.jump)
+        check_window("DeviceClock", self.window, self.jump)
 
-    def process(self, batch: Motion) -> Motion:
-        """Return the rows with host times."""
-        time = np.empty(batch.time.size, np.int64)
-        self._newest = _host_times(batch.device_time, batch.time, self._newest, self._envelope, time)
-        return Motion(time, batch.device_time, batch.velocity, batch.pose, finger=batch.finger)
+    def steps(self, *given: RowType) -> Steps:
+        """Return the step."""
+        return Steps(state={**envelope(self.window, self.jump), "newest": -END}, step=_host_times)
 
 
-@row_loop
-def _host_times(device: Times, arrival: Times, /, newest: int, state: Envelope, host: Times) -> int:
-    for row in range(len(device)):
-        newest = max(newest, host_time(device[row], arrival[row], state))
-        host[row] = newest
-    return newest
+def _host_times(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    copy(out, row)
+    clock = state.integers, state.reals, state.kept
+    state.newest = out.time = max(state.newest, host_time(row.device_time, row.time, clock))
+    return True
 
 
 @dataclass
@@ -117,89 +111,79 @@ class WatchClock(Operator[Motion, Clocks]):
 
     window: int = 120 * s
     every: int = 5 * s
-    _envelope: Envelope = field(init=False, repr=False, compare=False)
-    _open: Times = field(init=False, repr=False, compare=False)
-    _finger: int = field(default=EVERY, init=False, repr=False)
 
     def __post_init__(self) -> None:
         check_at_least("WatchClock", "every", self.every, 1, "ns")
-        self._envelope = envelope("WatchClock", self.window, DeviceClock.jump)
-        self._open = np.array([0, 0, 0, 0, -END])
+        check_window("WatchClock", self.window, DeviceClock.jump)
 
-    def process(self, batch: Motion) -> Clocks:
-        """Return the reports that the rows complete."""
-        self._finger = batch.finger
-        stamps, lines = np.empty((2, batch.time.size), np.int64), np.empty((2, batch.time.size))
-        state = self._envelope, self._open
-        count = _watch(batch.device_time, batch.time, state, self.every, stamps, lines)
-        if not count:
-            return Clocks.empty()
-        return self._clocks(stamps[:, :count].copy(), lines[:, :count].copy())  # sinks may keep them
-
-    def flush(self) -> Clocks:
-        """Return the report of the remaining rows."""
-        if not self._open[_ROWS]:
-            return Clocks.empty()
-        stamps, lines = np.empty((2, 1), np.int64), np.empty((2, 1))
-        _report(self._envelope, self._open, stamps, lines, 0)
-        return self._clocks(stamps, lines)
-
-    def _clocks(self, stamps: Times, lines: Reals) -> Clocks:
-        return Clocks(stamps[0], stamps[1], lines[0], lines[1], finger=self._finger)
+    def steps(self, *given: RowType) -> Steps:
+        """Return the functions that take motion and give reports."""
+        state = {
+            "since": 0,  # ns, device stamp of the first row since the last report
+            "rows": 0,  # since then
+            "late": 0,  # ns, their total lateness
+            "mapped": 0,  # ns, host time of the newest row
+            "report": np.zeros((), RowType(Clocks).packed),  # the newest
+            "waits": 0,  # the report was not given yet
+            "ended": 0,
+        }
+        clock = envelope(self.window, DeviceClock.jump)
+        return Steps({"every": self.every}, {**clock, **state}, takes=(_watch,), give=_give_report, held=1)
 
 
-# Rows since the last report: device stamp of the first (ns), number, total lateness (ns); host time of the
-# newest row and time of the newest report (ns).
-_SINCE, _ROWS, _LATE, _MAPPED, _REPORTED = range(5)
+def _watch(settings: Record, state: Record, row: Record) -> None:
+    clock, stamp = (state.integers, state.reals, state.kept), row.device_time
+    if state.rows and (stamp - state.since >= settings.every or starts_epoch(stamp, row.time, clock)):
+        _report(state)
+    if not state.rows:
+        state.since = stamp
+    state.mapped = host_time(stamp, row.time, clock)
+    state.rows += 1
+    state.late += row.time - state.mapped
 
 
-@row_loop
-def _watch(
-    device: Times, arrival: Times, /, state: tuple[Envelope, Times], every: int, stamps: Times, lines: Reals
-) -> int:
-    """Write time and offset, drift and residual of each report, and return their number."""
-    clock, since = state
-    count = 0
-    for row in range(len(device)):
-        stamp, came = device[row], arrival[row]
-        if since[_ROWS] and (stamp - since[_SINCE] >= every or starts_epoch(stamp, came, clock)):
-            _report(clock, since, stamps, lines, count)
-            count += 1
-        if not since[_ROWS]:
-            since[_SINCE] = stamp
-        since[_MAPPED] = host_time(stamp, came, clock)
-        since[_ROWS] += 1
-        since[_LATE] += came - since[_MAPPED]
-    return count
+def _report(state: Record) -> None:
+    report = state.report
+    report.time = max(report.time, state.mapped)
+    report.offset, report.drift = state.mapped - state.integers[DEVICE], state.reals[SLOPE]
+    report.residual = state.late / state.rows / s
+    state.rows = state.late = 0
+    state.waits = 1
 
 
-def _report(clock: Envelope, since: Times, stamps: Times, lines: Reals, number: int) -> None:
-    integers, reals, _ = clock
-    since[_REPORTED] = max(since[_REPORTED], since[_MAPPED])
-    stamps[0, number], stamps[1, number] = since[_REPORTED], since[_MAPPED] - integers[DEVICE]
-    lines[0, number], lines[1, number] = reals[SLOPE], since[_LATE] / since[_ROWS] / s
-    since[_ROWS] = since[_LATE] = 0
+def _give_report(settings: Record, state: Record, out: Record) -> bool:
+    if state.ended and state.rows:
+        _report(state)
+    if not state.waits:
+        return False
+    copy(out, state.report)
+    state.waits = 0
+    return True
 
 
-def envelope(owner: str, window: int, jump: int) -> Envelope:
-    """Return the initial state of the running envelope of a stream.
-
-    Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
-    A row below the line lowers it. At the end of the block the line is fitted again.
-
-    Args:
-        owner: Operator that has the parameters, for errors.
-        window: Length, ns of device time.
-        jump: Largest disagreement on an interval, ns.
+def check_window(owner: str, window: int, jump: int) -> None:
+    """Check the parameters of an envelope, ns.
 
     Raises:
         ParameterError: if a parameter is invalid.
     """
     check_at_least(owner, "window", window, BLOCKS, "ns")
     check_at_least(owner, "jump", jump, 0, "ns")
+
+
+def envelope(window: int, jump: int) -> dict[str, Any]:
+    """Return the initial state of the running envelope of a stream.
+
+    Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
+    A row below the line lowers it. At the end of the block the line is fitted again.
+
+    Args:
+        window: Length, ns of device time.
+        jump: Largest disagreement on an interval, ns.
+    """
     integers = np.zeros(11, np.int64)
     integers[_WINDOW], integers[_JUMP], integers[EPOCH] = window, jump, -1
-    return integers, np.zeros(4), np.zeros((2, BLOCKS))
+    return {"integers": integers, "reals": np.zeros(4), "kept": np.zeros((2, BLOCKS))}
 
 
 def starts_epoch(device: int, arrival: int, state: Envelope) -> bool:

@@ -1,17 +1,17 @@
 """Detection of faulty barometers."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from math import inf, isnan
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
-from operators.batch import Codes, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
+from operators.batch import Faults, Times, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
-from operators.row_loop import row_loop
+from operators.steps import Record, RowType, Steps
 
 _PAUSE: Final = 25 * ms  # ns, longer pauses of the stream count as this long
 _QUIET: Final = 1.0  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load
@@ -73,11 +73,6 @@ class Health(Operator[Touch, Faults]):
     floor: int = 10
     ceiling: int = 1013
     drift: float = 30.0
-    _state: Times = field(init=False, repr=False, compare=False)  # (10, cells), see `_examine`
-    _active: Flags = field(init=False, repr=False, compare=False)  # (cells, 4) by kind
-    _first: Reals = field(init=False, repr=False, compare=False)  # (cells,) mean of the first quiet second
-    _clock: Times = field(init=False, repr=False, compare=False)  # ns: newest row, age, first row
-    _limits: Times = field(init=False, repr=False, compare=False)  # ns
 
     def __post_init__(self) -> None:
         for name in ("dead_after", "stuck_after", "saturated_after"):
@@ -86,111 +81,122 @@ class Health(Operator[Touch, Faults]):
         check_at_least("Health", "clear_after", self.clear_after, 0, "ns")
         if self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
-        self._limits = np.array([self.dead_after, self.stuck_after, self.saturated_after, self.clear_after])
-        self._set_up(np.zeros(0, np.int64), 0)
 
-    def process(self, batch: Touch) -> Faults:
-        """Return the faults that started or ended."""
-        if not self._clock.size:
-            self._set_up(np.array([batch.time[0], 0, batch.time[0]]), batch.counts.shape[1])
-        scale = (-inf, inf) if isinstance(batch, Zeroed) else (float(self.floor), float(self.ceiling))
-        limits = (*scale, float(self.drift))
-        memory = self._state, self._active, self._first, self._clock
-        changes = np.zeros((*batch.counts.shape, len(FaultKind)), np.int8)
-        if not _examine(batch.time, batch.counts, batch.valid, memory, self._limits, limits, changes):
-            return Faults.empty()
-        row, cell, kind = np.nonzero(changes)
-        active = changes[row, cell, kind] > 0
-        kinds = cell.astype(np.int8), kind.astype(np.int8)
-        return Faults(batch.time[row], *kinds, active, finger=batch.finger)
+    def steps(self, *given: RowType) -> Steps:
+        """Return the functions that examine a row and give the faults that start or end in it."""
+        cells, zeroed = given[0].cells, issubclass(given[0].kind, Zeroed)
+        table = np.zeros((_SUMS + 3, cells), np.int64)
+        table[_LAST], table[_FAULTY:_SUMS] = (self.floor + self.ceiling) // 2, -self.clear_after
+        after = self.dead_after, self.stuck_after, self.saturated_after, self.clear_after
+        return Steps(
+            settings={
+                "after": np.array(after),  # ns
+                "floor": -inf if zeroed else float(self.floor),
+                "ceiling": inf if zeroed else float(self.ceiling),
+                "drift": float(self.drift),
+            },
+            state={
+                "table": table,
+                "active": np.zeros((cells, len(FaultKind)), np.uint8),
+                "changed": np.zeros((cells, len(FaultKind)), np.uint8),  # in the newest row
+                "changes": 0,  # number of these
+                "first": np.full(cells, np.nan),  # mean of the first quiet second
+                "time": 0,  # ns, newest row
+                "age": 0,  # ns
+                "begun": 0,
+                "start": 0,  # ns, first row
+            },
+            takes=(_examine,),
+            give=_give_fault,
+            factor=len(FaultKind) * cells,
+        )
 
-    def _set_up(self, clock: Times, cells: int) -> None:
-        self._clock, self._first = clock, np.full(cells, np.nan)
-        self._active = np.zeros((cells, len(FaultKind)), np.bool_)
-        self._state = np.zeros((_SUMS + 3, cells), np.int64)
-        self._state[_LAST] = (self.floor + self.ceiling) // 2
-        self._state[_FAULTY:_SUMS] = -self.clear_after
 
-
-# Rows of the state: last valid counts; age when last sound and when last faulty, by kind (dead, stuck,
+# Rows of the table: last valid counts; age when last sound and when last faulty, by kind (dead, stuck,
 # saturated); number, sum and sum of squares of the current second's readings.
 _LAST, _SOUND, _FAULTY, _SUMS = 0, 1, 4, 7
 _DEAD, _STUCK, _SATURATED, _DRIFTING = range(4)
-Memory: TypeAlias = tuple[Times, Flags, Reals, Times]  # state, active, first, clock
-Limits: TypeAlias = tuple[float, float, float]  # floor, ceiling, drift
 
 
-@row_loop
-def _examine(
-    time: Times, counts: Counts, valid: Flags, /, memory: Memory, after: Times, limits: Limits, changes: Codes
-) -> bool:
-    """Mark starts (1) and ends (-1) of faults in (n, cells, 4) `changes`; return whether there are any."""
-    state, active, _, clock = memory
-    changed = False
-    for row in range(len(time)):
-        ends_second = (time[row] - clock[2]) // s != (clock[0] - clock[2]) // s
-        clock[1] += min(time[row] - clock[0], _PAUSE)
-        clock[0] = time[row]
-        age = clock[1]
-        quiet = ends_second and _quiet(state)
-        if ends_second and not quiet:
-            state[_SUMS:] = 0
-        for cell in range(counts.shape[1]):
-            drifting = _drifts(memory, cell, limits) if quiet else active[cell, _DRIFTING]
-            before = state[_LAST, cell]
-            if valid[row, cell]:
-                count = int(counts[row, cell])
-                state[_LAST, cell] = count
-                state[_SUMS, cell] += 1
-                state[_SUMS + 1, cell] += count
-                state[_SUMS + 2, cell] += count * count
-                state[_SOUND + _DEAD, cell] = age
-            dead = _lasts(state, _DEAD, cell, age, after)
-            within = limits[0] < state[_LAST, cell] < limits[1]
-            if dead or within:
-                state[_SOUND + _SATURATED, cell] = age
-            overloaded = not within and state[_SOUND + _SATURATED, cell] > 0  # not so from the beginning
-            if dead or overloaded or state[_LAST, cell] != before:
-                state[_SOUND + _STUCK, cell] = age
-            stuck = _lasts(state, _STUCK, cell, age, after)
-            saturated = _lasts(state, _SATURATED, cell, age, after)
-            now = dead, stuck, saturated, drifting
-            for kind in range(4):
-                if now[kind] != active[cell, kind]:
-                    active[cell, kind] = now[kind]
-                    changes[row, cell, kind] = 1 if now[kind] else -1
-                    changed = True
-    return changed
+def _examine(settings: Record, state: Record, row: Record) -> None:
+    """Mark the faults that start or end in a row."""
+    if not state.begun:
+        state.time = state.start = row.time
+        state.begun = 1
+    ends_second = (row.time - state.start) // s != (state.time - state.start) // s
+    state.age += min(row.time - state.time, _PAUSE)
+    state.time = row.time
+    age, table = state.age, state.table
+    quiet = ends_second and _quiet(table)
+    if ends_second and not quiet:
+        table[_SUMS:] = 0
+    for cell in range(len(row.counts)):
+        drifting = _drifts(settings, state, cell) if quiet else state.active[cell, _DRIFTING] != 0
+        before = table[_LAST, cell]
+        if row.valid[cell]:
+            count = int(row.counts[cell])
+            table[_LAST, cell] = count
+            table[_SUMS, cell] += 1
+            table[_SUMS + 1, cell] += count
+            table[_SUMS + 2, cell] += count * count
+            table[_SOUND + _DEAD, cell] = age
+        dead = _lasts(table, _DEAD, cell, age, settings.after)
+        within = settings.floor < table[_LAST, cell] < settings.ceiling
+        if dead or within:
+            table[_SOUND + _SATURATED, cell] = age
+        overloaded = not within and table[_SOUND + _SATURATED, cell] > 0  # not so from the beginning
+        if dead or overloaded or table[_LAST, cell] != before:
+            table[_SOUND + _STUCK, cell] = age
+        stuck = _lasts(table, _STUCK, cell, age, settings.after)
+        saturated = _lasts(table, _SATURATED, cell, age, settings.after)
+        now = dead, stuck, saturated, drifting
+        for kind in range(4):
+            if now[kind] != (state.active[cell, kind] != 0):
+                state.active[cell, kind] = now[kind]
+                state.changed[cell, kind] = 1
+                state.changes += 1
 
 
-def _lasts(state: Times, kind: int, cell: int, age: int, after: Times) -> bool:
+def _give_fault(settings: Record, state: Record, out: Record) -> bool:
+    if not state.changes:
+        return False
+    for cell in range(len(state.changed)):
+        for kind in range(4):
+            if state.changed[cell, kind]:
+                state.changed[cell, kind] = 0
+                state.changes -= 1
+                out.time, out.barometer, out.kind = state.time, cell, kind
+                out.active = state.active[cell, kind]
+                return True
+    return False
+
+
+def _lasts(table: Times, kind: int, cell: int, age: int, after: Times) -> bool:
     """Return whether a cell has been faulty for the kind's time, now or within `clear_after`."""
-    faulty: bool = age - state[_SOUND + kind, cell] >= after[kind]
+    faulty = bool(age - table[_SOUND + kind, cell] >= after[kind])
     if faulty:
-        state[_FAULTY + kind, cell] = age
-    recently: bool = age - state[_FAULTY + kind, cell] < after[3]
-    return faulty or recently
+        table[_FAULTY + kind, cell] = age
+    return faulty or bool(age - table[_FAULTY + kind, cell] < after[3])
 
 
-def _quiet(state: Times) -> bool:
+def _quiet(table: Times) -> bool:
     """Return whether every cell was quiet in the second that ends, as in an unloaded fingertip."""
-    for cell in range(state.shape[1]):
-        readings, total, squares = state[_SUMS, cell], state[_SUMS + 1, cell], state[_SUMS + 2, cell]
+    for cell in range(table.shape[1]):
+        readings, total, squares = table[_SUMS, cell], table[_SUMS + 1, cell], table[_SUMS + 2, cell]
         most = _QUIET * readings
         if readings >= _READINGS and readings * squares - total * total >= most * most:
             return False
     return True
 
 
-def _drifts(memory: Memory, cell: int, limits: Limits) -> bool:
+def _drifts(settings: Record, state: Record, cell: int) -> bool:
     """End a quiet second: return whether its mean differs from the first, or as before if it has no mean."""
-    state, active, first, _ = memory
-    readings, total = state[_SUMS, cell], state[_SUMS + 1, cell]
-    state[_SUMS, cell] = state[_SUMS + 1, cell] = state[_SUMS + 2, cell] = 0
-    drifting: bool = active[cell, _DRIFTING]
+    table = state.table
+    readings, total = table[_SUMS, cell], table[_SUMS + 1, cell]
+    table[_SUMS, cell] = table[_SUMS + 1, cell] = table[_SUMS + 2, cell] = 0
     mean = total / max(readings, 1)
-    if readings >= _READINGS and limits[0] < mean < limits[1]:
-        if isnan(first[cell]):
-            first[cell] = mean
-        drifting = abs(mean - first[cell]) > limits[2]
-    return drifting
+    if readings >= _READINGS and settings.floor < mean < settings.ceiling:
+        if isnan(state.first[cell]):
+            state.first[cell] = mean
+        return bool(abs(mean - state.first[cell]) > settings.drift)
+    return bool(state.active[cell, _DRIFTING] != 0)

@@ -1,36 +1,16 @@
 """Slip labels from the arm's motion, and their masking without contact."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from math import isfinite, isnan, nan, sqrt
 
 import numpy as np
 
-from operators.batch import (
-    SLIP,
-    STATIC,
-    UNKNOWN,
-    Batch,
-    Codes,
-    Labelled,
-    Reals,
-    Sample,
-    Times,
-    column,
-    ms,
-)
+from operators.batch import SLIP, STATIC, UNKNOWN, Labelled, Sample, ms
 from operators.checks import check_at_least, check_ns
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.rotation import quaternion, rotate
-from operators.row_loop import Ints, row_loop
-from operators.row_queues import END, Chain, Tail
-
-
-class _Known(Batch):
-    """Speed and label by the motion at `time`."""
-
-    speed: Reals = column(np.float64)  # (n,)
-    label: Codes = column(np.int8)  # (n,)
+from operators.steps import Record, RowType, Steps, copy, queue
 
 
 @dataclass
@@ -70,14 +50,6 @@ class Label(Operator[Sample, Labelled]):
     rotation: float | None = None
     delay: int = 0
     within: int = 20 * ms
-    _parameters: Reals = field(init=False, repr=False, compare=False)  # speed, limit, rotation
-    # samples labelled by the motion at their own time
-    _held: Chain[Labelled] = field(
-        default_factory=lambda: Chain(Labelled), init=False, repr=False, compare=False
-    )
-    _known: "Tail[_Known]" = field(
-        default_factory=lambda: Tail(_Known), init=False, repr=False, compare=False
-    )
 
     def __post_init__(self) -> None:
         if not 0 <= self.speed < self.limit:
@@ -86,36 +58,26 @@ class Label(Operator[Sample, Labelled]):
             check_at_least("Label", "rotation", self.rotation, 0, "rad/s")
         check_ns("Label", "delay", self.delay)
         check_at_least("Label", "within", self.within, 0, "ns")
-        rotation = nan if self.rotation is None else self.rotation
-        self._parameters = np.array([self.speed, self.limit, rotation])
 
-    def process(self, batch: Sample) -> Labelled:
-        """Return the labelled batch, or the delayed samples that it completes."""
-        speed, label = np.empty(batch.time.size), np.empty(batch.time.size, np.int8)
-        _label(batch.velocity, batch.pose, self._parameters, speed, label)
-        labelled = _labelled(batch, speed, label)
-        if self.delay == 0:
-            return labelled
-        self._held.append(labelled)
-        self._known.append(_Known(batch.time, speed, label))
-        newest = batch.time.item(-1)
-        result = self._release(newest - self.delay)
-        oldest = newest + min(self.delay, 0) - self.within  # ns, oldest motion still needed
-        self._known.drop(int(self._known.time.searchsorted(oldest)))
-        return result
-
-    def flush(self) -> Labelled:
-        """Return the delayed samples, labelled by the motion so far."""
-        return self._release(END)
-
-    def _release(self, before: int) -> Labelled:
-        rows, known = self._held.take(before), self._known
-        if not rows.time.size:
-            return rows
-        block, speed, label = known.block, np.empty(rows.time.size), np.empty(rows.time.size, np.int8)
-        limits = known.stop, self.delay, self.within
-        _shift(rows.time, block.time, block.speed, block.label, limits, speed, label)
-        return _labelled(rows, speed, label)
+    def steps(self, *given: RowType) -> Steps:
+        """Return the step, or with a delay the functions that hold samples back."""
+        settings = {
+            "speed": float(self.speed),
+            "limit": float(self.limit),
+            "rotation": nan if self.rotation is None else float(self.rotation),
+            "delay": self.delay,
+            "within": self.within,
+        }
+        if not self.delay:
+            return Steps(settings, step=_label)
+        samples = queue(RowType(Labelled, given[0].cells), abs(self.delay) + self.within)
+        state = {
+            "samples": samples,  # labelled by the motion at their own time
+            "first": 0,  # number of the oldest sample that waits
+            "last": 0,  # number after the newest one
+            "ended": 0,
+        }
+        return Steps(settings, state, takes=(_take_sample,), give=_give_delayed, held=len(samples))
 
 
 @dataclass
@@ -144,70 +106,69 @@ class MaskLifted(Operator[Labelled, Labelled]):
     def __post_init__(self) -> None:
         check_at_least("MaskLifted", "margin", self.margin, 0, "m")
 
-    def process(self, batch: Labelled) -> Labelled:
-        """Return the batch with masked labels."""
+    def steps(self, *given: RowType) -> Steps:
+        """Return the step."""
         x, y, z, *rotation = self.contact_pose
-        u, v, w = rotate((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
-        pose = batch.pose  # (n, 6)
-        # (n,) m below the contact plane; NaN: unknown
-        depth = u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)
-        lifted = (depth < -self.margin) & (batch.label == SLIP)
-        if not lifted.any():
-            return batch
-        return replace(batch, label=np.where(lifted, np.int8(UNKNOWN), batch.label))
+        normal = rotate((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
+        settings = {"contact": np.array([x, y, z], float), "normal": np.array(normal), "margin": self.margin}
+        return Steps(settings, step=_mask)
 
 
-@row_loop
-def _label(velocity: Reals, pose: Reals, /, parameters: Reals, speeds: Reals, labels: Codes) -> None:
-    speed, limit, rotation = float(parameters[0]), float(parameters[1]), float(parameters[2])
-    for row in range(len(velocity)):
-        normal = 0.0, 0.0, 1.0
-        x, y, z = float(pose[row, 3]), float(pose[row, 4]), float(pose[row, 5])
-        if isfinite(x) and isfinite(y) and isfinite(z):
-            normal = rotate(normal, quaternion((x, y, z)))
-        u, v, w = float(velocity[row, 0]), float(velocity[row, 1]), float(velocity[row, 2])
-        x, y, z = normal
-        planar = _length(y * w - z * v, z * u - x * w, x * v - y * u)
-        slip, known = planar > speed, planar < limit
-        if not isnan(rotation):
-            angular = _length(float(velocity[row, 3]), float(velocity[row, 4]), float(velocity[row, 5]))
-            slip, known = slip or angular > rotation, known and not isnan(angular)
-        speeds[row] = planar
-        labels[row] = (SLIP if slip else STATIC) if known else UNKNOWN
+def _label(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    copy(out, row)
+    normal = 0.0, 0.0, 1.0
+    x, y, z = float(row.pose[3]), float(row.pose[4]), float(row.pose[5])
+    if isfinite(x) and isfinite(y) and isfinite(z):
+        normal = rotate(normal, quaternion((x, y, z)))
+    u, v, w = float(row.velocity[0]), float(row.velocity[1]), float(row.velocity[2])
+    x, y, z = normal
+    planar = _length(y * w - z * v, z * u - x * w, x * v - y * u)
+    slip, known = planar > settings.speed, planar < settings.limit
+    if not isnan(settings.rotation):
+        angular = _length(float(row.velocity[3]), float(row.velocity[4]), float(row.velocity[5]))
+        slip, known = slip or angular > settings.rotation, known and not isnan(angular)
+    out.speed = planar
+    out.label = (SLIP if slip else STATIC) if known else UNKNOWN
+    return True
 
 
-@row_loop
-def _shift(
-    time: Times, stamps: Times, speed: Reals, label: Codes, /, limits: Ints, speeds: Reals, labels: Codes
-) -> None:
-    """Label each row by the last one up to its time + delay, if that is within the limit."""
-    stop, delay, within = limits
-    after = stop  # index of the first stamp beyond the instant
-    while after > 0 and stamps[after - 1] > time[0] + delay:
-        after -= 1
-    for row in range(len(time)):
-        instant = time[row] + delay
-        while after < stop and stamps[after] <= instant:
-            after += 1
-        known = after > 0 and instant - stamps[after - 1] <= within
-        speeds[row] = speed[after - 1] if known else nan
-        labels[row] = label[after - 1] if known else UNKNOWN
+def _take_sample(settings: Record, state: Record, row: Record) -> None:
+    """Label a sample by the motion at its own time, and keep it as motion for others."""
+    _label(settings, state, row, state.samples[state.last % len(state.samples)])
+    state.last += 1
+
+
+def _give_delayed(settings: Record, state: Record, out: Record) -> bool:
+    """Label the oldest sample that waits by the motion `delay` after it, if that has arrived."""
+    if state.first == state.last:
+        return False
+    kept = len(state.samples)
+    row, newest = state.samples[state.first % kept], state.samples[(state.last - 1) % kept].time
+    full = state.last - state.first == kept
+    if row.time >= newest - settings.delay and not (state.ended or full):
+        return False
+    copy(out, row)
+    state.first += 1
+    instant, source = row.time + settings.delay, state.last - 1  # the last sample up to the instant
+    oldest = max(state.last - kept, 0)
+    while source >= oldest and state.samples[source % kept].time > instant:
+        source -= 1
+    motion = state.samples[source % kept]
+    known = source >= oldest and instant - motion.time <= settings.within
+    out.speed = motion.speed if known else nan
+    out.label = motion.label if known else UNKNOWN
+    return True
+
+
+def _mask(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    copy(out, row)
+    depth = 0.0  # m below the contact plane; NaN: unknown
+    for axis in range(3):
+        depth += settings.normal[axis] * (row.pose[axis] - settings.contact[axis])
+    if depth < -settings.margin and row.label == SLIP:
+        out.label = UNKNOWN
+    return True
 
 
 def _length(x: float, y: float, z: float) -> float:
     return sqrt(x * x + y * y + z * z)
-
-
-def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
-    return Labelled(  # without *, which takes 0.2 us
-        rows.time,
-        rows.counts,
-        rows.temperature,
-        rows.valid,
-        rows.velocity,
-        rows.pose,
-        rows.matched,
-        speed,
-        label,
-        finger=rows.finger,
-    )

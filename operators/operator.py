@@ -5,16 +5,18 @@ batches, the concatenated output is identical, bit for bit.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from inspect import signature
-from typing import Any, Generic, Self, TypeVar, cast, get_type_hints
+from typing import Any, Generic, Self, TypeVar, cast, get_args
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Batch
+from operators.batch import EVERY, Batch
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
+from operators.segment import Outputs, Segment, Stage
+from operators.steps import RowType, Steps
 
 In = TypeVar("In", bound=Batch, contravariant=True)
 Left = TypeVar("Left", bound=Batch, contravariant=True)
@@ -23,7 +25,6 @@ Out = TypeVar("Out", bound=Batch, covariant=True)
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
 _EARLIEST = int(np.iinfo(np.int64).min)
-_prepared = set[str]()  # operators with their parameters, whose loops this process has compiled
 
 
 @dataclass
@@ -36,6 +37,8 @@ class LateRowFilter:
     def filter(self, batch: SomeBatch) -> SomeBatch:
         """Return the rows that are not late; rows with equal stamps keep their order of arrival."""
         time = batch.time
+        if not time.size:
+            return batch
         first = time.item(0)
         if first >= self.newest and (time.size == 1 or batch.is_ordered()):
             self.newest = first if time.size == 1 else time.item(-1)
@@ -48,24 +51,42 @@ class LateRowFilter:
 
 
 @dataclass
-class Step(ABC):
+class AnyOperator(ABC):
     """Common base of operators and joins: parameters are fields, state is fields with ``init=False``."""
+
+    _late_filters: tuple[LateRowFilter, LateRowFilter] = field(
+        default_factory=lambda: (LateRowFilter(), LateRowFilter()), init=False, repr=False, compare=False
+    )  # of `process`
+    _segment: Segment | None = field(default=None, init=False, repr=False, compare=False)
+    _pushers: tuple[Callable[[Batch], Outputs], ...] = field(
+        default=(), init=False, repr=False, compare=False
+    )
+    _finger: int = field(default=EVERY, init=False, repr=False, compare=False)
 
     def reset_copy(self) -> Self:
         """Return a copy with the same parameters and initial state."""
         return replace(self)
 
-    def prepare(self) -> None:
-        """Do slow set-up, such as loading compiled code, before the first push; runners call this.
+    def steps(self, *given: RowType) -> Steps | None:
+        """Return the functions of one row that the operator consists of, for input of these types.
 
-        An operator of slipflow compiles its loops: a copy processes a row of zeros, once per process.
+        By default None: the operator has `process`, which takes batches.
         """
-        kind, operator = type(self), repr(self)
-        if kind.__module__.startswith("operators.") and operator not in _prepared:
-            copy: Any = self.reset_copy()
-            copy.push(*(each.zeros(cells=self._example_cells) for each in input_types(kind)))
-            copy.flush()
-            _prepared.add(operator)
+        return None
+
+    def row_type(self, *given: RowType) -> RowType:
+        """Return the type of the output for input of these types."""
+        return RowType(output_type(type(self)), given[0].cells)
+
+    def prepare(self) -> None:
+        """Do slow set-up, such as loading compiled code, before the first push."""
+        if fuses(type(self)):
+            self._start(tuple(RowType(kind) for kind in input_types(type(self))))
+            self._segment = None  # the first batch tells the number of cells
+
+    @abstractmethod
+    def flush(self) -> Any:
+        """Return the output that the end of the stream completes."""
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip of the output for input of the fingertip `given`, by default the same.
@@ -78,116 +99,143 @@ class Step(ABC):
         return given
 
     @property
-    def _example_cells(self) -> int:
-        """Number of cells of the rows that `prepare` processes."""
-        return BAROMETERS
-
-    @property
-    @abstractmethod
     def late(self) -> int:
         """Rows dropped because they arrived after newer ones."""
+        return sum(each.late for each in self._late_filters) + (self._segment.late if self._segment else 0)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the parameters and Python state; compiled code is made again, with its initial state."""
+        return vars(self) | {"_segment": None, "_pushers": ()}
+
+    def _start(self, given: tuple[RowType, ...]) -> bool:
+        """Create the segment of an operator that consists of steps; return False if it does not."""
+        if self._segment is None:
+            if (steps := self.steps(*given)) is None:
+                return False
+            stage = Stage(steps, self.row_type(*given), tuple(range(len(given))))
+            self._segment = Segment(given, [stage])
+            self._pushers = tuple(self._segment.pusher(EVERY, side) for side in range(len(given)))
+        return True
+
+    def _joined(self, outputs: Outputs) -> Any:
+        """Return the output of the segment as one batch."""
+        if not outputs:
+            return output_type(type(self)).empty()
+        kind = type(outputs[0][1])
+        rows = [batch.packed for _, batch in outputs]
+        return kind.unpack(rows[0] if len(rows) == 1 else np.concatenate(rows), self._finger)
 
 
 @dataclass
-class Operator(Step, Generic[In, Out]):
+class Operator(AnyOperator, Generic[In, Out]):
     """Operator with one input stream and one output stream.
 
     Subclasses are dataclasses that implement `process`, and `flush` if the end of the stream completes
-    output. Both must be pure: no I/O, no clock, no waiting.
+    output; the operators of slipflow implement `steps` instead. All must be pure: no I/O, no clock, no
+    waiting.
     """
-
-    _late_filter: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
 
     def push(self, batch: In) -> Out:
         """Process the next rows and return the output, which may be empty.
 
         Late rows are dropped and counted in `late`.
         """
-        if batch.time.size and (kept := self._late_filter.filter(batch)).time.size:  # faster than `len`
-            return self.process(kept)
+        if batch.time.size:
+            if fuses(type(self)) and self._start((RowType(type(batch), batch.cells),)):
+                self._finger = batch.finger
+                return cast("Out", self._joined(self._pushers[0](batch)))
+            if (kept := self._late_filters[0].filter(batch)).time.size:
+                return self.process(kept)
         return cast("Out", output_type(type(self)).empty())
 
-    @abstractmethod
     def process(self, batch: In) -> Out:
         """Process at least one row; time never decreases."""
+        if not self._start((RowType(type(batch), batch.cells),)):
+            raise _without_process(self)
+        self._finger = batch.finger
+        return cast("Out", self._joined(self._pushers[0](batch)))
 
     def flush(self) -> Out:
         """Return the output that the end of the stream completes."""
-        return cast("Out", output_type(type(self)).empty())
-
-    @property
-    def late(self) -> int:
-        """Rows dropped because they arrived after newer ones."""
-        return self._late_filter.late
+        return cast("Out", self._joined(self._segment.flush() if self._segment else []))
 
 
 @dataclass
-class Join(Step, Generic[Left, Right, Out]):
+class Join(AnyOperator, Generic[Left, Right, Out]):
     """Operator with two input streams and one output stream.
 
     A replay passes slices of both streams for the same time span. A live run passes rows of one stream and an
     empty batch for the other.
     """
 
-    _late_left: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
-    _late_right: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
-
     def push(self, left: Left, right: Right) -> Out:
         """Process the next rows of either stream and return the output, which may be empty."""
-        if left.time.size:
-            left = self._late_left.filter(left)
-        if right.time.size:
-            right = self._late_right.filter(right)
-        if left.time.size or right.time.size:
-            return self.process(left, right)
-        return cast("Out", output_type(type(self)).empty())
+        empty = output_type(type(self)).empty()
+        if not (left.time.size or right.time.size):
+            return cast("Out", empty)
+        if fuses(type(self)):
+            return Join.process(self, left, right)
+        left, right = self._late_filters[0].filter(left), self._late_filters[1].filter(right)
+        return self.process(left, right) if left.time.size or right.time.size else cast("Out", empty)
 
-    @abstractmethod
     def process(self, left: Left, right: Right) -> Out:
         """Process at least one row of either stream; time never decreases within each."""
+        if not self._start((RowType(type(left), left.cells), RowType(type(right), right.cells))):
+            raise _without_process(self)
+        self._finger = left.finger if left.time.size else self._finger
+        if left.time.size and right.time.size:
+            outputs = cast("Segment", self._segment).pusher(EVERY, 0, 1)(left, right)
+        else:
+            outputs = self._pushers[0](left) if left.time.size else self._pushers[1](right)
+        return cast("Out", self._joined(outputs))
 
     def flush(self) -> Out:
         """Return the output that the end of both streams completes."""
-        return cast("Out", output_type(type(self)).empty())
-
-    @property
-    def late(self) -> int:
-        """Rows dropped because they arrived after newer ones."""
-        return self._late_left.late + self._late_right.late
+        return cast("Out", self._joined(self._segment.flush() if self._segment else []))
 
 
 @cache
-def input_types(kind: type[Step]) -> tuple[type[Batch], ...]:
-    """Return the input types that the annotations of `process` declare.
+def fuses(kind: type[AnyOperator]) -> bool:
+    """Return whether the steps of an operator are used: no subclass of the one with steps has a `process`."""
+    for each in kind.__mro__:
+        if "steps" in vars(each):
+            return each is not AnyOperator
+        if "process" in vars(each) and each not in {Operator, Join}:
+            return False
+    return False
+
+
+def _without_process(operator: AnyOperator) -> ParameterError:
+    must_be = "a method that takes batches, as in def process(self, batch: Scores) -> Scores"
+    return ParameterError(type(operator).__name__, "process", "missing", must_be)
+
+
+@cache
+def input_types(kind: type[AnyOperator]) -> tuple[type[Batch], ...]:
+    """Return the input types that a class declares, as ``class Smooth(Operator[Scores, Scores])``.
 
     Raises:
-        ParameterError: if an annotation is missing.
+        ParameterError: if it declares none.
     """
     return _declared(kind)[:-1]
 
 
 @cache
-def output_type(kind: type[Step]) -> type[Batch]:
-    """Return the output type that the annotations of `process` declare.
+def output_type(kind: type[AnyOperator]) -> type[Batch]:
+    """Return the output type that a class declares.
 
     Raises:
-        ParameterError: if an annotation is missing.
+        ParameterError: if it declares none.
     """
     return _declared(kind)[-1]
 
 
-def _declared(kind: type[Step]) -> tuple[type[Batch], ...]:
-    process: Any = cast("Any", kind).process
-    hints = get_type_hints(process)
-    found = signature(process)
-    names = [*list(found.parameters)[1:], "return"]
-    inputs = "two batches" if issubclass(kind, Join) else "one batch"
-    if len(names) != (3 if issubclass(kind, Join) else 2):
-        raise ParameterError(kind.__name__, "the signature of process", str(found), f"self and {inputs}")
-    for name in names:
-        if not (isinstance(hints.get(name), type) and issubclass(hints[name], Batch)):
-            must_be = "a batch type, as in def process(self, batch: Zeroed) -> Scores"
-            raise ParameterError(
-                kind.__name__, f"the annotation of process, {name},", hints.get(name), must_be
-            )
-    return tuple(hints[name] for name in names)
+def _declared(kind: type[AnyOperator]) -> tuple[type[Batch], ...]:
+    for each in kind.__mro__:
+        for base in getattr(each, "__orig_bases__", ()):
+            found = get_args(base)
+            if found and all(isinstance(given, type) and issubclass(given, Batch) for given in found):
+                return tuple(found)
+    base = "Join[Touch, Motion, Sample]" if issubclass(kind, Join) else "Operator[Scores, Scores]"
+    must_be = f"batch types, as in class {kind.__name__}({base})"
+    raise ParameterError(kind.__name__, "the types of input and output", "unknown", must_be)

@@ -1,16 +1,16 @@
 """Pooling of cells into groups."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Flags, Times, Touch, Zeroed
+from operators.batch import BAROMETERS, Times, Touch
 from operators.checks import check_above
 from operators.errors import FingertipError, ParameterError
 from operators.fingertip import CELL_LIMIT, TAKKTILE, Fingertip, grid
 from operators.operator import Operator
-from operators.row_loop import nearest_count, row_loop
+from operators.steps import Record, RowType, Steps, nearest_count
 
 
 @dataclass
@@ -40,7 +40,6 @@ class Pool(Operator[Touch, Touch]):
     gain: float = 1.0
     unit: str | None = None
     layout: tuple[tuple[int, ...], ...] | None = None
-    _cells: Times = field(init=False, repr=False, compare=False)  # (groups, widest) -1: none
 
     def __post_init__(self) -> None:
         check_above("Pool", "size of the gain", abs(self.gain), 0)
@@ -50,7 +49,6 @@ class Pool(Operator[Touch, Touch]):
             if not group or len(set(group)) < len(group) or not all(0 <= c < CELL_LIMIT for c in group):
                 must_be = f"at least one cell each, different numbers from 0 to {CELL_LIMIT - 1}"
                 raise ParameterError("Pool", "groups", self.groups, must_be)
-        self._cells = _table(self.groups)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip of the groups.
@@ -75,37 +73,27 @@ class Pool(Operator[Touch, Touch]):
             raise ParameterError("Pool", "layout", self.layout, f"of {cells} cells, as the output")
         return made
 
-    def process(self, batch: Touch) -> Touch:
-        """Return the pooled rows.
+    def row_type(self, *given: RowType) -> RowType:
+        """Return the type of the input with a cell per group."""
+        return RowType(given[0].kind, len(self.groups) or given[0].cells)
+
+    def steps(self, *given: RowType) -> Steps:
+        """Return the step.
 
         Raises:
             ParameterError: if the fingertip has not all the cells that the groups name.
         """
-        cells = batch.cells
+        cells = given[0].cells
         if self._needed > cells:
             must_be = f"cells below {cells}: the fingertip has {cells} cells"
             raise ParameterError("Pool", "groups", self.groups, must_be)
-        groups = self._cells if self.groups else np.arange(cells)[:, None]
-        shape = len(batch), len(groups)
-        counts, temperature, valid = (
-            np.empty(shape, np.int16),
-            np.empty(shape, np.int16),
-            np.empty(shape, np.bool_),
-        )
-        _pool(
-            batch.counts, batch.temperature, batch.valid, groups, float(self.gain), counts, temperature, valid
-        )
-        kind = Zeroed if isinstance(batch, Zeroed) else Touch
-        return kind(batch.time, counts, temperature, valid, finger=batch.finger)
+        groups = self.groups or tuple((cell,) for cell in range(cells))
+        return Steps(settings={"groups": _table(groups), "gain": float(self.gain)}, step=_pool)
 
     @property
     def _needed(self) -> int:
         """Number of cells that the input must have."""
-        return int(self._cells.max(initial=-1)) + 1
-
-    @property
-    def _example_cells(self) -> int:
-        return max(self._needed, 1)
+        return max((cell + 1 for group in self.groups for cell in group), default=0)
 
 
 def _table(groups: tuple[tuple[int, ...], ...]) -> Times:
@@ -120,30 +108,19 @@ def _layout(cells: int) -> tuple[tuple[int, ...], ...]:
     return TAKKTILE.layout if cells == BAROMETERS else grid(cells)
 
 
-@row_loop
-def _pool(
-    counts: Counts,
-    temperature: Counts,
-    valid: Flags,
-    /,
-    groups: Times,
-    gain: float,
-    pooled: Counts,
-    warmth: Counts,
-    known: Flags,
-) -> None:
-    """Write counts, temperature and validity (n, groups) of each group."""
-    for row in range(len(counts)):
-        for number in range(len(groups)):
-            size = seen = 0
-            total = heat = 0.0
-            for cell in groups[number]:
-                if cell >= 0:
-                    size += 1
-                    if valid[row, cell]:
-                        seen += 1
-                        total += float(counts[row, cell])
-                        heat += float(temperature[row, cell])
-            known[row, number] = seen > 0 and 2 * seen >= size
-            pooled[row, number] = nearest_count(gain * total / max(seen, 1))
-            warmth[row, number] = nearest_count(heat / max(seen, 1))
+def _pool(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    out.time = row.time
+    for number in range(len(settings.groups)):
+        size = seen = 0
+        total = heat = 0.0
+        for cell in settings.groups[number]:
+            if cell >= 0:
+                size += 1
+                if row.valid[cell]:
+                    seen += 1
+                    total += float(row.counts[cell])
+                    heat += float(row.temperature[cell])
+        out.valid[number] = seen > 0 and 2 * seen >= size
+        out.counts[number] = nearest_count(settings.gain * total / max(seen, 1))
+        out.temperature[number] = nearest_count(heat / max(seen, 1))
+    return True

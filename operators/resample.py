@@ -1,14 +1,14 @@
 """Conversion of the rate of a touch stream."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.batch import Counts, Flags, Reals, Times, Touch, Zeroed, ms, s
+from operators.batch import Touch, ms, s
 from operators.checks import check_above, check_between
 from operators.fingertip import Fingertip
 from operators.operator import Operator
-from operators.row_loop import nearest_count, row_loop
+from operators.steps import Record, RowType, Steps, copy, nearest_count
 
 _FASTEST = 1e6  # Hz
 
@@ -42,103 +42,88 @@ class Resample(Operator[Touch, Touch]):
 
     rate: float = 100.0
     gap: int = 200 * ms
-    # time of the newest row and of the next output row, ns; ns of the current period that the input covers
-    _clock: Times | None = field(default=None, init=False, repr=False, compare=False)
-    _sums: Reals = field(init=False, repr=False, compare=False)  # (3, cells): see `_resample`
-    _whole: Flags = field(init=False, repr=False, compare=False)  # (cells,) newest row is valid
 
     def __post_init__(self) -> None:
         check_above("Resample", "rate", self.rate, 0, "Hz")
         check_between("Resample", "rate", self.rate, 0, _FASTEST, unit="Hz")
         check_above("Resample", "gap", self.gap, 0, "ns")
-        self._sums, self._whole = np.zeros((3, 0)), np.zeros(0, np.bool_)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip at the new rate."""
         return replace(given, rate=float(self.rate))
 
-    def process(self, batch: Touch) -> Touch:
-        """Return the rows whose periods end within the batch."""
-        period, time = round(s / self.rate), batch.time
-        if self._clock is None:
-            self._clock = np.array([time[0], _next(int(time[0]), period), 0])
-            self._sums = np.zeros((3, batch.cells))
-            self._whole = np.zeros(batch.cells, np.bool_)
-        longest = (int(time[-1]) - int(self._clock[1])) // period + 1
-        most = max(min(longest, len(time) * (self.gap // period + 1)), 0)
-        at, shape = np.empty(most, np.int64), (most, batch.cells)
-        counts, temperature, valid = (
-            np.empty(shape, np.int16),
-            np.empty(shape, np.int16),
-            np.empty(shape, np.bool_),
+    def row_type(self, *given: RowType) -> RowType:
+        """Return the type of the input."""
+        return given[0]
+
+    def steps(self, *given: RowType) -> Steps:
+        """Return the functions that take a row and give those whose periods end up to it."""
+        cells, period = given[0].cells, round(s / self.rate)
+        return Steps(
+            settings={"period": period, "gap": self.gap},
+            state={
+                "row": np.zeros((), given[0].packed),  # newest
+                "done": 1,  # the newest row was processed
+                "newest": -self.gap - 1,  # ns, time up to which the signal was processed
+                "due": 0,  # ns, next output row
+                "covered": 0,  # ns of the current period that the input covers
+                "value": np.zeros(cells),  # counts at `newest`
+                "area": np.zeros(cells),  # counts * ns of the current period
+                "span": np.zeros(cells),  # ns of the current period
+                "whole": np.zeros(cells, np.bool_),  # the newest row is valid
+            },
+            takes=(_take,),
+            give=_give,
+            factor=self.gap // period + 2,
         )
-        limits = period, self.gap
-        columns = time, batch.counts, batch.temperature, batch.valid
-        made = _resample(
-            *columns, limits, self._clock, self._sums, self._whole, at, counts, temperature, valid
-        )
-        kind = Zeroed if isinstance(batch, Zeroed) else Touch
-        return kind(at[:made], counts[:made], temperature[:made], valid[:made], finger=batch.finger)
 
 
-def _next(time: int, period: int) -> int:
-    """Return the first multiple of the period after a time (ns)."""
-    return (time // period + 1) * period
+def _take(settings: Record, state: Record, row: Record) -> None:
+    copy(state.row, row)
+    state.done = 0
+    if row.time - state.newest > settings.gap:  # no line: drop the period
+        state.newest, state.covered = row.time, 0
+        state.due = (row.time // settings.period + 1) * settings.period  # first multiple after the row
+        state.area[:] = 0.0
+        state.span[:] = 0.0
+        state.whole[:] = 0
 
 
-_NEWEST, _DUE, _COVERED = range(3)  # of the clock
-_VALUE, _AREA, _SPAN = range(3)  # of the sums: newest counts; counts * ns and ns of the current period
+def _give(settings: Record, state: Record, out: Record) -> bool:
+    row = state.row
+    while state.newest < row.time:
+        start, until = state.newest, min(row.time, state.due)
+        share = (until - start) / (row.time - start)
+        for cell in range(len(row.counts)):
+            if state.whole[cell] and row.valid[cell]:
+                before = state.value[cell]
+                value = before + (float(row.counts[cell]) - before) * share
+                state.area[cell] += (before + value) * 0.5 * (until - start)
+                state.span[cell] += until - start
+                state.value[cell] = value
+        state.newest = until
+        state.covered += until - start
+        if until == state.due:
+            gives = 2 * state.covered >= settings.period
+            if gives:
+                _write(settings, state, out)
+            state.due, state.covered = until + settings.period, 0
+            state.area[:] = 0.0
+            state.span[:] = 0.0
+            if gives:
+                return True
+    if not state.done:
+        state.done = 1
+        for cell in range(len(row.counts)):
+            state.value[cell], state.whole[cell] = float(row.counts[cell]), row.valid[cell]
+    return False
 
 
-@row_loop
-def _resample(
-    time: Times,
-    counts: Counts,
-    temperature: Counts,
-    valid: Flags,
-    /,
-    limits: tuple[int, int],
-    clock: Times,
-    sums: Reals,
-    whole: Flags,
-    at: Times,
-    means: Counts,
-    warmth: Counts,
-    known: Flags,
-) -> int:
-    """Write time, counts, temperature and validity of each output row, and return their number."""
-    period, gap = limits
-    made = 0
-    for row in range(len(time)):
-        end = time[row]
-        if end - clock[_NEWEST] > gap:  # no line: drop the period
-            clock[_NEWEST], clock[_DUE], clock[_COVERED] = end, _next(end, period), 0
-            sums[_AREA:] = 0.0
-            whole[:] = False
-        while clock[_NEWEST] < end:
-            start, until = clock[_NEWEST], min(end, clock[_DUE])
-            share = (until - start) / (end - start)
-            for cell in range(counts.shape[1]):
-                if whole[cell] and valid[row, cell]:
-                    before = sums[_VALUE, cell]
-                    value = before + (float(counts[row, cell]) - before) * share
-                    sums[_AREA, cell] += (before + value) * 0.5 * (until - start)
-                    sums[_SPAN, cell] += until - start
-                    sums[_VALUE, cell] = value
-            clock[_NEWEST] = until
-            clock[_COVERED] += until - start
-            if until == clock[_DUE]:
-                if 2 * clock[_COVERED] >= period:
-                    at[made] = until
-                    for cell in range(counts.shape[1]):
-                        span = sums[_SPAN, cell]
-                        means[made, cell] = nearest_count(sums[_AREA, cell] / span if span > 0.0 else 0.0)
-                        known[made, cell] = 2.0 * span >= period
-                        warmth[made, cell] = temperature[row, cell]
-                    made += 1
-                clock[_DUE], clock[_COVERED] = until + period, 0
-                sums[_AREA:] = 0.0
-        for cell in range(counts.shape[1]):
-            sums[_VALUE, cell] = float(counts[row, cell])
-            whole[cell] = valid[row, cell]
-    return made
+def _write(settings: Record, state: Record, out: Record) -> None:
+    """Write the means of the period that ends."""
+    out.time = state.newest
+    for cell in range(len(state.area)):
+        span = state.span[cell]
+        out.counts[cell] = nearest_count(state.area[cell] / span if span > 0.0 else 0.0)
+        out.valid[cell] = 2.0 * span >= settings.period
+        out.temperature[cell] = state.row.temperature[cell]

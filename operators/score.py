@@ -1,18 +1,18 @@
 """Scoring of samples by a detector."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import Counts, Flags, Reals, Scores, Zeroed
+from operators.batch import Counts, Flags, Scores, Zeroed
 from operators.checks import check_at_least
-from operators.detectors.detector import Detector, ForFingertip, Stream, Streaming
+from operators.detectors.detector import Detector, ForFingertip, StreamingDetector
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import Operator
+from operators.steps import RowType, Steps
 from operators.window import Window
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -45,21 +45,14 @@ class Score(Operator[Zeroed, Scores]):
     detector: Detector
     hop: int = 1
     _last: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (cells,) last valid
-    _due: int = field(default=0, init=False, repr=False)  # samples until the next score
+    _window: Window = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_at_least("Score", "hop", self.hop, 1, "sample")
         if isinstance(self.detector, str):
             must_be = f"a detector: write Score(load_detector({self.detector!r}))"
             raise ParameterError("Score", "detector", self.detector, must_be)
-        self._due = self.detector.length
-
-    @cached_property
-    def _scorer(self) -> "_Streamed | _Windowed":  # created when used: a stream loads numba, in 0.8 s
-        stream = _stream(self.detector)
-        if stream is None:
-            return _Windowed(self.detector, Window(self.detector.length, self.hop))
-        return _Streamed(stream)
+        self._window = Window(self.detector.length, self.hop)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Check that the detector was made for this fingertip, if it says so.
@@ -71,65 +64,31 @@ class Score(Operator[Zeroed, Scores]):
             self.detector.check_fingertip(given)
         return given
 
-    def prepare(self) -> None:
-        """Create the detector's stream."""
-        _ = self._scorer
+    def steps(self, *given: RowType) -> Steps | None:
+        """Return the step of a streaming detector; None for others, or if numba is not installed."""
+        if not isinstance(self.detector, StreamingDetector):
+            return None
+        try:
+            return self.detector.steps(self.hop, given[0].cells)
+        except ModuleNotFoundError as error:
+            if error.name != "numba":
+                raise
+            return None
 
     def process(self, batch: Zeroed) -> Scores:
         """Return a score for each window whose newest sample is in the batch."""
         counts = forward_fill(batch.counts, batch.valid, self._last)
         self._last = counts[-1]
-        time, valid, rows = batch.time, batch.valid, None
-        if self._due > 1 or self.hop > 1:
-            rows = slice(self._due - 1, None, self.hop)  # to be scored
-            time, valid = time[rows], valid[rows]
-        self._due += time.size * self.hop - len(counts)
-        probability = self._scorer.score(batch, counts, rows)
-        if not time.size:
-            return Scores.empty()
-        if counts is not batch.counts:
-            few = np.count_nonzero(valid, axis=1) * 2 < valid.shape[1]  # (n,) of the cells
-            probability = np.where(few, np.nan, probability)
-        return Scores(time, probability, finger=batch.finger)
-
-
-def _stream(detector: Detector) -> Stream | None:
-    """Return a stream of a streaming detector; None for others, or if numba is not installed."""
-    try:
-        return detector.stream() if isinstance(detector, Streaming) else None
-    except ModuleNotFoundError as error:
-        if error.name != "numba":
-            raise
-        return None
-
-
-@dataclass
-class _Streamed:
-    """Scoring sample by sample."""
-
-    stream: Stream
-
-    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:
-        """Return the probability (n,)."""
-        probability = self.stream.push(counts[:, None]).ravel()
-        return probability if rows is None else probability[rows]
-
-
-@dataclass
-class _Windowed:
-    """Scoring window by window."""
-
-    detector: Detector
-    window: Window
-
-    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:
-        """Return the probability (n,)."""
         filled = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
-        windows, score = self.window.process(filled).counts, self.detector.score
-        if len(windows) <= _BLOCK:
-            return score(windows) if len(windows) else np.empty(0)
+        windows, score = self._window.process(filled), self.detector.score
+        if not len(windows):
+            return Scores.empty()
         blocks = range(0, len(windows), _BLOCK)
-        return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])
+        probability = np.concatenate([score(windows.counts[i : i + _BLOCK]) for i in blocks])
+        newest = windows.valid[:, -1]  # (n, cells)
+        few = np.count_nonzero(newest, axis=1) * 2 < newest.shape[1]  # (n,)
+        probability[few] = np.nan
+        return Scores(windows.time, probability, finger=batch.finger)
 
 
 def forward_fill(

@@ -1,16 +1,12 @@
 """True sliding of a simulated contact as motion, to label samples by."""
 
-from dataclasses import dataclass, field
-from typing import Final
+from dataclasses import dataclass
+from math import nan
 
-import numpy as np
-
-from operators.batch import Motion, Reals, Truth, concat, ms
+from operators.batch import Motion, Truth, ms
 from operators.checks import check_at_least
 from operators.operator import Operator
-from operators.row_queues import END
-
-_AXES: Final = 6
+from operators.steps import END, Record, RowType, Steps, copy, queue
 
 
 @dataclass
@@ -36,37 +32,53 @@ class SlidingMotion(Operator[Truth, Motion]):
 
     speed: float = 0.003  # as in the paper's labels
     stick: int = 150 * ms  # stick-slip has pauses of 50 to 100 ms
-    _held: Truth = field(default_factory=Truth.empty, init=False, repr=False, compare=False)  # since a slide
-    _slid: int = field(default=-END // 2, init=False, repr=False)  # ns, latest row of a slide
-    _fastest: float = field(default=0.0, init=False, repr=False)  # m/s, in that row
 
     def __post_init__(self) -> None:
         check_at_least("SlidingMotion", "speed", self.speed, 0, "m/s")
         check_at_least("SlidingMotion", "stick", self.stick, 0, "ns")
 
-    def process(self, batch: Truth) -> Motion:
-        """Return the motion up to the last slide, or all of it if that is longer ago than a stick."""
-        rows = concat(Truth, [self._held, batch])
-        time, sliding = rows.time, rows.sliding
-        slides = np.flatnonzero(sliding > self.speed)  # (k,)
-        place = slides.searchsorted(np.arange(len(time)), "right")  # (n,) slides up to each row
-        times = np.concatenate(([self._slid], time[slides], [END]))  # ns, before, in and after the rows
-        speeds = np.concatenate(([self._fastest], sliding[slides]))  # m/s
-        stuck = times[place + 1] - times[place] <= self.stick  # (n,) between two slides of a slip
-        stuck[slides] = False
-        speed = np.where(stuck, speeds[place], sliding)
-        self._slid, self._fastest = int(times[-2]), float(speeds[-1])
-        last = int(slides[-1]) + 1 if len(slides) else 0
-        known = len(time) if time[-1] - self._slid > self.stick else last
-        self._held = rows[known:]
-        return _motion(rows[:known], speed[:known])
+    def steps(self, *given: RowType) -> Steps:
+        """Return the functions that take truth and give motion."""
+        held = queue(given[0], self.stick)
+        return Steps(
+            settings={"speed": float(self.speed), "stick": self.stick},
+            state={
+                "held": held,  # rows since the last slide
+                "first": 0,  # number of the oldest row that waits
+                "known": 0,  # number after the last row whose speed is known
+                "last": 0,  # number after the newest one
+                "slid": -END // 2,  # ns, latest row of a slide
+                "fastest": 0.0,  # m/s, in that row
+                "stuck": 0,  # the known rows but the last one are a stick
+                "level": 0.0,  # m/s, their speed then
+                "ended": 0,
+            },
+            takes=(_take,),
+            give=_give,
+            held=len(held),
+        )
 
-    def flush(self) -> Motion:
-        """Return the motion since the last slide."""
-        return _motion(self._held, self._held.sliding)
+
+def _take(settings: Record, state: Record, row: Record) -> None:
+    copy(state.held[state.last % len(state.held)], row)
+    state.last += 1
+    slides, since = row.sliding > settings.speed, row.time - state.slid
+    if slides or since > settings.stick:
+        state.known = state.last
+    state.stuck = slides and since <= settings.stick
+    if slides:
+        state.level, state.fastest, state.slid = state.fastest, row.sliding, row.time
 
 
-def _motion(rows: Truth, speed: Reals) -> Motion:
-    velocity = np.zeros((len(speed), _AXES))
-    velocity[:, 0] = speed
-    return Motion(rows.time, rows.time, velocity, np.full_like(velocity, np.nan), finger=rows.finger)
+def _give(settings: Record, state: Record, out: Record) -> bool:
+    full = state.last - state.first == len(state.held)
+    if state.first >= state.known and not (full or (state.ended and state.first < state.last)):
+        return False
+    row = state.held[state.first % len(state.held)]
+    state.first += 1
+    stuck = state.stuck and state.first < state.known
+    out.time = out.device_time = row.time
+    for axis in range(6):
+        out.velocity[axis], out.pose[axis] = 0.0, nan
+    out.velocity[0] = state.level if stuck else row.sliding
+    return True

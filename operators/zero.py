@@ -1,18 +1,19 @@
 """Subtraction of the baseline, and removal of single wrong readings."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from math import inf
 from typing import Final
 
 import numpy as np
 
-from operators.batch import Counts, Flags, Reals, Times, Touch, Zeroed, concat
+from operators.batch import Touch, Zeroed
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
-from operators.row_loop import nearest_count, row_loop
-from operators.row_queues import Chain
 from operators.spikes import NO_CELL, find_spike, forget, is_suspicious
+from operators.steps import Record, RowType, Steps, copy, nearest_count
 
+_ROOM: Final = 128  # rows that wait, at least
 _RANGE: Final = np.iinfo(np.int16)
 
 
@@ -46,13 +47,6 @@ class Zero(Operator[Touch, Zeroed]):
     baseline: int | tuple[int, ...] | None = None
     scans: int = 100
     spike: float = 4.0
-    _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, cells)
-    # (cells,) cells with a baseline; None: all
-    _known: Flags | None = field(default=None, init=False, repr=False, compare=False)
-    _held: Chain[Touch] = field(default_factory=lambda: Chain(Touch), init=False, repr=False, compare=False)
-    # of `find_spike`
-    _state: Reals = field(default_factory=lambda: forget(0), init=False, repr=False, compare=False)
-    _suspicious: Zeroed | None = field(default=None, init=False, repr=False, compare=False)  # the latest row
 
     def __post_init__(self) -> None:
         check_at_least("Zero", "scans", self.scans, 1, "sample")
@@ -61,102 +55,90 @@ class Zero(Operator[Touch, Zeroed]):
         if given is not None and not (given and all(_RANGE.min <= cell <= _RANGE.max for cell in given)):
             raise self._error(f"one count, or one of each cell, from {_RANGE.min} to {_RANGE.max}")
 
-    @property
-    def _example_cells(self) -> int:
-        return len(self.baseline) if isinstance(self.baseline, tuple) else super()._example_cells
+    def row_type(self, *given: RowType) -> RowType:
+        """Return the input type if it is zeroed, else that of zeroed touch."""
+        return given[0] if issubclass(given[0].kind, Zeroed) else RowType(Zeroed, given[0].cells)
 
-    def process(self, batch: Touch) -> Zeroed:
-        """Return the batch with the baseline subtracted, or delay it."""
-        if self._offset is None and isinstance(batch, Zeroed):
-            self._use(np.zeros((1, batch.cells), np.int16))
-        elif self._offset is None and self.baseline is not None:
-            self._use(self._given(batch.cells))
-        if self._offset is not None:
-            return self._subtract(batch, self._offset)
-        self._held.append(batch)
-        return self._release() if len(self._held) >= self.scans else Zeroed.empty()
-
-    def flush(self) -> Zeroed:
-        """Return the delayed samples, zeroed with their own baseline."""
-        released = self._release() if len(self._held) else Zeroed.empty()
-        last, self._suspicious = self._suspicious, None
-        return released if last is None else concat(type(last), [released, last])
-
-    def _use(self, offset: Counts) -> None:
-        self._offset, self._state = offset, forget(offset.size)
-
-    def _given(self, cells: int) -> Counts:
-        """Return the given baseline for a fingertip with this number of cells, (1, cells)."""
-        offset = np.array(self.baseline, np.int16).reshape(1, -1)
-        if offset.size not in {1, cells}:
-            raise self._error(f"one count, or {cells}: the fingertip has {cells} cells")
-        return np.repeat(offset, cells // offset.size, axis=1)
+    def steps(self, *given: RowType) -> Steps:
+        """Return the functions that measure the baseline, subtract it and look for wrong readings."""
+        cells, zeroed = given[0].cells, issubclass(given[0].kind, Zeroed)
+        measures = self.baseline is None and not zeroed
+        offset = np.zeros(cells, np.int16)
+        if self.baseline is not None and not zeroed:
+            values = np.array(self.baseline, np.int16).ravel()
+            if values.size not in {1, cells}:
+                raise self._error(f"one count, or {cells}: the fingertip has {cells} cells")
+            offset[:] = values
+        room = 1 << max(self.scans, _ROOM - 1).bit_length()  # the same for most parameters: compiled once
+        return Steps(
+            settings={"scans": self.scans, "spike": float(self.spike)},
+            state={
+                "held": np.zeros(room, given[0].packed),  # rows that wait for the baseline or the next row
+                "first": 0,  # number of the oldest row that waits
+                "last": 0,  # number after the newest one
+                "measured": int(not measures),
+                "offset": offset,
+                "known": np.ones(cells, np.bool_),  # cells with a baseline
+                "sorted": np.zeros(room, np.int16),  # readings of a cell
+                "spikes": forget(cells),  # of `find_spike`
+                "tested": 0,  # number of the next row that the test takes
+                "ended": 0,
+            },
+            takes=(_take,),
+            give=_give,
+            held=room,
+        )
 
     def _error(self, expected: str) -> ParameterError:
         return ParameterError("Zero", "baseline", self.baseline, expected)
 
-    def _release(self) -> Zeroed:
-        held = self._held.take()
-        first = held[: self.scans]
-        number = first.valid.sum(axis=0)  # (cells,) valid readings
-        known, cells = number > 0, np.arange(len(number))
-        ordered = np.sort(np.where(first.valid, first.counts, _RANGE.max), axis=0)  # the valid ones first
-        median = np.mean([ordered[(number - 1) // 2, cells], ordered[number // 2, cells]], axis=0)
-        self._known = None if np.all(known) else known
-        offset = np.where(known, np.rint(median), 0).astype(np.int16)[None]
-        self._use(offset)
-        return self._subtract(held, offset)
 
-    def _subtract(self, batch: Touch, offset: Counts) -> Zeroed:
-        size = batch.time.size
-        counts, spikes = np.empty(batch.counts.shape, np.int16), np.empty(size, np.int64)
-        found = _subtract(
-            batch.counts, batch.valid, offset[0], counts, float(self.spike), self._state, spikes
-        )
-        if isinstance(batch, Zeroed):
-            zeroed = batch
-        else:
-            valid = batch.valid if self._known is None else batch.valid & self._known
-            zeroed = Zeroed(batch.time, counts, batch.temperature, valid, finger=batch.finger)
-        return self._without_spikes(zeroed, spikes) if found else zeroed
-
-    def _without_spikes(self, batch: Zeroed, spikes: Times) -> Zeroed:
-        """Return the rows with spikes invalid, from the suspicious one on; delay the last one if it is."""
-        cells = np.append(spikes, NO_CELL)  # the cell of the spike in the row before, and in each row
-        if self._suspicious is None:
-            cells = cells[1:]
-        else:
-            batch = concat(type(batch), [self._suspicious, batch])
-        rows = np.flatnonzero(cells != NO_CELL)
-        if len(rows):
-            valid = batch.valid.copy()
-            valid[rows, cells[rows]] = False
-            batch = replace(batch, valid=valid)
-        waits = is_suspicious(self._state)
-        self._suspicious = batch[-1:] if waits else None
-        return batch[:-1] if waits else batch
+def _take(settings: Record, state: Record, row: Record) -> None:
+    copy(state.held[state.last % len(state.held)], row)
+    state.last += 1
 
 
-@row_loop
-def _subtract(
-    counts: Counts,
-    valid: Flags,
-    /,
-    offset: Counts,
-    zeroed: Counts,
-    least: float,
-    state: Reals,
-    spikes: Times,
-) -> bool:
-    """Write the differences (n, cells), limited to 16 bits: a difference that wraps would turn its sign.
+def _give(settings: Record, state: Record, out: Record) -> bool:
+    """Give the oldest row that waits, if the baseline is known and no later row may show a wrong reading."""
+    if not state.measured:
+        if state.first == state.last or (state.last < settings.scans and not state.ended):
+            return False
+        for cell in range(len(state.offset)):
+            _measure(state, cell, min(state.last, settings.scans))
+        state.measured = 1
+    room = len(state.held)
+    while state.tested < state.last:
+        row = state.held[state.tested % room]
+        if settings.spike < inf:
+            spike = find_spike(row.counts, row.valid, settings.spike, state.spikes)
+            if spike != NO_CELL:
+                state.held[(state.tested - 1) % room].valid[spike] = 0
+        state.tested += 1
+    waits = is_suspicious(state.spikes) and not state.ended
+    if state.first >= state.last - int(waits):
+        return False
+    row = state.held[state.first % room]
+    copy(out, row)
+    for cell in range(len(state.offset)):
+        # limited to 16 bits: a difference that wraps would turn its sign
+        out.counts[cell] = nearest_count(float(row.counts[cell]) - float(state.offset[cell]))
+        out.valid[cell] = row.valid[cell] and state.known[cell]
+    state.first += 1
+    return True
 
-    Write the cell of which the row before was a spike to `spikes` (n,), or `NO_CELL`; return whether any is,
-    or a row was or is suspicious.
-    """
-    found = state[-1, 0] != NO_CELL
-    for row in range(len(counts)):
-        for cell in range(len(offset)):
-            zeroed[row, cell] = nearest_count(float(counts[row, cell]) - float(offset[cell]))
-        spikes[row] = find_spike(counts[row], valid[row], least, state)
-        found = found or spikes[row] != NO_CELL
-    return bool(found or state[-1, 0] != NO_CELL)
+
+def _measure(state: Record, cell: int, scans: int) -> None:
+    """Set the baseline of a cell: the median of its valid counts in the first rows, rounded half to even."""
+    ordered, number = state.sorted, 0
+    for scan in range(scans):
+        row = state.held[scan]
+        if row.valid[cell]:
+            place = number
+            while place > 0 and ordered[place - 1] > row.counts[cell]:
+                ordered[place] = ordered[place - 1]
+                place -= 1
+            ordered[place] = row.counts[cell]
+            number += 1
+    state.known[cell] = number > 0
+    if number > 0:
+        state.offset[cell] = round((float(ordered[(number - 1) // 2]) + float(ordered[number // 2])) / 2)

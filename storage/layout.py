@@ -33,7 +33,6 @@ from typing import Final
 from operators.batch import (
     Batch,
     Clocks,
-    Column,
     Episodes,
     Faults,
     Labelled,
@@ -44,6 +43,7 @@ from operators.batch import (
     Zeroed,
     columns,
 )
+from operators.column import Column
 from operators.errors import InputError, ParameterError
 from storage.files import SCRATCH, read_error
 

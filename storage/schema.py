@@ -12,7 +12,8 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS, CELLS, EVERY, Batch, columns
+from operators.batch import BAROMETERS, EVERY, Batch, columns
+from operators.column import CELLS
 from operators.errors import BatchError
 from storage.arrow import pa
 from storage.layout import TABLE_OF, TABLES, Table

@@ -25,7 +25,7 @@ from tests.pages import ROOT, block
 
 PAGE = ROOT / "docs" / "how-to" / "extend.md"
 OWED = [name for name in vars(test_conformance) if name.startswith("test_")]
-same, uncompiled = conftest.same, test_conformance.uncompiled  # the fixtures
+same = conftest.same  # the fixture
 
 
 @pytest.fixture
@@ -58,10 +58,10 @@ def test_the_operator_passes_the_conformance_suite(
     name: str,
     made: Callable[..., dict[str, Any]],
     same: Callable[[Batch, Batch], None],
-    uncompiled: Callable[[], None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     check = getattr(test_conformance, name)
-    given = {"case": case_of(made("active_rows.py")), "same": same, "uncompiled": uncompiled}
+    given = {"case": case_of(made("active_rows.py")), "same": same, "monkeypatch": monkeypatch}
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 

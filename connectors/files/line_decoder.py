@@ -138,7 +138,7 @@ class LineDecoder:
             self._counted["restarts"] += int((time < np.append(self._last, time[:-1])).sum())
             self._last = time[-1]
             unknown = np.full((len(time), 6), np.nan)
-            host = self._clock.process(Motion(host, time, unknown, unknown)).time
+            host = self._clock.push(Motion(host, time, unknown, unknown)).time
         yield from touch_of(self._columns, host, counts, valid).values()
 
     def _times(self, texts: Sequence[str]) -> tuple[Times, Flags]:

@@ -139,7 +139,7 @@ class Finger:
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         time = np.rint(t * s).astype(np.int64)
-        touch = Touch(time, *self.cells.read(t, tractions, aged), finger=self._finger)
+        touch = Touch.rows(time, *self.cells.read(t, tractions, aged), finger=self._finger)
         return touch, Truth(time, contact_truth[:, 0], contact_truth[:, 1], velocity, finger=self._finger)
 
     def _drive(self, steps: int) -> Reals:

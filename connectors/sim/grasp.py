@@ -210,7 +210,7 @@ class Grasp:
         self._ticks += steps
         t, aged = np.array([instant]), instant - self._sensed
         self._sensed = instant
-        touch = Touch(np.array([round(instant * s)]), *self._cells.read(t, tractions[None], aged), finger=0)
+        touch = Touch.rows([round(instant * s)], *self._cells.read(t, tractions[None], aged), finger=0)
         return touch, self._state(instant, tractions, (speed, passive))
 
     def _state(self, instant: float, tractions: Reals, speeds: tuple[float, float]) -> GraspState:

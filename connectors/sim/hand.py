@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import AsyncIterator
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from connectors.sim.objects import Object
@@ -62,7 +61,7 @@ class Hand(Sink[Commands]):
         grasp = self.grasp = self._open()
         async for time in ticks(clock, origin, PERIOD):
             touch, _ = grasp.sense((time - origin) / s)
-            yield replace(touch, time=touch.time + origin)
+            yield touch.later(origin)
 
     def _open(self) -> "Grasp":
         from connectors.sim.grasp import Grasp

@@ -10,7 +10,7 @@ touches the middle of the surface: x right, y up, z into the surface, yaw about 
 import logging
 from bisect import bisect_right
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
@@ -183,7 +183,7 @@ class SimulatedArm:
         async for time in ticks(clock, self._origin, s // 100):
             for fingertip in self._fingertips:
                 sample, _ = fingertip.sense((time - self._origin) / s)
-                yield replace(sample, time=sample.time + self._origin)
+                yield sample.later(self._origin)
 
     async def _motion(self, clock: Clock) -> AsyncIterator[Motion]:
         """Yield a sample every 8 ms; the controller's clock shows the time since the arm was created."""

@@ -139,7 +139,7 @@ class SimulatedRig:
             if (batch := take()) is None:
                 return
             if len(batch):
-                yield replace(batch, time=batch.time + origin)
+                yield batch.later(origin)
 
     def _sampler(self, kind: type[Batch]) -> Callable[[], Any]:
         """Return a function that gives the next sample of a stream; None at the end of the plan."""

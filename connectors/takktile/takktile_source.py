@@ -95,9 +95,10 @@ class TakkTile(Source[Touch]):
         """
         async with aclosing(ScanThread(self._schedule, clock.now).scans()) as scans:
             async for scan in scans:
+                times = np.full(len(self._fingers), scan.time)
+                rows = Touch.rows(times, scan.counts, scan.temperature, scan.valid).packed
                 for row, finger in enumerate(self._fingers):
-                    one, time = slice(row, row + 1), np.array([scan.time])
-                    yield Touch(time, scan.counts[one], scan.temperature[one], scan.valid[one], finger=finger)
+                    yield Touch.unpack(rows[row : row + 1], finger)
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check the bus, the cells of each row, and the rate of the scans.

@@ -141,7 +141,7 @@ def _decode(endpoint: str, arrivals: Times, rows: Rows) -> Motion:
         raise EndpointError(endpoint, f"sent timestamps {stamps} s, must be 0 to {_MAX_UPTIME:g} s")
     device_time = np.array([round(stamp * s) for stamp in stamps])
     velocity, pose = (rows[name].astype(np.float64) for name in ("actual_TCP_speed", "actual_TCP_pose"))
-    return Motion(arrivals, device_time, velocity, pose)
+    return Motion.rows(arrivals, device_time, velocity, pose)
 
 
 def _divides(rate: float, highest: float) -> bool:

@@ -1,90 +1,87 @@
-"""Compilation of a flow: one new operator per node and fingertip, in the order of declaration."""
+"""Compilation of a flow: operators that consist of steps are fused; others run on batches between them."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias, cast
 
 from flows.graph.flow import Flow
 from flows.graph.node import Node, location
-from flows.graph.validation import sink_fingertips, validate
-from operators.batch import EVERY, Batch, concat
+from flows.graph.validation import sink_fingertips, trace_fingertips, validate
+from operators.batch import BAROMETERS, EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
-from operators.operator import Join, LateRowFilter, Operator, output_type
-from operators.ports import Source
+from operators.operator import Join, Operator, fuses
+from operators.segment import Segment, Stage
+from operators.steps import RowType, Steps
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
-Values: TypeAlias = Mapping[int, Batch]  # batches of sources and operators in one push
+Values: TypeAlias = dict[Entry, Batch]  # batches of sources and operators in one push, by node and fingertip
 Delivery: TypeAlias = tuple[Node, Batch]  # a node and a batch of its output, for the sinks that read from it
+SomeOperator: TypeAlias = Operator[Any, Any] | Join[Any, Any, Any]
 
 
-@dataclass(eq=False)
-class Stage:
-    """Operator or join for one fingertip; `index` is the key of its output among the values of a push."""
+class _Fused:
+    """Operators that run as one segment, for all their fingertips."""
 
-    index: int
-    node: Node
-    finger: int
-    inputs: tuple[int, ...]
-    operator: Operator[Any, Any] | Join[Any, Any, Any]
-    delivers: bool  # sinks read from it
-    gives: type[Batch] = field(init=False)
-    tested: bool = field(init=False)
-    _process: Callable[..., Batch] = field(init=False)
-    _empty: tuple[Batch, ...] = field(init=False)
-    _first: int = field(init=False)
-    _second: int | None = field(init=False)  # None: an operator, not a join
+    def __init__(self, nodes: Mapping[Node, Steps], types: Mapping[Node, RowType], read: set[Node]) -> None:
+        self.nodes = list(nodes)  # each after its inputs
+        self.entrances = list(dict.fromkeys(p for node in nodes for p in node.inputs if p not in nodes))
+        places = {node: place for place, node in enumerate([*self.entrances, *self.nodes])}
+        stages = [
+            Stage(steps, types[node], tuple(places[parent] for parent in node.inputs), node in read, node)
+            for node, steps in nodes.items()
+        ]
+        self.fingers = self.nodes[0].fingers
+        self.segment = Segment([types[node] for node in self.entrances], stages, self.fingers)
 
-    def __post_init__(self) -> None:
-        self.tested = _is_tested(self.node)
-        self.gives = output_type(type(self.operator))
-        self._empty = tuple(kind.empty() for kind in self.node.takes)
-        self._first, *second = self.inputs
-        self._second = second[0] if second else None
-        ordered = all(isinstance(parent.part, Source) or _is_tested(parent) for parent in self.node.inputs)
-        process: Callable[..., Batch] = self.operator.process if ordered else self.operator.push
-        self._process = process if self.tested else lambda *inputs: self.checked(process(*inputs))
+    def push(self, values: Values) -> list[Delivery]:
+        """Run the operators on their inputs; return the output of each node and fingertip."""
+        common = self._present(values, EVERY)
+        if common and not any(self._present(values, finger) for finger in self.fingers if finger != EVERY):
+            return self.segment.pusher(EVERY, *common)(*common.values())
+        deliveries: list[Delivery] = []
+        for finger in self.fingers:
+            if batches := common | self._present(values, finger):
+                deliveries += self.segment.pusher(finger, *batches)(*batches.values())
+        return deliveries
 
-    def push(self, values: Values) -> Batch | None:
-        """Run the operator on its inputs; return None if there is no input or no output."""
-        left = values.get(self._first)
-        if self._second is None:
-            if left is None:
-                return None
-            out = self._process(left)
-        else:
-            right = values.get(self._second)
-            if left is None:
-                if right is None:
-                    return None
-                left = self._empty[0]
-            out = self._process(left, self._empty[1] if right is None else right)
-        return out if out.time.size else None
+    def flush(self, values: Values) -> list[Delivery]:
+        """Run the operators on their last inputs and end their streams."""
+        return [*self.push(values), *self.segment.flush()]
 
-    def flush(self, values: Values) -> Batch | None:
-        """Run the operator on its last inputs and end it; return None if there is no output."""
-        pushed, last = self.push(values), self.checked(self.operator.flush())
-        out = concat(self.gives, [last] if pushed is None else [pushed, last])
-        return out if out.time.size else None
+    def _present(self, values: Values, finger: int) -> dict[int, Batch]:
+        return {i: values[node, finger] for i, node in enumerate(self.entrances) if (node, finger) in values}
 
-    def checked(self, out: Batch) -> Batch:
-        """Return the output after a check of its type, columns, fingertip and order."""
-        if not isinstance(out, self.gives):
-            raise TypeError(f"returned {type(out).__name__}, but declares {self.gives.__name__}")
-        if out.check().time.size and out.finger != self.finger:
+
+class _Single:
+    """Operator or join with a `process` of its own, for one fingertip."""
+
+    def __init__(self, node: Node, operator: SomeOperator, finger: int) -> None:
+        self.nodes, self.entrances, self._operator = [node], node.inputs, operator
+        self._finger, self._gives = finger, cast("type[Batch]", node.gives)
+        self._empty = [kind.empty() for kind in node.takes]
+        self._keys = [(parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs]
+
+    def push(self, values: Values) -> list[Delivery]:
+        """Run the operator on its inputs."""
+        if not any(key in values for key in self._keys):
+            return []
+        inputs = [values.get(key, empty) for key, empty in zip(self._keys, self._empty, strict=True)]
+        return self._checked(cast("Any", self._operator).push(*inputs))
+
+    def flush(self, values: Values) -> list[Delivery]:
+        """Run the operator on its last inputs and end it."""
+        return [*self.push(values), *self._checked(self._operator.flush())]
+
+    def _checked(self, out: Batch) -> list[Delivery]:
+        """Return the output, if there is any, after a check of its type, columns, fingertip and order."""
+        if not isinstance(out, self._gives):
+            raise TypeError(f"returned {type(out).__name__}, but declares {self._gives.__name__}")
+        if not out.check().time.size:
+            return []
+        if out.finger != self._finger:
             raise ValueError(
-                f"returned rows of fingertip {out.finger}, not {self.finger}: pass on finger=batch.finger"
+                f"returned rows of fingertip {out.finger}, not {self._finger}: pass on finger=batch.finger"
             )
-        return out.check_order()
-
-
-@dataclass(eq=False)
-class _Entrance:
-    """Start of the path of a source's rows; `index` is the key of these rows among the values of a push."""
-
-    index: int
-    delivers: bool  # sinks read from the source
-    downstream: list[Stage]
-    late_filter: LateRowFilter = field(default_factory=LateRowFilter)
+        return [(self.nodes[0], out.check_order())]
 
 
 class CompiledFlow:
@@ -106,7 +103,6 @@ class CompiledFlow:
 
     Attributes:
         entries: Source nodes with their fingertips.
-        stages: Operators and joins, one per fingertip, in the order of declaration.
         sink_types: Batch types that each sink can receive with their fingertips, by its destination.
         fingertips: Fingertips of the touch streams of each sink, by its destination and their type.
 
@@ -117,21 +113,11 @@ class CompiledFlow:
 
     def __init__(self, flow: Flow) -> None:
         validate(flow)
-        Batch.zeros(2).check_order()  # loads compiled code, as `prepare` of the operators
         self._flow = flow.name
         self.entries = [(node, finger) for node in flow.sources() for finger in node.fingers]
-        self._indices = {entry: index for index, entry in enumerate(self.entries)}
-        read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
-        self.stages = [  # declared after their inputs
-            self._stage(node, finger, delivers=node in read)
-            for node in flow.nodes
-            if isinstance(node.part, Operator | Join)
-            for finger in node.fingers
-        ]
-        self._entrances = {
-            entry: _Entrance(index, entry[0] in read, self._downstream(index))
-            for index, entry in enumerate(self.entries)
-        }
+        self._read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
+        self._units = self._compiled(flow)
+        self._pushers = dict[tuple[Entry, ...], Callable[..., list[Delivery]]]()
         self.fingertips = sink_fingertips(flow)
         self.sink_types = {
             sink.destination: {
@@ -145,11 +131,6 @@ class CompiledFlow:
             for node, sink in flow.sinks().items()
         }
 
-    @property
-    def late_filters(self) -> dict[Entry, LateRowFilter]:
-        """Filters of late rows, by source and fingertip."""
-        return {entry: entrance.late_filter for entry, entrance in self._entrances.items()}
-
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
         """Run the operators on batches that arrived together, and return the batches for sinks, in order.
 
@@ -162,47 +143,64 @@ class CompiledFlow:
             BatchError: if a source yields a fingertip that it does not declare.
             OperatorError: if an operator fails or returns a type that it does not declare.
         """
-        values: dict[int, Batch] = {}
-        deliveries: list[Delivery] = []
-        stages = self.stages
-        for entry, batch in batches.items():
-            try:
-                entrance = self._entrances[entry]
-            except KeyError:
-                node, finger = entry
+        entries = tuple(batches)
+        push = self._pushers.get(entries)
+        if push is None:
+            push = self._pushers[entries] = self.pusher(*entries)
+        return push(*batches.values())
+
+    def pusher(self, *entries: Entry) -> Callable[..., list[Delivery]]:
+        """Return the function that `push` calls with the batches of these sources and fingertips."""
+        for node, finger in entries:
+            if (node, finger) not in self.entries:
                 reason = f"source {node.name!r} yielded fingertip {finger}, but declares {node.fingers}"
-                raise BatchError(type(batch).__name__, "finger", reason) from None
-            if len(batches) == 1:
-                stages = entrance.downstream
-            if batch.time.size:
-                if entrance.delivers:
-                    deliveries.append((entry[0], batch))
-                if (kept := entrance.late_filter.filter(batch)).time.size:
-                    values[entrance.index] = kept
-        return self._run(stages, Stage.push, values, deliveries)
+                raise BatchError(cast("type[Batch]", node.gives).__name__, "finger", reason)
+        units = self._reached({node for node, _ in entries})
+        read = [(i, node) for i, (node, _) in enumerate(entries) if node in self._read]
+        if len(units) == 1 and isinstance(unit := units[0], _Fused):
+            several = len(unit.fingers) > 1
+            fingers = {finger for _, finger in entries} if several else set(unit.fingers)
+            places = [unit.entrances.index(node) if node in unit.entrances else -1 for node, _ in entries]
+            if -1 not in places and len(fingers) == 1:
+                push = unit.segment.pusher(*fingers, *places)
+                if not read:
+                    return push
+                return lambda *batches: [*((node, batches[i]) for i, node in read), *push(*batches)]
+
+        def push_all(*batches: Batch) -> list[Delivery]:
+            values = {entry: batch for entry, batch in zip(entries, batches, strict=True) if batch.time.size}
+            deliveries = [(node, batches[i]) for i, node in read if batches[i].time.size]
+            for unit in units:
+                self._run(unit, unit.push, values, deliveries)
+            return deliveries
+
+        return push_all
 
     def flush(self) -> list[Delivery]:
         """End all streams, and return the last batches for sinks, in order."""
-        return self._run(self.stages, Stage.flush, {}, [])
+        values: Values = {}
+        deliveries: list[Delivery] = []
+        for unit in self._units:
+            self._run(unit, unit.flush, values, deliveries)
+        return deliveries
 
     def _run(
         self,
-        stages: Sequence[Stage],
-        step: Callable[[Stage, Values], Batch | None],
-        values: dict[int, Batch],
+        unit: _Fused | _Single,
+        step: Callable[[Values], list[Delivery]],
+        values: Values,
         deliveries: list[Delivery],
-    ) -> list[Delivery]:
-        """Run a step of each stage, and add its output to the values and deliveries."""
-        for stage in stages:
-            try:
-                out = step(stage, values)
-            except Exception as error:
-                raise self._failure(stage.node, error) from error
-            if out is not None:
-                values[stage.index] = out
-                if stage.delivers:
-                    deliveries.append((stage.node, out))
-        return deliveries
+    ) -> None:
+        """Run a unit, and add its output to the values and deliveries."""
+        try:
+            outputs = step(values)
+        except Exception as error:
+            raise self._failure(unit.nodes[0], error) from error
+        for node, batch in outputs:
+            key = node, batch.finger
+            values[key] = concat(type(batch), [values[key], batch]) if key in values else batch
+            if node in self._read:
+                deliveries.append((node, batch))
 
     def _failure(self, node: Node, error: Exception) -> OperatorError:
         reason = str(error)
@@ -211,27 +209,65 @@ class CompiledFlow:
         reason += "" if _is_tested(node) else location(node.part, error)
         return OperatorError(self._flow, node.name, reason)
 
-    def _stage(self, node: Node, finger: int, *, delivers: bool) -> Stage:
-        inputs = tuple(
-            self._indices[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
-        )
-        index = self._indices[node, finger] = len(self._indices)
-        try:
-            operator = cast("Operator[Any, Any] | Join[Any, Any, Any]", node.part).reset_copy()
-            operator.prepare()
-        except SlipflowError:
-            raise
-        except Exception as error:
-            raise self._failure(node, error) from error
-        return Stage(index, node, finger, inputs, operator, delivers)
+    def _compiled(self, flow: Flow) -> list[_Fused | _Single]:
+        """Return the units of a flow, each after those that it reads from.
 
-    def _downstream(self, index: int) -> list[Stage]:
-        reached, stages = {index}, list[Stage]()
-        for stage in self.stages:
-            if reached.intersection(stage.inputs):
-                reached.add(stage.index)
-                stages.append(stage)
-        return stages
+        Operators are fused with those before them that have the same fingertips, unless an operator with a
+        `process` of its own stands between them: the rank of a unit counts the borders before it.
+        """
+        fingertips, _ = trace_fingertips(flow)
+        types, ranks = dict[Node, RowType](), dict[Node, int]()
+        fused = dict[tuple[int, tuple[int, ...]], dict[Node, Steps]]()
+        singles = list[tuple[int, _Single]]()
+        for node in flow.nodes:  # each after its inputs
+            if not isinstance(node.part, Operator | Join):
+                if node.gives is not None:
+                    tip = fingertips.get(node)
+                    types[node], ranks[node] = RowType(node.gives, tip.cells if tip else BAROMETERS), 0
+                continue
+            given = [types[parent] for parent in node.inputs]
+            try:
+                operator = node.part.reset_copy()
+                steps = operator.steps(*given) if fuses(type(operator)) else None
+                types[node] = operator.row_type(*given)
+                if steps is None:
+                    operators = [
+                        operator,
+                        *(node.part.reset_copy() for _ in node.fingers[1:]),
+                    ]
+                    for each in operators:
+                        each.prepare()
+            except SlipflowError:
+                raise
+            except Exception as error:
+                raise self._failure(node, error) from error
+            if steps is None:
+                ranks[node] = 1 + max(ranks[parent] for parent in node.inputs)
+                pairs = zip(operators, node.fingers, strict=True)
+                singles += [(ranks[node], _Single(node, each, finger)) for each, finger in pairs]
+                continue
+            inside = {node for nodes in fused.values() for node in nodes}
+            ranks[node] = max(
+                ranks[parent] + (parent not in inside or parent.fingers != node.fingers)
+                for parent in node.inputs
+            )
+            fused.setdefault((ranks[node], node.fingers), {})[node] = steps
+        outside = {parent for _, unit in singles for parent in unit.entrances} | self._read
+        segments = list[tuple[int, _Fused]]()
+        for (rank, _), nodes in fused.items():
+            others = {p for key, each in fused.items() if each is not nodes for n in each for p in n.inputs}
+            segments.append((rank, _Fused(nodes, types, outside | others)))
+        units: list[tuple[int, _Fused | _Single]] = [*segments, *singles]
+        return [unit for _, unit in sorted(units, key=lambda each: each[0])]
+
+    def _reached(self, reached: set[Node]) -> list[_Fused | _Single]:
+        """Return the units that rows of these sources may reach."""
+        units = list[_Fused | _Single]()
+        for unit in self._units:
+            if reached.intersection(unit.entrances):
+                reached.update(unit.nodes)
+                units.append(unit)
+        return units
 
 
 def _is_tested(node: Node) -> bool:

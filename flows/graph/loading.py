@@ -22,7 +22,7 @@ from flows.graph.flow import Flow
 from flows.graph.node import line_in
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
-from operators.operator import Step
+from operators.operator import AnyOperator
 
 SHIPPED = Path(__file__).parents[1]  # folder of the shipped flows
 _DESCRIBED: Final = re.compile(r"^ {4}(\w+): (.+)$", re.MULTILINE)  # argument in a docstring
@@ -193,6 +193,6 @@ def _errors_of(file: Path) -> Generator[None]:
 
 def _hint(error: BaseException) -> str:
     """Return what to write instead of ``stream | Debounce().to(sink)``, which sends an operator."""
-    if isinstance(error, AttributeError) and error.name == "to" and isinstance(error.obj, Step):
+    if isinstance(error, AttributeError) and error.name == "to" and isinstance(error.obj, AnyOperator):
         return f": write (stream | {type(error.obj).__name__}()).to(...)"
     return ""

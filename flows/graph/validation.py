@@ -14,7 +14,7 @@ from operators.batch import Batch, Touch
 from operators.debounce import Debounce
 from operators.errors import FingertipError, FlowError
 from operators.fingertip import Fingertip
-from operators.operator import Join, Operator, Step, input_types, output_type
+from operators.operator import AnyOperator, Join, Operator, input_types, output_type
 from operators.ports import Sink, Source
 from operators.score import Score
 from operators.zero import Zero
@@ -150,7 +150,7 @@ def _shared_state(flow: Flow) -> Iterator[FlowError]:
 def _lost_parameters(flow: Flow) -> Iterator[FlowError]:
     """Find arguments that a copy of an operator for a run would not get."""
     for node in flow.nodes:
-        if isinstance(node.part, Operator | Join) and type(node.part).reset_copy is Step.reset_copy:
+        if isinstance(node.part, Operator | Join) and type(node.part).reset_copy is AnyOperator.reset_copy:
             kept = {f.name for f in fields(node.part) if f.init}
             for lost in _parameters(type(node.part)) - kept:
                 reason = f"{lost} would be lost: make it a field of a @dataclass, which needs no __init__"
@@ -158,7 +158,7 @@ def _lost_parameters(flow: Flow) -> Iterator[FlowError]:
 
 
 @cache  # of each class: `signature` takes longer than all other checks
-def _parameters(kind: type[Step]) -> frozenset[str]:
+def _parameters(kind: type[AnyOperator]) -> frozenset[str]:
     return frozenset(signature(kind).parameters)
 
 

@@ -2,12 +2,11 @@
 
 import asyncio
 import gc
-from collections.abc import Coroutine, Mapping, Sequence
-from contextlib import aclosing
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
+from flows.graph.compiled_flow import CompiledFlow, Delivery
 from flows.graph.node import Node, check_extras, consumers
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import contained, reason_of, warn
@@ -105,7 +104,8 @@ class LiveRunner:
         gc.freeze()  # else a collection searches all modules, which takes 60 ms
         try:
             await self._read_all(writers)
-            await self._deliver(self._enqueue(self.compiled.flush()))
+            for queue, batch in self._enqueue(self.compiled.flush()):
+                await queue.put(batch)
         except Exception as error:
             self.run.error = reason_of(error)
             raise
@@ -177,35 +177,47 @@ class LiveRunner:
                 raise error
 
     async def _read(self, node: Node) -> None:
-        reader = self._readers[node]
+        """Push the batches of a source; wait only where a sink is full or others have older rows."""
+        reader, push = self._readers[node], {f: self.compiled.pusher((node, f)) for f in node.fingers}
         status = reader.status
-        async with aclosing(reader.batches()) as stream:
-            async for batch in stream:
-                batches = {(node, batch.finger): batch}
-                waiting = None if self._pending else self._enqueue(self.compiled.push(batches))
-                reader.count(batch)
-                if waiting != []:  # rare: no await in the usual case, so no other source runs in between
-                    await self._wait_for_room(batches, waiting)
-                if self._ending:
-                    return
-                if self.clock.now() - status.newest > LAGGING:
-                    await self._wait_for_older_rows(status)
-                if status.rows % YIELD_EVERY < batch.time.size:
-                    await asyncio.sleep(0)  # let the sinks run
 
-    async def _wait_for_room(
-        self, batches: Mapping[Entry, Batch], waiting: list[tuple[SinkQueue, Batch]] | None
-    ) -> None:
-        """Queue deliveries as queues have room; without any, first push the batches when it is their turn."""
-        self._pending += 1
-        try:
-            async with self._push:
-                if waiting is None:
-                    waiting = self._enqueue(self.compiled.push(batches))
-                await self._deliver(waiting)
-        finally:
-            self._pending -= 1
-            self._delivered.set()
+        def take(batch: Batch) -> Awaitable[bool] | None:
+            pushed = push.get(batch.finger) or self.compiled.pusher((node, batch.finger))
+            waiting = None if self._pending else self._enqueue(pushed(batch))
+            reader.count(batch)
+            due = status.rows % YIELD_EVERY < len(batch) or self.clock.now() - status.newest > LAGGING
+            if due or waiting != [] or self._ending:  # else no other source runs in between
+                return self._wait(batch, pushed, waiting, status)
+            return None
+
+        await reader.read(take)
+
+    async def _wait(
+        self,
+        batch: Batch,
+        push: Callable[[Batch], Sequence[Delivery]],
+        waiting: list[tuple[SinkQueue, Batch]] | None,
+        status: SourceStatus,
+    ) -> bool:
+        """Queue what a full queue left, then let the sinks and other sources run; return False at the end.
+
+        Without a list of what waits, the batch was not pushed yet: it is, when it is its turn.
+        """
+        if waiting != []:
+            self._pending += 1
+            try:
+                async with self._push:
+                    for queue, left in self._enqueue(push(batch)) if waiting is None else waiting:
+                        await queue.put(left)
+            finally:
+                self._pending -= 1
+                self._delivered.set()
+        if self._ending:
+            return False
+        if self.clock.now() - status.newest > LAGGING:
+            await self._wait_for_older_rows(status)
+        await asyncio.sleep(0)
+        return True
 
     def _enqueue(self, deliveries: Sequence[Delivery]) -> list[tuple[SinkQueue, Batch]]:
         """Queue deliveries up to the first full queue; return the rest."""
@@ -223,10 +235,6 @@ class LiveRunner:
             if not any(other.up and 0 < other.newest < status.newest for other in others):
                 return
             await asyncio.sleep(0)
-
-    async def _deliver(self, waiting: Sequence[tuple[SinkQueue, Batch]]) -> None:
-        for queue, batch in waiting:
-            await queue.put(batch)
 
     async def _check_regularly(self) -> None:
         """Record clock steps, silent sources and unacknowledged events, and feed the watchdog.

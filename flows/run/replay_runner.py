@@ -1,6 +1,7 @@
 """Execution of a flow over a recording: the same graph at full speed, or paced like a live run."""
 
 import asyncio
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import Any, cast
@@ -16,6 +17,7 @@ from flows.run.clocks import EventClock
 from flows.run.log_events import contained, reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Clocks, Faults, Labelled, Motion, Scores, Slips, Touch
 from operators.errors import InputError
+from operators.operator import LateRowFilter
 from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
 
@@ -133,12 +135,13 @@ class ReplayRunner:
                 with contained():
                     await sink.open(self.run)
                 opened.append(sink)
-            filters = self.compiled.late_filters
+            filters = defaultdict[Entry, LateRowFilter](LateRowFilter)  # they only count
             for batches in chain([first], slices):
                 deliveries = self.compiled.push(batches)
                 for entry, batch in batches.items():
                     status = self.run.sources[entry[0].name]
                     status.up = True
+                    filters[entry].filter(batch)
                     status.newest = max(status.newest, filters[entry].newest)
                     status.rows += len(batch)
                     status.late = sum(each.late for (node, _), each in filters.items() if node is entry[0])

@@ -2,10 +2,10 @@
 
 import asyncio
 from collections import defaultdict
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
 from dataclasses import asdict
 from math import inf
-from typing import Any, Final, cast
+from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from operators.errors import BatchError, EndpointError, OperatorError, SlipflowE
 from operators.operator import LateRowFilter
 from operators.ports import BackOff, Gap, Run, Source, SourceStatus
 
+Take: TypeAlias = Callable[[Batch], Awaitable[bool] | None]
 MISTAKES: Final = (  # of the source's code: a retry would not help
     ArithmeticError,
     AssertionError,
@@ -26,6 +27,10 @@ MISTAKES: Final = (  # of the source's code: a retry would not help
     TypeError,
     ValueError,
 )
+
+
+class _TakeError(Exception):
+    """Error of the receiver of batches, which is no error of the source."""
 
 
 class SourceReader:
@@ -52,10 +57,14 @@ class SourceReader:
         self._counted, self._silent = 0, 0.0  # rows at the last check, and s without rows since then
         self._ended = False
 
-    async def batches(self) -> AsyncGenerator[Batch]:
-        """Yield the batches of the source until it ends.
+    async def read(self, take: Take) -> None:
+        """Pass the batches of the source on until it ends.
+
+        Args:
+            take: Called with each batch. It returns None, or what to wait for: then False ends the reading.
 
         Raises:
+            Exception: what `take` raises.
             OperatorError: if a batch does not have the type or shape that the source declares, or the source
                 raises one of `MISTAKES`.
             SlipflowError: if the source raises one other than EndpointError.
@@ -63,35 +72,50 @@ class SourceReader:
         retry = BackOff()
         try:
             while True:
-                stream = self._source.batches(self._run.clock)
-                try:
-                    with contained():
-                        async for batch in stream:
-                            if not self._checked(batch).time.size:
-                                await asyncio.sleep(0)  # else a source without rows could block the run
-                                continue
-                            if self._gap_start:
-                                gap = asdict(self._end_gap())
-                                text = f"{self.name} works again"
-                                warn("source_restarted", text, source=self.name, gap=gap)
-                                retry.reset()
-                            yield batch
-                except MISTAKES as error:
-                    self.status.error = reason_of(error) + location(self._source, error)
-                    raise OperatorError(self._run.flow, self.name, self.status.error) from error
-                except Exception as error:
-                    if isinstance(error, SlipflowError) and not isinstance(error, EndpointError):
-                        self.status.error = str(error)
-                        raise  # it would fail again
-                    self._failed(reason_of(error))
-                else:
+                if await self._read_once(take, retry):
                     return
-                finally:
-                    if isinstance(stream, AsyncGenerator):  # release the device before it is opened again
-                        await stream.aclose()
                 await asyncio.sleep(retry.delay())
         finally:
             self._ended, self.status.up = True, False
+
+    async def _read_once(self, take: Take, retry: BackOff) -> bool:
+        """Open the source and read it until it ends; return False if it failed and is to be opened again."""
+        stream = self._source.batches(self._run.clock)
+        try:
+            with contained():
+                await self._pass_on(stream, take, retry)
+        except _TakeError as failed:
+            error = cast("Exception", failed.__cause__)
+            raise error from error.__cause__
+        except MISTAKES as error:
+            self.status.error = reason_of(error) + location(self._source, error)
+            raise OperatorError(self._run.flow, self.name, self.status.error) from error
+        except Exception as error:
+            if isinstance(error, SlipflowError) and not isinstance(error, EndpointError):
+                self.status.error = str(error)
+                raise  # it would fail again
+            self._failed(reason_of(error))
+            return False
+        finally:
+            if isinstance(stream, AsyncGenerator):  # release the device before it is opened again
+                await stream.aclose()
+        return True
+
+    async def _pass_on(self, stream: AsyncIterator[Batch], take: Take, retry: BackOff) -> None:
+        async for batch in stream:
+            if not len(self._checked(batch)):
+                await asyncio.sleep(0)  # else a source without rows could block the run
+                continue
+            if self._gap_start:
+                gap = asdict(self._end_gap())
+                warn("source_restarted", f"{self.name} works again", source=self.name, gap=gap)
+                retry.reset()
+            try:
+                later = take(batch)
+                if later is not None and not await later:
+                    return
+            except Exception as error:
+                raise _TakeError from error
 
     def check_silence(self, waited: float) -> None:
         """Mark the source as stale if it was silent for too long; call this every `waited` seconds.
@@ -132,7 +156,7 @@ class SourceReader:
         status.missing += missing_rows(batch.time, before, self._period)
         status.late += in_time.late - late
         status.newest = max(status.newest, in_time.newest)
-        status.rows += batch.time.size
+        status.rows += len(batch)
         status.up, status.stale, status.error = True, False, ""
 
     def _failed(self, reason: str) -> None:

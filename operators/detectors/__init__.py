@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from operators.detectors.detector import Detector, Stream, Streaming
+from operators.detectors.detector import Detector, StreamingDetector
 from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
 from operators.detectors.paper_tcn import PaperTcn
 from operators.detectors.psd import Psd
@@ -18,8 +18,7 @@ __all__ = [
     "InterleavedFrequencyCnn",
     "PaperTcn",
     "Psd",
-    "Stream",
-    "Streaming",
+    "StreamingDetector",
     "Tcn",
 ]
 

@@ -4,6 +4,7 @@ from typing import Protocol, runtime_checkable
 
 from operators.batch import Counts, Reals
 from operators.fingertip import Fingertip
+from operators.steps import Steps
 
 
 class Detector(Protocol):
@@ -44,26 +45,21 @@ class ForFingertip(Detector, Protocol):
         ...
 
 
-class Stream(Protocol):
-    """State of a streaming detector for one or more fingertips."""
+@runtime_checkable
+class StreamingDetector(Detector, Protocol):
+    """Detector that also processes samples one by one, each once, at low cost per sample."""
 
-    def push(self, counts: Counts | Reals) -> Reals:
-        """Process the next samples in order.
+    def steps(self, hop: int, cells: int) -> Steps:
+        """Return the step from zeroed touch to scores, for the scores of `Score` with the same `hop`.
+
+        They start at the `length`-th sample and agree with `score` of the same window to 1e-5.
 
         Args:
-            counts: (n, fingers, cells) zeroed counts
+            hop: Distance between scores, samples.
+            cells: Number of cells of the fingertip.
 
-        Returns:
-            (n, fingers) probability of slip at each sample. After `length` samples it agrees with `score` of
-            the same window to 1e-5. Cutting the samples anywhere changes no bit.
+        Raises:
+            ParameterError: if the detector is for another number of cells.
+            ModuleNotFoundError: if numba is not installed.
         """
-        ...
-
-
-@runtime_checkable
-class Streaming(Detector, Protocol):
-    """Detector that can process samples one by one, at low cost per sample."""
-
-    def stream(self, fingers: int = 1) -> Stream:
-        """Return a new stream for `fingers` fingertips that are sampled together."""
         ...

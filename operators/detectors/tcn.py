@@ -1,16 +1,14 @@
 """Temporal convolutional network (TCN), the default detector; streaming and windowed inference agree."""
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, Counts, Reals
 from operators.detectors.weights import CausalLayer, Floats, ForOneFingertip, Weights, check_weights
-from operators.errors import InputError
-
-if TYPE_CHECKING:
-    from operators.detectors.tcn_stream import TcnStream
+from operators.errors import InputError, ParameterError
+from operators.steps import Steps
 
 _MAX_DILATION: Final = 1000  # samples, largest plausible dilation
 _DENSE: Final = ("dense0", "dense1", "out")  # names of the dense layers
@@ -23,8 +21,8 @@ class Tcn(ForOneFingertip):
     The features of a sample are asinh(x / position_scale) of the counts of each cell and
     asinh((x - previous x) / step_scale) of their steps. A ReLU follows each convolution and each dense layer
     but the last. The second convolution of a block then adds the block's input, if it has the same number of
-    channels. There is no padding, so the receptive field is the window, and `score`, `stream` and a
-    convolution over a whole recording compute the same function. `stream` is by far the fastest.
+    channels. There is no padding, so the receptive field is the window, and `score`, `steps` and a
+    convolution over a whole recording compute the same function. `steps` is by far the fastest.
 
     Args:
         weights: ``conv{i}/kernel`` (taps, in, filters) and ``conv{i}/bias``, two per block; ``dense0/...``,
@@ -88,11 +86,17 @@ class Tcn(ForOneFingertip):
             inputs.append(values)
         return 1 / (1 + np.exp(-inputs[-1][:, 0, 0].astype(np.float64)))
 
-    def stream(self, fingers: int = 1) -> "TcnStream":
-        """Return a new stream for `fingers` fingertips that are sampled together."""
-        from operators.detectors.tcn_stream import TcnStream
+    def steps(self, hop: int, cells: int) -> Steps:
+        """Return the step from zeroed touch to scores, at every `hop`-th sample.
 
-        return TcnStream(self.layers, self.position_scale, self.step_scale, fingers)
+        Raises:
+            ParameterError: if the network is for another number of cells.
+        """
+        from operators.detectors.tcn_stream import tcn_steps
+
+        if cells != self.cells:
+            raise ParameterError(type(self).__name__, "cells", cells, f"{self.cells}, as in training")
+        return tcn_steps(self.layers, self.position_scale, self.step_scale, self.length, hop)
 
     def _features(self, counts: Floats, before: Floats) -> Floats:
         parts = np.arcsinh(counts / self.position_scale), np.arcsinh((counts - before) / self.step_scale)

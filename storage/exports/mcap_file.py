@@ -19,7 +19,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS, EVERY, Batch, Column, s
+from operators.batch import BAROMETERS, EVERY, Batch, s
+from operators.column import Column
 from operators.errors import InputError
 from operators.extras import require_extra
 from storage.files import partial_output

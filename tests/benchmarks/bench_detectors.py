@@ -1,7 +1,6 @@
 """What a sample costs our TCN, by its filters: streaming, and on windows; batch 1, one core, CPU time.
 
-Run by `make bench`. Streaming takes sample after sample, of one fingertip or of 64 or 1000 that are sampled
-together, then per fingertip; live is one fingertip's batches of one through `Score`. Windowed takes a whole
+Run by `make bench`. Streaming takes sample after sample through `Score`, as live. Windowed takes a whole
 window for each sample, as those must who do not stream. Weights are random: they cost what trained ones do.
 The live path is `Score` with the operators around it. All variants take turns, so that a change of the
 machine's speed affects all of them; tables show medians.
@@ -11,7 +10,7 @@ import gc
 import statistics
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -24,11 +23,11 @@ from operators.operator import Operator
 from tests.benchmarks.machine import print_head
 
 FILTERS = (4, 8, 12, 16, 24)
-FINGERS = (64, 1000)
 SAMPLES = 2000  # of one fingertip
 DEFAULT = 16  # filters
 TURNS = 15
 Run = Callable[[], int]  # says how many samples it scored
+SomeTouch = TypeVar("SomeTouch", bound=Touch)
 
 
 def network(filters: int) -> Tcn:
@@ -40,45 +39,33 @@ def network(filters: int) -> Tcn:
     return Tcn(weights | scales | {"dilations": np.array([1, 2, 4])})
 
 
-def streaming(tcn: Tcn, counts: Counts, fingers: int) -> Run:
-    """Sample after sample, of some fingertips at once."""
-    stream, rows = tcn.stream(fingers), [row[None, None].repeat(fingers, axis=1) for row in counts]
+def touch(kind: type[SomeTouch], counts: Counts) -> SomeTouch:
+    """Return samples of one fingertip at 100 Hz, all valid."""
+    valid = np.ones_like(counts, np.bool_)
+    return kind(np.arange(len(counts)) * 10 * ms, counts, counts, valid, finger=0)
+
+
+def streaming(operator: Operator[Any, Any], batch: Batch) -> Run:
+    """Return a run of an operator on batches of one, all of one time, so that none is late."""
+    operator.push(batch)
+    rows = batch.packed.copy()
+    rows["time"] = rows["time"][-1]
+    kind, pieces = type(batch), [rows[at : at + 1] for at in range(len(rows))]
 
     def run() -> int:
-        for row in rows:
-            stream.push(row)
-        return len(rows) * fingers
-
-    return run
-
-
-def live(tcn: Tcn, counts: Counts) -> Run:
-    """Batches of one through the operator."""
-    time = np.arange(len(counts)) * 10 * ms
-    return in_rows(Score(tcn), Zeroed(time, counts, counts, np.ones_like(counts, np.bool_), finger=0))
-
-
-def in_rows(step: Operator[Any, Any], batch: Batch) -> Run:
-    """Batches of one through an operator."""
-    rows = [batch[row : row + 1] for row in range(len(batch))]
-
-    def run() -> int:
-        fresh = step.reset_copy()
-        for row in rows:
-            fresh.push(row)
-        return len(rows)
+        for row in pieces:
+            operator.push(kind.unpack(row, batch.finger))
+        return len(pieces)
 
     return run
 
 
 def around(counts: Counts) -> dict[str, Run]:
     """Operators before and after `Score` on the live path of one fingertip."""
-    time = np.arange(len(counts)) * 10 * ms
-    touch = Touch(time, counts + 700, counts, np.ones_like(counts, np.bool_), finger=0)
-    probability = np.random.default_rng(0).random(len(counts))
+    given, probability = touch(Touch, counts + 700), np.random.default_rng(0).random(len(counts))
     return {
-        "Zero": in_rows(Zero(), touch),
-        "Debounce": in_rows(Debounce(), Scores(time, probability, finger=0)),
+        "Zero": streaming(Zero(), given),
+        "Debounce": streaming(Debounce(), Scores(given.time, probability, finger=0)),
     }
 
 
@@ -98,15 +85,10 @@ def variants(filters: int, counts: Counts) -> dict[str, Run]:
     """What is measured for one size."""
     tcn = network(filters)
     windows = sliding_window_view(counts, tcn.length, axis=0)[:50].swapaxes(1, 2)
-    streamed = tcn.stream().push(counts[:, None])[tcn.length - 1 :][:50, 0]
+    streamed = Score(tcn).push(touch(Zeroed, counts)).probability[:50]
     np.testing.assert_allclose(tcn.score(windows), streamed, atol=1e-5)
     return {
-        "streaming": streaming(tcn, counts, 1),
-        "live, through Score": live(tcn, counts),
-        **{
-            f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
-            for fingers in FINGERS
-        },
+        "streaming": streaming(Score(tcn), touch(Zeroed, counts)),
         "windowed, numpy": windowed(tcn, counts, 200),
     }
 
@@ -131,7 +113,7 @@ def main() -> None:
     for name in dict.fromkeys(name for name, filters in cost if filters):
         medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
         print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
-    path = {"Zero": ("Zero", 0), "Score": ("live, through Score", DEFAULT), "Debounce": ("Debounce", 0)}
+    path = {"Zero": ("Zero", 0), "Score": ("streaming", DEFAULT), "Debounce": ("Debounce", 0)}
     costs = {name: statistics.median(cost[key]) for name, key in path.items()}
     print(f"us per sample, live, {DEFAULT} filters")
     for name, value in {**costs, "all": sum(costs.values())}.items():

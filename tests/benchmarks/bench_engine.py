@@ -10,7 +10,8 @@ import gc
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 import polars as pl
@@ -19,8 +20,8 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
-from operators.batch import Batch, Counts, Reals, Times
-from operators.row_loop import row_loop
+from operators.batch import Batch, Reals
+from operators.steps import Record, RowType, Steps
 from tests.benchmarks.machine import print_head
 from tests.benchmarks.peers.job import MOTION, Chunk, Job, Meter
 from tests.benchmarks.peers.push_graph import prepare
@@ -37,39 +38,26 @@ LIMIT = 400.0  # counts^2 per sample: energy of the steps at which the score is 
 class StepEnergy(Operator[Zeroed, Scores]):
     """Mean energy of the steps in the newest `LENGTH` samples, summed incrementally and exactly."""
 
-    _sums: Times = field(init=False, repr=False, compare=False)  # (LENGTH,) up to the k-th at k mod LENGTH
-    _last: Times = field(init=False, repr=False, compare=False)  # (6,) counts of the newest sample
-    _seen: int = field(default=0, init=False, repr=False)  # samples
-
-    def __post_init__(self) -> None:
-        self._sums, self._last = np.zeros(LENGTH, np.int64), np.zeros(6, np.int64)
-
-    def process(self, batch: Zeroed) -> Scores:
-        """Score the samples that complete a window."""
-        size, seen = batch.time.size, self._seen
-        scores = np.empty(size)
-        energies(batch.counts, self._sums, self._last, seen, scores)
-        self._seen += size
-        first = max(LENGTH - 1 - seen, 0)  # of the batch, that completes a window
-        if not first:
-            return Scores(batch.time, scores, finger=batch.finger)
-        return Scores(batch.time[first:], scores[first:], finger=batch.finger)
+    def steps(self, *given: RowType) -> Steps:
+        """The step; a sum is stored for each of the newest samples."""
+        state = {"sums": np.zeros(LENGTH, np.int64), "last": np.zeros(given[0].cells, np.int64), "seen": 0}
+        return Steps(state=state, step=step_energy)
 
 
-@row_loop
-def energies(counts: Counts, /, sums: Times, last: Times, seen: int, scores: Reals) -> None:
-    """Score each sample, and store the sums."""
-    total = sums[seen % LENGTH - 1]
-    for row in range(len(counts)):
-        for cell in range(6):
-            count = int(counts[row, cell])
-            step = count - last[cell] if seen + row else 0
-            last[cell] = count
-            total += step * step
-        slot = (seen + row) % LENGTH
-        energy = (total - sums[slot]) / LENGTH
-        sums[slot] = total
-        scores[row] = energy / (energy + LIMIT)
+def step_energy(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    """Score a sample."""
+    slot = state.seen % LENGTH
+    total = state.sums[slot - 1]
+    for cell in range(len(row.counts)):
+        count = int(row.counts[cell])
+        step = count - state.last[cell] if state.seen else 0
+        state.last[cell] = count
+        total += step * step
+    energy = (total - state.sums[slot]) / LENGTH
+    state.sums[slot] = total
+    state.seen += 1
+    out.time, out.probability = row.time, energy / (energy + LIMIT)
+    return bool(state.seen >= LENGTH)
 
 
 def streams(samples: int, seed: int) -> tuple[Touch, Motion]:
@@ -110,7 +98,7 @@ def flow(stages: int = len(STAGES)) -> Flow:
         touch.to(TestSink())
         motion.to(TestSink())
         return job
-    zeroed = touch | Zero(baseline=400)
+    zeroed = touch | Zero(baseline=400, spike=inf)
     if stages < ALIGN:
         zeroed.to(TestSink())
         motion.to(TestSink())
@@ -127,9 +115,13 @@ def through_flow(rows: int, stages: int = len(STAGES)) -> Callable[[Touch, Motio
     def run(touch: Touch, motion: Motion) -> Reals:
         plan, out = CompiledFlow(flow(stages)), list[Delivery]()
         given = pushes(job_of(touch, motion), plan.entries, rows)
+        calls = [(plan.pusher(*push), tuple(push.values())) for push in given]
+        for _, batches in calls:
+            for each in batches:
+                _ = each.packed  # as sources give it
         began = time.process_time()
-        for push in given:
-            out += plan.push(push)
+        for call, batches in calls:
+            out += call(*batches)
         out += plan.flush()
         timed.append(time.process_time() - began)
         scores = [batch.probability for _, batch in out if isinstance(batch, Scores)]

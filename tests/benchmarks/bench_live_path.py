@@ -209,10 +209,8 @@ async def run(port: int, *, apart: bool) -> Seen:
         if apart:
             names = smbus2.smbus2.__dict__
             names["ioctl"] = spent.timed("bus", names["ioctl"])
-            for stage in runner.compiled.stages:
-                name = type(stage.operator).__name__
-                vars(stage.operator)["process"] = spent.timed(name, cast("Any", stage.operator).process)
-                stage.__post_init__()  # it looks process up once
+            pusher = runner.compiled.pusher
+            vars(runner.compiled)["pusher"] = lambda *entries: spent.timed("operators", pusher(*entries))
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
         first = Used.now(spent)

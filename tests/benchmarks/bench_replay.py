@@ -18,18 +18,19 @@ from pathlib import Path
 from typing import Any, cast
 
 from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import recordings
-from operators import Batch, Debounce, Operator, Score, Sink, Slips, Touch, Zero
+from operators import Debounce, Score, Sink, Slips, Touch, Zero
 from storage import Dataset, Session, load_debounce, load_detector
 from tests.benchmarks.machine import print_head
 
 RATE = 100  # Hz
 BLOCK = 60 * RATE  # rows of a part
 TURNS, ROWS = 5, 1000  # rows of a batch
-STAGES = ("open", "check and plan", "read", "Zero", "Score", "Debounce", "the rest")
+STAGES = ("open", "check and plan", "read", "operators", "the rest")
 
 
 def flow(sink: Sink[Slips]) -> Flow:
@@ -59,10 +60,9 @@ class Watch:
 
 @contextmanager
 def timed(watch: Watch) -> Generator[None]:
-    """Operators, by the names of their classes, and the reading of sessions are timed meanwhile."""
-    kinds: list[Any] = [Zero, Score, Debounce]
-    session: Any = Session
-    real = session.read
+    """The operators and the reading of sessions are timed meanwhile."""
+    session, compiled = cast("Any", Session), cast("Any", CompiledFlow)
+    real, push = session.read, compiled.push
 
     def read(*asked: Any) -> Iterator[Any]:
         batches = real(*asked)
@@ -73,25 +73,15 @@ def timed(watch: Watch) -> Generator[None]:
                 return
             yield batch
 
-    before = [kind.process for kind in kinds]
+    def pushed(*given: Any) -> Any:
+        with watch.stage("operators"):
+            return push(*given)
 
-    def wrapped(kind: Any, process: Callable[..., Any]) -> Callable[..., Any]:
-        def run(self: Operator[Any, Any], batch: Batch) -> Batch:
-            with watch.stage(kind.__name__):
-                return cast("Batch", process(self, batch))
-
-        run.__annotations__ = process.__annotations__
-        return run
-
-    for kind, process in zip(kinds, before, strict=True):
-        kind.process = wrapped(kind, process)
-    session.read = read
+    session.read, compiled.push = read, pushed
     try:
         yield
     finally:
-        session.read = real
-        for kind, process in zip(kinds, before, strict=True):
-            kind.process = process
+        session.read, compiled.push = real, push
 
 
 def replay(paths: Sequence[Path], sink: Callable[[], Sink[Slips]], watch: Watch) -> int:

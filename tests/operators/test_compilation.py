@@ -1,15 +1,36 @@
 import logging
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
+from types import FunctionType
+from typing import Any, cast
 
+import numpy as np
 import pytest
 from numba.core import caching
+from numba.core.errors import TypingError
 from numba.core.registry import CPUDispatcher
 
-from operators import compilation, row_loop
-from operators.compilation import compile_function
+from operators import (
+    Align,
+    Batch,
+    Debounce,
+    Labelled,
+    Motion,
+    Sample,
+    Scores,
+    Touch,
+    Zero,
+    Zeroed,
+    compilation,
+    ms,
+    steps,
+)
+from operators.batch import columns, packed_type
+from operators.compilation import compile_function, compile_program
+from operators.steps import Record
 
 
 def test_a_function_is_compiled_where_no_cache_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,21 +78,94 @@ def test_progress_is_logged_once_at_the_start_and_with_every_tenth_function(
     assert others == [f"compiling: {number} functions are ready" for number in (10, 20)]
 
 
-FACTOR = 2.0
+def _function(text: str, **scope: object) -> FunctionType:
+    defined: dict[str, Any] = scope
+    exec(text, defined)  # noqa: S102 - ours
+    return cast("FunctionType", defined["run"])
 
 
-def _times(value: float) -> float:
-    return FACTOR * value
+_ROWS = np.array([(1.0, 2.0)], [("x", float), ("y", float)])
+_HELPED = "def run(rows):\n    return help(rows[0].x)"
 
 
-def test_a_changed_constant_of_a_helper_is_compiled_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = list[float]()
-    for factor in (2.0, 3.0):
-        monkeypatch.setitem(globals(), "FACTOR", factor)
+def _helper(text: str, **scope: object) -> FunctionType:
+    return _function(f"def run(x):\n    return {text}", **scope)
 
-        @row_loop.row_loop
-        def scaled(value: float) -> float:
-            return _times(value)
 
-        found.append(scaled(7.0))
-    assert found == [14.0, 21.0]
+def _compiled(text: str, **scope: object) -> FunctionType:
+    return compile_function()(_helper(text, **scope))
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (_function("def run(rows):\n    return 1.5"), _function("def run(rows):\n    return 2.5")),
+        (
+            _function("def run(rows):\n    return rows[0].x"),
+            _function("def run(rows):\n    return rows[0].y"),
+        ),
+        (_function(_HELPED, help=math.cos), _function(_HELPED, help=math.sin)),
+        (_function(_HELPED, help=_helper("x + 1")), _function(_HELPED, help=_helper("x + 2"))),
+        (
+            _function(_HELPED, help=_helper("x * LEVELS[1]", LEVELS=(1, 2))),
+            _function(_HELPED, help=_helper("x * LEVELS[1]", LEVELS=(1, 3))),
+        ),
+        (
+            _function(_HELPED, help=_compiled("inner(x)", inner=_compiled("x + 3"))),
+            _function(_HELPED, help=_compiled("inner(x)", inner=_compiled("x + 4"))),
+        ),
+    ],
+    ids=["constant", "column", "builtin", "helper", "table", "helper of a compiled helper"],
+)
+def test_a_change_of_what_a_program_reads_gives_another_program(
+    before: FunctionType, after: FunctionType
+) -> None:
+    """Its key is all of that: the file of a step is not that of its program, whose age numba compares."""
+    found = [compile_program(each, [_ROWS])(_ROWS) for each in (before, after, before)]
+    assert found == [before(_ROWS.view(np.recarray)), after(_ROWS.view(np.recarray)), found[0]]
+    assert found[0] != found[1]
+
+
+def test_another_parameter_needs_no_other_program() -> None:
+    touch, motion, scores = Touch.zeros(), Motion.zeros(), Scores.zeros()
+    programs: dict[object, object] = vars(compilation)["_programs"]
+    sizes = list[int]()
+    for scans, threshold, within in ((50, 0.5, 5 * ms), (100, 0.9, 20 * ms)):
+        Debounce(threshold).push(scores)
+        Align(within).push(Zero(scans=scans).push(touch), motion)
+        sizes.append(len(programs))
+    assert sizes[0] == sizes[1]
+
+
+def test_a_step_that_reads_variables_of_the_function_around_it_is_refused() -> None:
+    level = 3.0
+
+    def run(rows: Record) -> bool:
+        return bool(rows[0].x > level)
+
+    with pytest.raises(TypeError, match="run reads variables of the function around it: use settings"):
+        compile_program(cast("FunctionType", run), [_ROWS])
+
+
+@pytest.mark.parametrize("kind", [Zeroed, Labelled])
+def test_a_copy_has_the_common_columns_compiled_and_plain(kind: type[Batch]) -> None:
+    run = _function("def run(rows):\n    copy(rows[0].sample, rows[0].other)", copy=steps.copy)
+    types = [("sample", packed_type(Sample)), ("other", packed_type(kind))]
+    compiled = np.zeros(1, np.dtype(types, align=True))
+    compiled["other"] = np.frombuffer(b"\1" * packed_type(kind).itemsize, packed_type(kind))
+    plain = compiled.copy()
+    run(plain.view(np.recarray))
+    compile_program(run, [compiled])(compiled)
+    for name in columns(Sample):
+        expected = compiled["other"][name] if name in columns(kind) else 0
+        np.testing.assert_array_equal(compiled["sample"][name], expected)
+        np.testing.assert_array_equal(plain["sample"][name], expected)
+
+
+def test_rows_of_which_neither_type_begins_with_the_other_are_not_copied() -> None:
+    run = _function("def run(rows):\n    copy(rows[0].sample, rows[0].other)", copy=steps.copy)
+    rows = np.zeros(1, [("sample", packed_type(Sample)), ("other", packed_type(Motion))])
+    with pytest.raises(
+        TypingError, match=r"cannot copy: .*'matched'\] does not begin with the columns \['time'"
+    ):
+        compile_program(run, [rows])

@@ -4,7 +4,6 @@ import inspect
 import pickle
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
@@ -24,10 +23,12 @@ from operators import (
     DeviceClock,
     Grip,
     Health,
+    Join,
     Label,
     Labelled,
     MaskLifted,
     Motion,
+    Operator,
     Pool,
     Resample,
     Sample,
@@ -44,6 +45,7 @@ from operators import (
     concat,
     ms,
     s,
+    segment,
 )
 from operators.batch import Counts, Reals, Times
 from operators.detectors import (
@@ -56,8 +58,7 @@ from operators.detectors import (
     paper_tcn,
     tcn,
 )
-from operators.operator import Step, input_types, output_type
-from tests.operators.plain_loops import use_plain_loops
+from operators.operator import AnyOperator, input_types, output_type
 
 Value = TypeVar("Value")
 SomeTouch = TypeVar("SomeTouch", bound=Touch)
@@ -182,7 +183,7 @@ def _tcn() -> Tcn:
 
 @dataclass(frozen=True)
 class Case:
-    step: Step
+    step: AnyOperator
     inputs: tuple[Make, ...]
 
     def streams(self, seed: int, rows: int) -> Streams:
@@ -252,7 +253,7 @@ cuts = st.one_of(
 )
 
 
-def _pieces(streams: Streams, cuts: Iterable[int]) -> list[Streams]:
+def pieces(streams: Streams, cuts: Iterable[int]) -> list[Streams]:
     """One stream cut anywhere; two at common instants, as a replay gives them."""
     if len(streams) == 1:
         places = [[0, *sorted(min(cut, len(streams[0])) for cut in cuts), len(streams[0])]]
@@ -273,18 +274,18 @@ def _kept(stream: Batch) -> Batch:
     return stream[stream.time >= np.maximum.accumulate(stream.time)]
 
 
-def _push(step: Step, piece: Streams) -> Batch:
+def _push(step: AnyOperator, piece: Streams) -> Batch:
     result: Batch = cast("Any", step).push(*piece)
     return result
 
 
-def _run(step: Step, pieces: Iterable[Streams]) -> Batch:
+def run(step: AnyOperator, pieces: Iterable[Streams]) -> Batch:
     results = [_push(step, piece) for piece in pieces]
     results.append(cast("Any", step).flush())
-    return _joined(output_type(type(step)), results)
+    return joined(output_type(type(step)), results)
 
 
-def _joined(kind: type[Batch], results: Sequence[Batch]) -> Batch:
+def joined(kind: type[Batch], results: Sequence[Batch]) -> Batch:
     """All rows, with the columns of a subtype."""
     return concat(next((type(each) for each in results if len(each)), kind), results)
 
@@ -307,14 +308,14 @@ def test_cutting_the_input_anywhere_changes_nothing(
     """
     streams, step, clean = case.streams(seed, rows), case.step.reset_copy(), case.step.reset_copy()
     kept, copies = tuple(_kept(stream) for stream in streams), _pickled(streams)
-    kind, results = output_type(type(step)), [_push(step, piece) for piece in _pieces(streams, cuts)]
-    pushed = _pickled(_joined(kind, results))
-    found = _joined(kind, [*results, cast("Any", step).flush()]).check_order()
-    same(found, _run(clean, [kept]))
+    kind, results = output_type(type(step)), [_push(step, piece) for piece in pieces(streams, cuts)]
+    pushed = _pickled(joined(kind, results))
+    found = joined(kind, [*results, cast("Any", step).flush()]).check_order()
+    same(found, run(clean, [kept]))
     assert step.late == sum(map(len, streams)) - sum(map(len, kept))
     assert clean.late == 0
     _push(step, tuple(replace(stream, time=stream.time + 10 * s) for stream in streams))
-    for now, then in zip([*streams, _joined(kind, results)], [*copies, pushed], strict=True):
+    for now, then in zip([*streams, joined(kind, results)], [*copies, pushed], strict=True):
         same(now, then)
 
 
@@ -336,25 +337,18 @@ def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
         (left[row : row + 1], right[:0]) if row < len(left) else (left[:0], right[row - len(left) :][:1])
         for row in order.tolist()
     ]
-    same(_run(align.reset_copy(), one_by_one), _run(align.reset_copy(), [(left, right)]))
-
-
-@pytest.fixture
-def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Return a function that switches to the loops as plain Python."""
-
-    return partial(use_plain_loops, monkeypatch)
+    same(run(align.reset_copy(), one_by_one), run(align.reset_copy(), [(left, right)]))
 
 
 @every
-def test_loops_give_the_same_bits_compiled_and_as_plain_python(
-    case: Case, same: Same, uncompiled: Callable[[], None]
+def test_steps_give_the_same_bits_compiled_and_as_plain_python(
+    case: Case, same: Same, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     streams = [case.streams(seed, 300) for seed in range(5)]
-    compiled = [_run(case.step.reset_copy(), [each]) for each in streams]
-    uncompiled()
+    compiled = [run(case.step.reset_copy(), [each]) for each in streams]
+    monkeypatch.setattr(segment, "compiler", lambda: None)
     for each, expected in zip(streams, compiled, strict=True):
-        same(_run(case.step.reset_copy(), [each]), expected)
+        same(run(case.step.reset_copy(), [each]), expected)
 
 
 # --- what else every one of them owes --------------------------------------------------------------------
@@ -362,32 +356,34 @@ def test_loops_give_the_same_bits_compiled_and_as_plain_python(
 
 def test_every_public_operator_and_join_is_in_the_table() -> None:
     public = [getattr(operators, name) for name in operators.__all__]
-    steps = {kind for kind in public if inspect.isclass(kind) and issubclass(kind, Step)}
-    assert {kind for kind in steps if not inspect.isabstract(kind)} == {type(case.step) for case in CASES}
+    steps = {kind for kind in public if inspect.isclass(kind) and issubclass(kind, AnyOperator)}
+    concrete = {kind for kind in steps if not inspect.isabstract(kind)} - {Operator, Join}
+    assert concrete == {type(case.step) for case in CASES}
 
 
 @every
 def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
     nothing = tuple(kind.empty() for kind in input_types(type(case.step)))
-    same(_run(case.step.reset_copy(), [nothing, nothing]), output_type(type(case.step)).empty())
+    same(run(case.step.reset_copy(), [nothing, nothing]), output_type(type(case.step)).empty())
 
 
 @every
 def test_a_reset_copy_has_the_parameters_and_no_state(case: Case, same: Same) -> None:
     streams, step = case.streams(2, 300), case.step.reset_copy()
-    found = _run(step, [streams])
+    found = run(step, [streams])
     again = step.reset_copy()
     assert (repr(again), again.late) == (repr(step), 0)
-    same(_run(again, [streams]), found)
+    same(run(again, [streams]), found)
 
 
 @every
 def test_the_state_does_not_grow_with_the_input(case: Case) -> None:
+    """What consists of steps has a state of fixed size."""
     streams = tuple(_kept(stream) for stream in case.streams(1, 10_000))
     for away in [None, *range(len(streams))]:
         step, sizes = case.step.reset_copy(), list[int]()
         came = tuple(stream[:0] if i == away else stream for i, stream in enumerate(streams))
-        for piece in _pieces(came, range(0, 10_000, 97)):
+        for piece in pieces(came, range(0, 10_000, 97)):
             _push(step, piece)
             sizes.append(len(pickle.dumps(step)))
         half = len(sizes) // 2

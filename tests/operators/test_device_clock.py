@@ -172,7 +172,8 @@ def test_the_line_lies_under_all_rows_and_no_other_lies_higher_in_their_mean(
     ],
 )
 def test_another_clock_and_a_long_pause_begin_an_epoch(device: int, arrival: int, *, begins: bool) -> None:
-    state = envelope("DeviceClock", 6 * s, 100 * ms)
+    values = envelope(6 * s, 100 * ms)
+    state = values["integers"], values["reals"], values["kept"]
     assert starts_epoch(5 * s, 1000 * s, state)
     host_time(5 * s, 1000 * s, state)
     assert bool(starts_epoch(5 * s + device, 1000 * s + arrival, state)) is begins

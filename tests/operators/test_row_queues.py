@@ -3,41 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from operators import Batch, Scores
-from operators.row_queues import Chain, Tail
-
-stamps = st.lists(st.integers(0, 30), min_size=1, max_size=30).map(sorted)
-sizes = st.lists(st.integers(1, 5), max_size=30)
-instants = st.integers(-1, 31)
-
-
-def _scores(time: list[int]) -> Scores:
-    return Scores(np.array(time, np.int64), np.arange(len(time)) / 4, finger=3)
-
-
-def _chain(scores: Scores, sizes: list[int]) -> Chain[Scores]:
-    """The rows in batches of those sizes, and the rest in one."""
-    chain, start = Chain(Scores), 0
-    for size in [*sizes, len(scores)]:
-        if start < len(scores):
-            chain.append(scores[start : start + size])
-        start += size
-    return chain
-
-
-def _values(*batches: Scores) -> list[float]:
-    return [value for batch in batches for value in batch.probability.tolist()]
-
-
-@given(time=stamps, sizes=sizes, before=instants)
-def test_the_rows_older_than_an_instant_are_taken_once_and_in_order(
-    time: list[int], sizes: list[int], before: int
-) -> None:
-    scores = _scores(time)
-    chain = _chain(scores, sizes)
-    assert _values(chain.take(before)) == _values(scores[scores.time < before])
-    assert not len(chain.take(before))
-    assert len(chain) == len(scores[scores.time >= before])
-    assert _values(chain.take()) == _values(scores[scores.time >= before])
+from operators.row_queues import Tail
 
 
 def _numbered(first: int, rows: int) -> Scores:

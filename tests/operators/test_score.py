@@ -8,7 +8,10 @@ from hypothesis import strategies as st
 
 from operators import ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
+from operators.detectors import Detector
 from operators.score import forward_fill
+from operators.steps import Steps
+from storage import load_detector
 
 
 @dataclass
@@ -22,18 +25,6 @@ class _Keeper:
     def score(self, windows: Counts | Reals) -> Reals:
         self.given.append(windows)
         return windows[:, -1, 0] / 1000
-
-
-@dataclass
-class _Runner(_Keeper):
-    """The same, streaming."""
-
-    def stream(self, fingers: int = 1) -> "_Runner":
-        return self
-
-    def push(self, counts: Counts | Reals) -> Reals:
-        self.given.append(counts)
-        return counts[:, :, 0] / 1000
 
 
 def _touch(*first: int, rows: int = 0) -> Zeroed:
@@ -89,41 +80,44 @@ def test_the_number_of_cells_comes_from_the_batch() -> None:
     cells = np.full((3, 9), 200, np.int16)
     touch = Zeroed(np.arange(3), cells, cells, np.ones_like(cells, np.bool_))
     touch.valid[0] = touch.valid[1, :4] = touch.valid[2, :5] = False
-    for detector in (_Runner(length=1), _Keeper(length=1)):
-        assert np.isnan(Score(detector).push(touch).probability).tolist() == [True, False, True]
-
-
-@pytest.mark.parametrize("hop", [1, 3, 11])
-@pytest.mark.parametrize("rows", [1, 4, 30])
-def test_a_streaming_detector_is_given_each_sample_once_and_judges_as_one_of_windows(
-    hop: int, rows: int
-) -> None:
-    touch, runner = _touch(rows=30), _Runner(length=5)
-    touch.valid[10:20:2] = False
-    streaming, windowed = Score(runner, hop), Score(_Keeper(length=5), hop)
-    for start in range(0, 30, rows):
-        piece = touch[start : start + rows]
-        found, expected = streaming.push(piece), windowed.push(piece)
-        np.testing.assert_array_equal(found.probability, expected.probability)
-        np.testing.assert_array_equal(found.time, expected.time)
-    held = [row - 1 if row in range(10, 20, 2) else row for row in range(30)]
-    assert np.concatenate(runner.given)[:, 0, 0].tolist() == held
+    assert np.isnan(Score(_Keeper(length=1)).push(touch).probability).tolist() == [True, False, True]
 
 
 @dataclass
-class _Uncompiled(_Runner):
+class _Windowed:
+    """A detector without its streaming."""
+
+    detector: Detector
+    name: str = "windowed"
+    length: int = 100
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        return self.detector.score(windows)
+
+
+@dataclass
+class _Uncompiled(_Windowed):
     missing: str = "numba"
 
-    def stream(self, fingers: int = 1) -> "_Runner":
+    def steps(self, hop: int, cells: int) -> Steps:
         raise ModuleNotFoundError(f"No module named {self.missing!r}", name=self.missing)
 
 
-def test_a_detector_whose_compiler_is_not_installed_is_given_windows() -> None:
-    touch = _touch(rows=30)
-    found = Score(_Uncompiled(length=5)).push(touch)
-    np.testing.assert_array_equal(found.probability, Score(_Keeper(length=5)).push(touch).probability)
+@pytest.mark.parametrize("hop", [1, 11])
+@pytest.mark.parametrize("kind", [_Windowed, _Uncompiled])
+def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Windowed]) -> None:
+    rng, tcn = np.random.default_rng(0), load_detector("tcn")
+    counts, valid = rng.integers(-500, 50, (300, 6)).astype(np.int16), rng.random((300, 6)) > 0.3
+    touch = Zeroed(np.arange(300), counts, counts, valid, finger=6)
+    found, expected = (Score(each, hop).push(touch) for each in (tcn, kind(tcn)))
+    np.testing.assert_allclose(found.probability, expected.probability, atol=1e-5)
+    np.testing.assert_array_equal(found.time, expected.time)
+    assert 0 < np.isnan(found.probability).sum() < len(found)
+
+
+def test_other_errors_of_a_streaming_detector_are_raised() -> None:
     with pytest.raises(ModuleNotFoundError, match="torch"):
-        Score(_Uncompiled(length=5, missing="torch")).prepare()
+        Score(_Uncompiled(_Keeper(), missing="torch")).prepare()
 
 
 @given(seed=st.integers(0, 2**32 - 1), rows=st.integers(0, 30))

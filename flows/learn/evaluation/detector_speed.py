@@ -11,19 +11,20 @@ from statistics import median
 from time import process_time_ns
 from typing import Final
 
+import numpy as np
 import polars as pl
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.report.results import Statistic, joined, result_rows
 from flows.report.results import median as median_of
 from flows.run.executor import one_thread
-from operators.batch import Counts
-from operators.detectors.detector import Detector, Streaming
+from operators import Score
+from operators.batch import Counts, Zeroed
+from operators.detectors import Detector
 
 SPEED: Final[Mapping[str, Statistic]] = {"us/sample": median_of("us/sample")}
 
 _CHUNK: Final = 50  # samples between two looks at the clock
-_WINDOWS: Final = 100  # number of different windows in a cycle
 _TIMED: Final = 500  # samples of a recording that the timing repeats
 Step = Callable[[int], object]
 
@@ -59,7 +60,7 @@ def costs(
 ) -> dict[str, float]:
     """Return the CPU time of one sample by detector, us.
 
-    As in a live run, streaming detectors process one sample at a time, others one window per sample.
+    As in a live run, `Score` processes one sample at a time.
 
     Args:
         detectors: Detectors by name.
@@ -74,16 +75,11 @@ def costs(
 
 def _step(detector: Detector, counts: Counts) -> Step:
     """Return a function that makes a detector process a number of samples, the next ones at each call."""
-    take: Callable[[Counts], object]
-    if isinstance(detector, Streaming):
-        take = detector.stream().push
-        given = [row[None, None] for row in counts]  # (1, 1, cells)
-    else:
-        take, length = detector.score, detector.length
-        begins = range(0, len(counts) - length + 1, max(1, (len(counts) - length) // _WINDOWS))
-        given = [counts[None, at : at + length] for at in begins]
-    samples = cycle(given)
-    return lambda number: deque(map(take, islice(samples, number)), maxlen=0)
+    score, same_time = Score(detector), np.zeros(len(counts), np.int64)  # so that no repeated row is late
+    recording = Zeroed(same_time, counts, counts, np.ones_like(counts, np.bool_))
+    score.push(recording)  # fills the first window
+    rows = cycle([recording.packed[at : at + 1] for at in range(len(recording))])
+    return lambda number: deque((score.push(Zeroed.unpack(row)) for row in islice(rows, number)), maxlen=0)
 
 
 def _timed(step: Step, span: float) -> float:

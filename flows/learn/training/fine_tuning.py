@@ -107,7 +107,7 @@ def best_time_scale(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> int:
         return 1
 
     def agreement(scale: int) -> float:
-        streamed = [networks[scale].stream().push(each.counts[:, None])[first:, 0] for each in usable]
+        streamed = [np.nan_to_num(each.probabilities(networks[scale])[first:], nan=0.5) for each in usable]
         probability = np.concatenate(streamed)[known]
         return float(np.corrcoef(probability, slip)[0, 1]) if probability.std() else 0.0
 

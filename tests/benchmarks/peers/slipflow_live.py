@@ -2,14 +2,13 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from math import inf
 from time import perf_counter_ns
-
-import numpy as np
+from typing import Any
 
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators import Clock, Run, Score, Scores, Sink, Source, Touch, Zero
-from operators.batch import BAROMETERS
 from storage import load_detector
 from tests.benchmarks.bench_engine import StepEnergy
 from tests.benchmarks.peers.job import BASELINE
@@ -35,15 +34,18 @@ class Fingertips(Source[Touch]):
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """A batch of one for each sample, stamped in the run's time."""
-        live, valid = self._live, np.ones((1, BAROMETERS), np.bool_)
-        rows = [(finger, due, np.array([counts], np.int16)) for finger, due, counts in live.records]
+        live = self._live
+        rows = list[tuple[int, int, Any, Any]]()
+        for finger, due, counts in live.records:
+            packed = Touch.rows([0], [counts], [counts], True).packed
+            rows.append((finger, due, packed, packed["time"]))
         self.ahead = clock.now() - perf_counter_ns()
         live.begin()
-        for finger, due, counts in rows:
+        for finger, due, packed, time in rows:
             if (wait := live.wait(due)) > 0:
                 await asyncio.sleep(wait)
-            stamp = perf_counter_ns()
-            yield Touch(np.array([stamp + self.ahead]), counts, counts, valid, finger=finger)
+            time[0] = perf_counter_ns() + self.ahead
+            yield Touch.unpack(packed, finger)
 
 
 class Told(Sink[Scores]):
@@ -59,8 +61,8 @@ class Told(Sink[Scores]):
 
     def take(self, batch: Scores) -> bool:
         """Take."""
-        for time, score in zip(batch.time.tolist(), batch.probability.tolist(), strict=True):
-            self._live.told(batch.finger, time - self._source.ahead, score)  # `Zero` may have held one back
+        for time, score in batch.packed.tolist():
+            self._live.told(batch.finger, time - self._source.ahead, score)
         return True
 
 
@@ -70,7 +72,7 @@ def run(live: Live, detector: str) -> None:
     async def carry() -> None:
         flow, source = Flow("path"), Fingertips(live)
         score = StepEnergy() if detector == "energy" else Score(load_detector(detector))
-        events = flow.source(source) | Zero(baseline=BASELINE) | score
+        events = flow.source(source) | Zero(baseline=BASELINE, spike=inf) | score
         events.to(Told(live, source))
         await LiveRunner(flow, "path").execute()
 

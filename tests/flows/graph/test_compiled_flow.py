@@ -1,6 +1,8 @@
 import re
-from collections.abc import Callable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from types import new_class
 from typing import Any, cast
 
 import numpy as np
@@ -12,19 +14,28 @@ from flows.graph.testing import TestSink, TestSource
 from operators import (
     EVERY,
     Align,
+    Batch,
     BatchError,
     Debounce,
     DeviceClock,
     Motion,
     Operator,
     OperatorError,
+    Pool,
     Sample,
     Scores,
     Slips,
     Touch,
     Zero,
+    concat,
     ms,
+    s,
 )
+from operators.operator import output_type
+from tests.operators import conftest
+from tests.operators import test_conformance as suite
+
+same = conftest.same  # the fixture
 
 
 def scores(*probabilities: float, start: int = 0, finger: int = EVERY) -> Scores:
@@ -214,3 +225,88 @@ def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_ope
     compiled = CompiledFlow(flow)
     pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 99 * ms, 100 * ms)]
     assert [len(deliveries) for deliveries in pushed] == [0, 0, 1]
+
+
+def test_motion_that_comes_with_touch_of_one_fingertip_reaches_the_others() -> None:
+    """As in a replay, in a time span in which one fingertip has no rows."""
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
+    compiled = CompiledFlow(flow)
+    left, right, arm = compiled.entries
+    compiled.push({right: touch(0, finger=1)})
+    joined = [batch for _, batch in compiled.push({left: touch(0, finger=0), arm: motion(0, 8 * ms)})]
+    assert [batch.finger for batch in joined] == [0, 1]
+
+
+def test_an_empty_batch_needs_not_the_number_of_cells_of_the_fingertip() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Touch)) | Pool(gain=0.25)).to(TestSink())
+    compiled = CompiledFlow(flow)
+    assert compiled.push({compiled.entries[0]: Touch.zeros(0, cells=9)}) == []
+
+
+# --- fused operators between those of users --------------------------------------------------------------
+
+
+def passing(kind: type[Batch]) -> Operator[Any, Any]:
+    """An operator of a user that passes batches on, as ``class Pass(Operator[Scores, Scores])``."""
+
+    def fill(body: dict[str, Any]) -> None:
+        body["process"] = lambda self, batch: batch
+
+    base = cast("Any", Operator)[kind, kind]
+    return cast("Operator[Any, Any]", new_class("Pass", (base,), exec_body=fill)())
+
+
+def outputs(compiled: CompiledFlow, pushes: Iterable[dict[int, Batch]]) -> dict[int, list[Batch]]:
+    """The batches for sinks by fingertip; those that are pushed have the number of their entry."""
+    found = defaultdict[int, list[Batch]](list)
+    for pushed in pushes:
+        for _, batch in compiled.push({compiled.entries[i]: rows for i, rows in pushed.items()}):
+            found[batch.finger].append(batch)
+    for _, batch in compiled.flush():
+        found[batch.finger].append(batch)
+    return found
+
+
+@suite.every
+@pytest.mark.parametrize("cuts", [[], range(400)], ids=["at once", "one by one"])
+def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
+    case: suite.Case, cuts: Iterable[int], same: Callable[[Batch, Batch], None]
+) -> None:
+    streams = case.streams(5, 200)
+    flow = Flow("f")
+    first, *others = (
+        flow.source(TestSource(type(each), fingers=(each.finger,))) | passing(type(each)) for each in streams
+    )
+    joined = first & others[0] if others else first
+    kind = output_type(type(case.step))
+    (joined | cast("Any", case.step) | passing(kind)).to(TestSink())
+    pushes = [dict(enumerate(piece)) for piece in suite.pieces(streams, cuts)]
+    found = outputs(CompiledFlow(flow), pushes)
+    expected = suite.run(case.step.reset_copy(), [streams])
+    same(suite.joined(kind, found[streams[0].finger]), expected)
+
+
+@pytest.mark.parametrize("rows", [1, 7, 300], ids=["one by one", "cut", "at once"])
+def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingertip(
+    rows: int, same: Callable[[Batch, Batch], None]
+) -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
+    (zeroed & (flow.source(TestSource(Motion)) | DeviceClock()) | Align()).to(TestSink())
+    time = 10 * s + np.arange(300) * 8 * ms
+    touches = [touch(*(time + finger * ms).tolist(), finger=finger) for finger in (0, 1)]
+    late = np.random.default_rng(0).integers(0, 5, 300) * ms
+    arm = Motion(time + late, time, np.cumsum(np.ones((300, 6)), axis=0) / 1e4, np.zeros((300, 6)))
+    streams = [*touches, arm]
+    pushes = [
+        {i: stream[start : start + rows] for i, stream in enumerate(streams)} for start in range(0, 300, rows)
+    ]
+    found = outputs(CompiledFlow(flow), pushes)
+    for each in touches:
+        samples = Align().push(Zero(baseline=400).push(each), DeviceClock().push(arm))
+        joined = concat(Sample, cast("list[Sample]", found[each.finger]))
+        same(joined[: len(samples)], samples)
+        assert len(joined) == 300

@@ -145,28 +145,14 @@ def test_an_operator_that_copies_itself_may_have_its_own_arguments() -> None:
     assert problems(flow) == []
 
 
-def test_an_operator_without_type_annotations_is_reported() -> None:
-    class Silent(Operator[Scores, Scores]):
-        def process(self, batch):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
+def test_an_operator_without_types_is_reported() -> None:
+    class Silent(Operator):  # type: ignore[type-arg]
+        def process(self, batch: Scores) -> Scores:
             return batch
 
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Silent()).to(TestSink())
-    with pytest.raises(ParameterError, match="Silent: the annotation of process, batch, is None"):
-        problems(flow)
-
-
-def test_an_operator_whose_process_takes_no_batch_is_reported() -> None:
-    class Static(Operator[Scores, Scores]):
-        @staticmethod
-        def process(batch: Scores) -> Scores:
-            return batch
-
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Static()).to(TestSink())
-    with pytest.raises(
-        ParameterError, match=r"Static: the signature of process is .*, must be self and one batch"
-    ):
+    with pytest.raises(ParameterError, match=r"as in class Silent\(Operator\[Scores, Scores\]\)"):
         problems(flow)
 
 

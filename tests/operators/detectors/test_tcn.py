@@ -1,16 +1,13 @@
-from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from torch.nn.functional import conv1d, pad
 
-from operators import InputError, ParameterError
+from operators import InputError, ParameterError, Score, Zeroed
 from operators.batch import Counts, Reals
 from operators.detectors import Tcn
 from operators.detectors.tcn import shapes
@@ -40,18 +37,24 @@ def _weights(size: Size = SMALL, seed: int = 0) -> Arrays:
     return weights | scales | {"dilations": np.array(dilations)}
 
 
-def _counts(rows: int, fingers: int = 1) -> Counts:
-    """Return counts of fingertips that are pressed, dragged and released."""
+def _counts(rows: int) -> Counts:
+    """Return counts of a fingertip that is pressed, dragged and released."""
     rng = np.random.default_rng(1)
-    shape = (rows, fingers, 6)
-    load = np.repeat(rng.integers(-500, 50, (rows // 40 + 1, fingers, 6)), 40, axis=0)[:rows]
+    shape = (rows, 6)
+    load = np.repeat(rng.integers(-500, 50, (rows // 40 + 1, 6)), 40, axis=0)[:rows]
     counts: Counts = (load + rng.normal(size=shape) * rng.choice([1, 30], shape)).astype(np.int16)
     return counts
 
 
-def _windows(counts: NDArray[Any], length: int) -> Counts:
+def _windows(counts: Counts, length: int) -> Counts:
     """(n - length + 1, length, 6)"""
     return sliding_window_view(counts, length, axis=0).swapaxes(1, 2)
+
+
+def _streamed(tcn: Tcn, counts: Counts) -> Reals:
+    """(n - length + 1,)"""
+    touch = Zeroed(np.arange(len(counts)), counts, counts, np.ones_like(counts, np.bool_))
+    return Score(tcn).push(touch).probability
 
 
 def _reference(weights: Arrays, counts: Counts) -> Reals:
@@ -81,12 +84,11 @@ def _reference(weights: Arrays, counts: Counts) -> Reals:
 @sized
 def test_streaming_windowed_and_dense_are_the_same_function(size: Size) -> None:
     weights, counts = _weights(size), _counts(400)
-    tcn, expected = Tcn(weights), _reference(weights, counts[:, 0])
-    judged = slice(tcn.length - 1, None)
-    assert expected[judged].std() > 0.01
-    streamed = tcn.stream().push(counts)[:, 0]
-    np.testing.assert_allclose(tcn.score(_windows(counts[:, 0], tcn.length)), expected[judged], atol=1e-5)
-    np.testing.assert_allclose(streamed, expected, atol=1e-5)  # before a window is full, too
+    tcn = Tcn(weights)
+    expected = _reference(weights, counts)[tcn.length - 1 :]
+    assert expected.std() > 0.01
+    np.testing.assert_allclose(tcn.score(_windows(counts, tcn.length)), expected, atol=1e-5)
+    np.testing.assert_allclose(_streamed(tcn, counts), expected, atol=1e-5)
 
 
 @sized
@@ -94,82 +96,32 @@ def test_the_receptive_field_is_the_window_and_no_sample_more(size: Size) -> Non
     taps, _, _, dilations = size
     tcn, counts = Tcn(_weights(size)), _counts(400)
     assert tcn.length == 2 + 2 * (taps - 1) * sum(dilations)
-    sequences = sliding_window_view(counts[:, 0], tcn.length + 1, axis=0).transpose(2, 0, 1)
+    each = tcn.length + 1
+    sequences = _windows(counts, each)
+    newest = _streamed(tcn, sequences.reshape(-1, 6))[1::each]
     changed = {}
     for sample in (0, 1, tcn.length):
         other = sequences.copy()
-        other[sample] += 400
-        newest = [tcn.stream(other.shape[1]).push(values)[-1] for values in (sequences, other)]
-        changed[sample] = (newest[0] != newest[1]).any()
+        other[:, sample] += 400
+        changed[sample] = (newest != _streamed(tcn, other.reshape(-1, 6))[1::each]).any()
     assert changed == {0: False, 1: True, tcn.length: True}
 
 
-def test_fingertips_are_scored_independently() -> None:
-    tcn, counts = Tcn(_weights(SIZES[0])), _counts(200, fingers=7)
-    together = tcn.stream(7).push(counts)
-    alone = [tcn.stream().push(counts[:, [finger]]) for finger in range(7)]
-    np.testing.assert_array_equal(together, np.concatenate(alone, axis=1))
-    assert np.ptp(together, axis=1).max() > 0.01
+def test_counts_beyond_10_bits_are_judged_as_in_windows() -> None:
+    tcn, counts = Tcn(_weights()), _counts(60)
+    counts[10:16, 2] = 2046, -2046, 2047, -2047, 32767, -32768
+    expected = tcn.score(_windows(counts, tcn.length))
+    np.testing.assert_allclose(_streamed(tcn, counts), expected, atol=1e-5)
 
 
-@given(cuts=st.lists(st.integers(0, 120), max_size=8), fingers=st.sampled_from([1, 3]))
-def test_however_the_samples_are_cut_the_bits_are_the_same(cuts: list[int], fingers: int) -> None:
-    tcn, counts = Tcn(_weights()), _counts(120, fingers)
-    stream = tcn.stream(fingers)
-    pieces = [stream.push(counts[start:stop]) for start, stop in pairwise([0, *sorted(cuts), 120])]
-    np.testing.assert_array_equal(np.concatenate(pieces), tcn.stream(fingers).push(counts))
-
-
-def test_counts_may_be_reals_read_only_or_strided() -> None:
-    tcn, counts = Tcn(_weights()), _counts(120, fingers=2)
-    expected = tcn.stream(2).push(counts)
-    readonly, wide = counts.copy(), np.repeat(counts, 2, axis=1)
-    readonly.flags.writeable = False
-    for same in (readonly, wide[:, ::2], counts.astype(np.float64)):
-        np.testing.assert_array_equal(tcn.stream(2).push(same), expected)
-
-
-def test_counts_that_are_no_10_bit_integers_are_judged_as_in_windows() -> None:
-    tcn, counts = Tcn(_weights()), _counts(60).astype(np.float64)
-    counts[10:18, 0, 2] = 2046, -2046, 2047, 1023.5, 0.25, 1e9, -(2.0**63), 1e30
-    windows = _windows(counts[:, 0], tcn.length)
-    streamed = tcn.stream().push(counts)[tcn.length - 1 :, 0]
-    np.testing.assert_allclose(streamed, tcn.score(windows), atol=1e-5)
-
-
-def test_a_count_that_is_nan_is_not_judged_and_is_forgotten_after_a_window() -> None:
-    tcn, counts = Tcn(_weights()), _counts(60).astype(np.float64)
-    counts[20, 0, 3] = np.nan
-    windows = _windows(counts[:, 0], tcn.length)
-    unknown = np.isnan(tcn.stream().push(counts)[:, 0])
-    assert np.flatnonzero(unknown)[0] == 20
-    assert not unknown[20 + tcn.length :].any()
-    np.testing.assert_array_equal(unknown[tcn.length - 1 :], np.isnan(tcn.score(windows)))
-
-
-def test_input_and_earlier_output_are_not_modified() -> None:
-    stream, counts = Tcn(_weights()).stream(), _counts(120)
-    copy = counts.copy()
-    first = stream.push(counts[:60])
-    then = first.copy()
-    stream.push(counts[60:])
-    np.testing.assert_array_equal(counts, copy)
-    np.testing.assert_array_equal(first, then)
-
-
-def test_counts_of_another_shape_are_refused_and_change_nothing() -> None:
-    tcn, counts = Tcn(_weights()), _counts(60, fingers=2)
-    stream = tcn.stream(2)
-    for wrong in (counts[:, :1], counts[:, 0], counts[:, :, :5]):
-        with pytest.raises(ParameterError, match=r"shape of the counts is .*, must be \(n, 2, 6\)"):
-            stream.push(wrong)
-    np.testing.assert_array_equal(stream.push(counts), tcn.stream(2).push(counts))
+def test_a_fingertip_with_another_number_of_cells_is_refused() -> None:
+    with pytest.raises(ParameterError, match="Tcn: cells is 5, must be 6, as in training"):
+        _streamed(Tcn(_weights()), _counts(60)[:, :5])
 
 
 def test_arrays_of_an_older_version_are_ignored() -> None:
-    older = _weights() | {"velocity/kernel": np.ones((32, 4)), "familiar/limit": np.zeros(1)}
-    counts = _counts(60)
-    np.testing.assert_array_equal(Tcn(older).stream().push(counts), Tcn(_weights()).stream().push(counts))
+    older, windows = _weights() | {"velocity/kernel": np.ones((32, 4))}, _windows(_counts(60), 18)
+    np.testing.assert_array_equal(Tcn(older).score(windows), Tcn(_weights()).score(windows))
 
 
 @pytest.mark.parametrize("name", sorted(set(_weights()) - {"dilations"}))

@@ -65,5 +65,4 @@ def test_the_detector_made_of_the_weights_is_the_network(recordings: list[Labell
         dense = torch.sigmoid(network(counts))[0].numpy()
     tcn = Tcn(network.arrays())
     assert tcn.length == 100
-    streamed = tcn.stream().push(recordings[0].counts[:, None])[:, 0]
-    np.testing.assert_allclose(streamed[99:], dense[99:], atol=1e-5)
+    np.testing.assert_allclose(recordings[0].probabilities(tcn)[99:], dense[99:], atol=1e-5)

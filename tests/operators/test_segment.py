@@ -1,0 +1,258 @@
+"""What a segment owes beyond the conformance of its operators: queues, cells, blocks, fingertips, order."""
+
+import pickle
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import pytest
+
+from operators import (
+    EVERY,
+    UNKNOWN,
+    Align,
+    Batch,
+    BatchError,
+    Debounce,
+    Health,
+    Label,
+    Labelled,
+    Motion,
+    Operator,
+    Pool,
+    Resample,
+    Sample,
+    Scores,
+    SlidingMotion,
+    Slips,
+    Touch,
+    Truth,
+    Zero,
+    Zeroed,
+    concat,
+    ms,
+    s,
+    segment,
+)
+from operators.batch import Reals, Times
+from operators.operator import AnyOperator
+from operators.program import BLOCK
+from operators.segment import Segment, Stage
+from operators.steps import Record, RowType, Steps
+from tests.operators import test_conformance as suite
+
+CUTS: Final = [[], range(5000), [0, 1, 700, 1024, 1025, 1400]]
+PREVIOUS: Final = Align(how="previous", within=5 * ms, keep=100 * ms)
+
+
+def _times(rows: int, rate: float, start: int = 0) -> Times:
+    return start + (np.arange(rows) * (s / rate)).astype(np.int64)
+
+
+def _touch(time: Times, cells: int = 6) -> Zeroed:
+    counts = (np.arange(len(time) * cells).reshape(-1, cells) % 700).astype(np.int16)
+    return Zeroed(time, counts, counts, counts >= 0, finger=3)
+
+
+def _raw(rows: int, cells: int) -> Touch:
+    """Raw touch with all that the conformance streams contain, in any number of cells."""
+    [touch] = suite.CASES[0].streams(7, rows)
+    assert isinstance(touch, Touch)
+    counts, temperature = (np.tile(each, (1, 2))[:, :cells] for each in (touch.counts, touch.temperature))
+    return Touch(touch.time, counts, temperature, np.tile(touch.valid, (1, 2))[:, :cells], finger=3)
+
+
+def _motion(time: Times, speed: float | Reals = 0.1) -> Motion:
+    velocity = np.zeros((len(time), 6))
+    velocity[:, 0] = speed
+    return Motion(time, time, velocity, np.full_like(velocity, np.nan))
+
+
+def _sample(time: Times, speed: Reals) -> Sample:
+    return Align(how="previous", wait=0, keep=100 * ms).push(_touch(time), _motion(time, speed))
+
+
+def _runs(step: AnyOperator, *streams: Batch) -> list[Batch]:
+    """The output, however the input is cut."""
+    return [suite.run(step.reset_copy(), suite.pieces(streams, cuts)) for cuts in CUTS]
+
+
+def _check_equal(batches: Iterable[Batch], same: Callable[[Batch, Batch], None]) -> Batch:
+    first, *others = batches
+    for each in others:
+        same(each, first)
+    return first
+
+
+# --- queues of fixed size --------------------------------------------------------------------------------
+
+
+def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched(
+    same: Callable[[Batch, Batch], None],
+) -> None:
+    """The queue is for 1 kHz; this is 10 kHz while motion lags by 120 ms."""
+    touch, motion = _touch(_times(1500, 10_000)), _motion(_times(2, 100, 120 * ms))
+    samples = _check_equal(_runs(Align(within=50 * ms, wait=900 * ms), touch, motion), same)
+    assert isinstance(samples, Sample)
+    assert samples.time.tolist() == touch.time.tolist()
+    early = 1200 - 1023  # when the motion arrived
+    assert samples.matched.tolist() == [False] * 700 + [True] * 800
+    assert len(Align(within=50 * ms, wait=900 * ms).push(touch[:1200], motion[:0])) == early
+
+
+def test_of_more_motion_than_the_queue_holds_the_newest_is_kept(same: Callable[[Batch, Batch], None]) -> None:
+    """1024 rows are 51 ms at 20 kHz."""
+    motion, touch = _motion(_times(2000, 20_000)), _touch(np.array([40, 43, 44, 60]) * ms)
+    align = PREVIOUS.reset_copy()
+    for row in range(0, 2000, 300):
+        align.push(touch[:0], motion[row : row + 300])
+    assert align.push(touch, motion[:0]).matched.tolist() == [False, False, False, True]
+    _check_equal(_runs(PREVIOUS, touch, motion), same)
+
+
+def test_a_label_whose_motion_finds_the_queue_full_is_unknown(same: Callable[[Batch, Batch], None]) -> None:
+    """1024 rows are 20 ms at 50 kHz, less than the delay."""
+    sample = _sample(_times(3000, 50_000), np.arange(3000) / 30_000)
+    label = Label(rotation=0.2, delay=37 * ms, within=0)
+    labelled = _check_equal(_runs(label, sample), same)
+    assert isinstance(labelled, Labelled)
+    assert labelled.time.tolist() == sample.time.tolist()
+    assert (labelled.label == UNKNOWN).all()
+    shorter = suite.run(Label(rotation=0.2, delay=10 * ms, within=0), [(sample,)])
+    assert isinstance(shorter, Labelled)
+    assert np.count_nonzero(shorter.label == UNKNOWN) == 500  # the last 10 ms
+
+
+def test_a_stick_that_finds_the_queue_full_keeps_its_own_speed(same: Callable[[Batch, Batch], None]) -> None:
+    """2000 rows are 100 ms at 20 kHz, so still one slip."""
+    sliding = np.r_[0.05, np.zeros(2000), 0.04]
+    rows = len(sliding)
+    truth = Truth(_times(rows, 20_000), sliding, np.ones(rows), np.zeros((rows, 3)))
+    motion = _check_equal(_runs(SlidingMotion(), truth), same)
+    assert isinstance(motion, Motion)
+    early = rows - 1024  # the last row fills the queue too
+    assert motion.velocity[:, 0].tolist() == [0.05] + [0.0] * (early - 1) + [0.05] * 1023 + [0.04]
+
+
+# --- cells -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("step", "cells"),
+    [
+        (Zero(scans=30), 1),
+        (Pool(gain=-1.7), 9),
+        (Resample(rate=333.0), 1),
+        (Health(dead_after=30 * ms), 9),
+    ],
+)
+def test_other_numbers_of_cells_give_the_bits_of_plain_python(
+    step: Operator[Touch, Batch],
+    cells: int,
+    same: Callable[[Batch, Batch], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    touch = _raw(400, cells)
+    found = suite.run(step.reset_copy(), [(touch,)])
+    monkeypatch.setattr(segment, "compiler", lambda: None)
+    same(found, suite.run(step.reset_copy(), [(touch,)]))
+    assert found.cells == (0 if isinstance(step, Health) else cells)
+    assert len(found) > 10
+
+
+def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> None:
+    zero = Zero(scans=30)
+    zero.push(_raw(3, 6))
+    for rows in (1, 3):
+        with pytest.raises(
+            BatchError, match=r"^Touch\.counts: has 9 cells, but the fingertip is described with 6$"
+        ):
+            zero.push(_raw(rows, 9))
+
+
+def test_prepared_operators_take_any_number_of_cells() -> None:
+    pool = Pool(gain=-1.7)
+    pool.prepare()
+    assert pool.push(_raw(3, 9)).cells == 9
+
+
+# --- blocks, fingertips, order ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rate", [1000.0, np.inf], ids=["in time", "of one time"])
+def test_more_rows_than_a_call_takes_are_those_of_many_calls(
+    rate: float, same: Callable[[Batch, Batch], None]
+) -> None:
+    rows = 3 * BLOCK + 7
+    scores = Scores(_times(rows, rate), np.random.default_rng(0).random(rows), finger=3)
+    late = Scores.rows([-1], 0.5, finger=3)
+    whole, cut = Debounce(), Debounce()
+    found = whole.push(concat(Scores, [scores, late]))
+    same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
+    assert len(found) > BLOCK // 4
+    assert (whole.late, cut.push(late).time.size, cut.late) == (1, 0, 1)
+
+
+@pytest.mark.parametrize("rate", [4000.0, np.inf], ids=["in time", "of one time"])
+def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(
+    rate: float, same: Callable[[Batch, Batch], None]
+) -> None:
+    """Motion at the time of the touch comes before it, later motion after it."""
+    touch = _touch(_times(2 * BLOCK, rate))
+    motion = _motion(_times(4000, 400), np.arange(4000) / 1e5)
+    samples = _check_equal(_runs(PREVIOUS, touch, motion), same)
+    assert isinstance(samples, Sample)
+    assert samples.matched.all()
+    np.testing.assert_array_equal(samples.velocity[:, 0], touch.time // (s // 400) / 1e5)
+
+
+def test_rows_for_all_fingertips_reach_each_of_them(same: Callable[[Batch, Batch], None]) -> None:
+    given = RowType(Zeroed), RowType(Motion)
+    stage = Stage(PREVIOUS.steps(*given), RowType(Sample), (0, 1))
+    both = Segment(given, [stage], fingers=(3, 5))
+    touch, motion = _touch(np.array([20]) * ms), _motion(np.array([18, 30]) * ms)
+    for finger in (3, 5):
+        assert both.pusher(finger, 0)(touch) == []
+    found = [batch for _, batch in both.pusher(EVERY, 1)(motion)]
+    assert [each.finger for each in found] == [3, 5]
+    expected = PREVIOUS.reset_copy().push(touch, motion)
+    for each in found:
+        same(replace(each, finger=3), expected)
+
+
+# --- operators of users ----------------------------------------------------------------------------------
+
+
+def _take(settings: Record, state: Record, row: Record) -> None:
+    state.left = settings.copies
+
+
+def _give(settings: Record, state: Record, out: Record) -> bool:
+    if state.left == 0:
+        return False
+    state.left -= 1
+    out.time, out.probability = state.left, 0.5
+    return True
+
+
+class _Copies(Operator[Scores, Scores]):
+    """Gives three rows for one, but allows for one."""
+
+    def steps(self, *given: RowType) -> Steps:
+        return Steps({"copies": 3}, {"left": 0}, takes=(_take,), give=_give)
+
+
+def test_more_rows_than_an_operator_allows_for_are_an_error() -> None:
+    with pytest.raises(BatchError, match=r"more rows than `held` and `factor` of its Steps allow"):
+        _Copies().push(Scores.zeros(BLOCK))
+
+
+def test_a_pickled_operator_keeps_its_parameters_and_starts_anew(
+    same: Callable[[Batch, Batch], None],
+) -> None:
+    zero, touch = Zero(scans=30, spike=9.0), _raw(100, 6)
+    first = zero.push(touch)
+    again: Zero = pickle.loads(pickle.dumps(zero))  # noqa: S301 our own bytes
+    assert (again, again.late) == (zero, 0)
+    same(again.push(touch), first)
