@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Commands, Scores, ms, s
-from operators.checks import check_above, check_at_least, check_between
+from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 
@@ -28,7 +28,7 @@ class GripController(Operator[Scores, Commands]):
         force: Initial force, N.
         min_force: Lower limit, N.
         max_force: Upper limit, N.
-        rate: Fastest increase, N/s.
+        rate: Fastest increase, N/s; that of the gripper, so that its force follows the commands.
         threshold: Smallest probability that is a decision for slip.
         consecutive: Decisions that register a slip.
         settle: Time after the first command in which decisions are ignored, ns.
@@ -40,7 +40,7 @@ class GripController(Operator[Scores, Commands]):
     force: float = 0.5
     min_force: float = 0.0
     max_force: float = 10.0
-    rate: float = 40.0
+    rate: float = 10.0
     threshold: float = 0.5
     consecutive: int = 2
     settle: int = 300 * ms
@@ -125,8 +125,8 @@ class StepGrip(GripController):
         "Under Pressure" (2021), section V-B.
 
     >>> scores = Scores(np.arange(6) * 10 * ms, np.array([0.1, 0.9, 0.9, 0.9, 0.9, 0.1]))
-    >>> StepGrip(force=1.0, step=0.2, settle=0).push(scores).force
-    array([1. , 1.2, 1.4])
+    >>> StepGrip(force=1.0, step=0.1, settle=0).push(scores).force
+    array([1. , 1.1, 1.2])
     """
 
     step: float = 0.15
@@ -149,45 +149,30 @@ class StepGrip(GripController):
 class Grip(GripController):
     """Raise the grip force in proportion to the evidence of slip, and lower it again afterwards.
 
-    During a registered slip the force grows by ``gain * e * (1 + T / doubling_time)`` per second, relative
-    to the force at the start of the slip. T is the duration of the slip and e, from 0 to 1, the probability
-    above the threshold. The effect of a command is measured `latency` later; until then a closing hand
-    itself disturbs the fingertip. So the force is limited to `max_ratio` times the force `latency` ago.
-
-    The force `latency` before a slip decision was too low. A force that exceeds the latest such
-    force by `margin` is assumed to hold the object. After `quiet_time` without slip, the force decreases to
-    that value, but not below `min_ratio` of the force at the end of the slip.
+    A slip decision belongs to the force that was commanded `latency` earlier, which was too low. During a
+    registered slip the force grows by ``gain * e`` per second, relative to that force, but no faster than
+    `rate`; e, from 0 to 1, is the probability above the threshold. A force that exceeds the latest one that
+    was too low by `margin` is assumed to hold the object: `latency` after the slip the force decreases to it.
 
     Args:
         gain: Growth rate, 1/s.
-        doubling_time: Duration of slip after which the growth rate has doubled, ns.
-        max_ratio: Largest force, relative to the force `latency` ago.
         margin: Assumed margin above the latest force that slipped, relative to that force.
-        min_ratio: Smallest force, relative to the force at the end of the slip.
         latency: Time from a command to the detector's reaction, ns.
-        quiet_time: Time without slip before the force decreases, ns.
         release_rate: Rate of the decrease, relative to the force, 1/s.
 
     Raises:
         ParameterError: if a parameter is invalid.
 
     >>> scores = Scores(np.arange(5) * 10 * ms, np.array([0.1, 1.0, 1.0, 1.0, 0.1]))
-    >>> Grip(force=1.0, gain=10.0, settle=0).push(scores).force
-    array([1.     , 1.1    , 1.20125])
+    >>> Grip(force=1.0, gain=5.0, settle=0).push(scores).force
+    array([1.  , 1.05, 1.1 ])
     """
 
-    gain: float = 22.0
-    doubling_time: int = 800 * ms
-    max_ratio: float = 4.0
+    gain: float = 20.0
     margin: float = 0.5
-    min_ratio: float = 0.65
     latency: int = 160 * ms
-    quiet_time: int = 200 * ms
-    release_rate: float = 1.5
-    _first: float = field(default=0.0, init=False, repr=False)  # N, at the start of the current slip
-    _lasted: float = field(default=0.0, init=False, repr=False)  # s, duration of the current slip
+    release_rate: float = 2.0
     _slipped: float = field(default=0.0, init=False, repr=False)  # N, latest force that did not hold
-    _reached: float = field(default=0.0, init=False, repr=False)  # N, at the end of the latest slip
     _since: int = field(default=0, init=False, repr=False)  # ns, latest decision within a slip
     # (ns, N) of each command within `latency`
     _history: deque[tuple[int, float]] = field(
@@ -199,28 +184,18 @@ class Grip(GripController):
         for key in ("gain", "margin", "release_rate"):
             if not 0 <= getattr(self, key) < math.inf:
                 raise ParameterError("Grip", key, getattr(self, key), "at least 0 and finite")
-        check_between("Grip", "min_ratio", self.min_ratio, 0, 1)
-        check_above("Grip", "max_ratio", self.max_ratio, 1)
-        check_at_least("Grip", "doubling_time", self.doubling_time, 1, "ns")
         check_at_least("Grip", "latency", self.latency, 0, "ns")
-        check_at_least("Grip", "quiet_time", self.quiet_time, 0, "ns")
 
     def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:
         """Grow with the evidence of slip; decrease to the margin afterwards."""
         force, earlier = self._aim, self._earlier(time)
         if registered:
-            if not self._lasted:
-                self._first = force
             span = 1 - self.threshold
             evidence = (probability - self.threshold) / span if span else 1.0
-            growth = self.gain * evidence * (1 + self._lasted * s / self.doubling_time)  # 1/s
-            self._lasted += elapsed
             self._slipped, self._since = earlier, time
-            self._reached = min(force + growth * elapsed * self._first, max(force, self.max_ratio * earlier))
-            return self._reached
-        self._lasted = 0.0
-        sufficient = max(self._slipped * (1 + self.margin), self._reached * self.min_ratio)
-        if not self._slipped or force <= sufficient or time - self._since < self.quiet_time:
+            return force + self.gain * evidence * earlier * elapsed
+        sufficient = self._slipped * (1 + self.margin)
+        if not self._slipped or force <= sufficient or time - self._since < self.latency:
             return force
         return max(force * (1 - self.release_rate * elapsed), sufficient)
 

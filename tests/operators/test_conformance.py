@@ -226,16 +226,7 @@ CASES: Final = [
     Case(Debounce(), (_scores,)),
     Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
     Case(Grip(), (_scores,)),
-    Case(
-        Grip(
-            max_force=0.7,
-            settle=0,
-            release_rate=5.0,
-            quiet_time=20 * ms,
-            max_ratio=9.0,
-        ),
-        (_scores,),
-    ),
+    Case(Grip(max_force=0.7, settle=0, latency=50 * ms, release_rate=5.0), (_scores,)),
     Case(SlidingMotion(), (_truth,)),
     Case(SlidingMotion(speed=0.001, stick=40 * ms), (_truth,)),
     Case(StepGrip(settle=50 * ms), (_scores,)),

@@ -3,6 +3,7 @@
 from math import inf, nan
 from typing import Any
 
+import numpy as np
 import pytest
 
 from operators import (
@@ -58,7 +59,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
     WatchClock: [{"window": 59}, {"every": 0}],
     Grip: [
         *({"force": 11.0}, {"min_force": -1.0}, {"threshold": 0.0}, {"rate": 0.0}, {"consecutive": 0}),
-        *({"gain": -1.0}, {"max_ratio": 1.0}, {"min_ratio": 1.5}, {"doubling_time": 0}),
+        *({"gain": -1.0}, {"margin": -1.0}, {"release_rate": np.inf}, {"latency": -1}),
     ],
     StepGrip: [{"step": 0.0}],
 }
