@@ -9,16 +9,15 @@ import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from connectors import Consumer, Mqtt
 from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker
 from connectors.mqtt.broker_link import connect
-from operators.batch import Slips
 from operators.errors import EndpointError, InputError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
+from tests.connectors.mqtt.made import slips
 from tests.deploy.shipped import DEPLOY
 from tests.waiting import PATIENCE, until
 
@@ -67,11 +66,6 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBro
         monkeypatch.setenv(name, "")
     with TestBroker(tmp_path, *settings(tmp_path)) as server:
         yield server
-
-
-def slips(*states: int) -> Slips:
-    time = np.arange(len(states))
-    return Slips(time, np.array(states, np.int8), time, np.full(len(states), 0.9), finger=0)
 
 
 async def send(

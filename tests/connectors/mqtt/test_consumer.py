@@ -1,13 +1,12 @@
 import asyncio
 import shutil
 import textwrap
-from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -16,10 +15,10 @@ from connectors.mqtt import broker_link as link
 from connectors.mqtt import consumer, outbox_log, position
 from connectors.mqtt.broker import Message
 from connectors.mqtt.broker_link import Link
-from operators.batch import Slips
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.connectors.mqtt.made import EVENT, opened, slips
 from tests.inside import inside
 from tests.waiting import PATIENCE, until
 
@@ -27,9 +26,6 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 UR10 = "slip/v1/lab/ur10"
 REFUSED = "cannot connect: Connection refused; check that the broker runs and that this is its port"
-EVENT = Event(
-    site="lab", rig="ur10", finger="0", epoch="ab", seq=1, state="onset", time=1, probability=0.9, latency=1.0
-)
 
 
 def event(seq: int, rig: str = "ur10") -> Event:
@@ -39,11 +35,6 @@ def event(seq: int, rig: str = "ur10") -> Event:
 def publish(broker: TestBroker, seq: int, rig: str = "ur10", *options: str) -> Event:
     broker.publish(f"slip/v1/lab/{rig}/0/event", event(seq, rig).encode().decode(), *options)
     return event(seq, rig)
-
-
-def slips(*states: int) -> Slips:
-    time = np.arange(len(states))
-    return Slips(time, np.array(states, np.int8), time, np.full(len(states), 0.9), finger=0)
 
 
 async def waiting(events: Consumer, condition: Callable[[], bool]) -> None:
@@ -65,14 +56,8 @@ async def take(events: Consumer, count: int) -> list[int]:
         return [(await anext(events)).seq for _ in range(count)]
 
 
-@asynccontextmanager
-async def publishing(broker: TestBroker, run: Run, **options: Any) -> AsyncGenerator[Mqtt]:
-    sink = Mqtt(broker.url, "lab", "ur10", **options)
-    await sink.open(run)
-    try:
-        yield sink
-    finally:
-        await sink.close()
+def publishing(broker: TestBroker, run: Run, **options: Any) -> AbstractAsyncContextManager[Mqtt]:
+    return opened(Mqtt(broker.url, "lab", "ur10", **options), run)
 
 
 async def test_a_consumer_follows_all_rigs_or_one(broker: TestBroker, links: list[Link]) -> None:

@@ -16,14 +16,12 @@ from connectors.mqtt import gap_replay, outbox_log
 from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
 from operators.errors import InputError
+from tests.connectors.mqtt.made import EVENT, opened
 from tests.inside import inside
 from tests.waiting import until
 
 RIG = "slip/v1/lab/ur10"
 REQUEST = GapRequest("ab", 3, 9, f"{RIG}/replay/me")
-DRAFT = Event(
-    site="lab", rig="ur10", finger="0", epoch="", seq=0, state="onset", time=1, probability=0.9, latency=1.0
-)
 TIMES = count()  # s, longer apart than two answers
 
 
@@ -35,13 +33,9 @@ def altered(document: GapRequest | GapAnswer, **values: Any) -> bytes:
 @asynccontextmanager
 async def answering(tmp_path: Path, count: int) -> AsyncGenerator[tuple[GapReplies, Outbox]]:
     """Open an outbox with some events, and answer requests from it."""
-    outbox = Outbox(tmp_path / "outbox")
-    await outbox.open()
-    try:
-        await outbox.append([DRAFT] * count)
+    async with opened(Outbox(tmp_path / "outbox")) as outbox:
+        await outbox.append([EVENT] * count)
         yield GapReplies(outbox, RIG), outbox
-    finally:
-        await outbox.close()
 
 
 def request(replies: GapReplies, epoch: str, first: int, last: int, name: str = "me") -> None:
@@ -117,7 +111,7 @@ async def test_events_that_are_no_longer_kept_are_listed_but_not_those_that_cann
     monkeypatch.setattr(outbox_log, "SEGMENTS", 2)
     async with answering(tmp_path, 0) as (replies, outbox):
         for _ in range(4):
-            await outbox.append([DRAFT] * 10)
+            await outbox.append([EVENT] * 10)
             outbox.acknowledge(await outbox.next(10))
         await until(lambda: inside(outbox, "_log").span(outbox.epoch)[0] == 21)
         request(replies, outbox.epoch, 1, 10**12)

@@ -1,8 +1,6 @@
 import asyncio
 import json
 import signal
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +14,13 @@ from connectors.events import CONTENT_TYPE, Fault, Model
 from connectors.mqtt import broker_link as link
 from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
-from operators.batch import Clocks, Faults, Slips, ms, s
+from operators.batch import Clocks, Faults, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.asyncapi import EVENT_SCHEMA
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
+from tests.connectors.mqtt.made import opened, slips
 from tests.inside import inside
 from tests.waiting import until
 
@@ -32,24 +31,9 @@ REFUSED = "cannot connect: Connection refused; check that the broker runs and th
 NOW = 100 * s  # what the clock of the run shows
 
 
-def slips(*states: int, finger: int = 0, probability: float = 0.9) -> Slips:
-    """Rows 10 ms apart, the first 30 ms before now."""
-    time = NOW - 30 * ms + 10 * ms * np.arange(len(states))
-    return Slips(time, np.array(states, np.int8), time, np.full(len(states), probability), finger=finger)
-
-
 def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
     columns = np.array([barometer], np.int8), np.array([kind], np.int8), np.array([begins])
     return Faults(np.array([NOW]), *columns, finger=0)
-
-
-@asynccontextmanager
-async def opened(sink: Mqtt, run: Run) -> AsyncGenerator[None]:
-    await sink.open(run)
-    try:
-        yield
-    finally:
-        await sink.close()
 
 
 def event(listener: TestListener, finger: str = "0") -> Event:

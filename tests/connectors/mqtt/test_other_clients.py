@@ -5,7 +5,6 @@ import json
 import logging
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from connectors import Consumer, Mqtt
@@ -14,10 +13,10 @@ from connectors.mqtt import consumer
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.broker_link import Link, connect
 from connectors.mqtt.gap_replay import GapRequest
-from operators.batch import Slips
 from operators.ports import Run
 from storage.files import put
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.connectors.mqtt.made import slips
 from tests.inside import inside
 from tests.waiting import until
 
@@ -27,8 +26,7 @@ RIG = "slip/v1/lab/rig"
 
 
 async def slip(sink: Mqtt, count: int = 1) -> None:
-    time = np.arange(count)
-    await sink.write(Slips(time, np.ones(count, np.int8), time, np.full(count, 0.9), finger=0))
+    await sink.write(slips(*[1] * count))
 
 
 async def collect(events: Consumer, found: list[str]) -> None:

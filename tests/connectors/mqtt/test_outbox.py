@@ -1,7 +1,7 @@
 import asyncio
 import threading
-from collections.abc import AsyncGenerator, Iterable
-from contextlib import asynccontextmanager, suppress
+from collections.abc import Iterable
+from contextlib import suppress
 from errno import EIO, ENOSPC
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,9 @@ from connectors.mqtt import outbox, outbox_log
 from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError, InputError
 from storage.append_log import AppendLog, LogReader
+from tests.connectors.mqtt.made import EVENT, opened
 from tests.inside import inside
 from tests.waiting import PATIENCE, until
-
-DRAFT = Event(
-    site="lab", rig="rig", finger="0", epoch="", seq=0, state="onset", time=1, probability=0.9, latency=1.0
-)
 
 
 @pytest.fixture(autouse=True)
@@ -61,16 +58,6 @@ class Disk:
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
     return Disk(monkeypatch)
-
-
-@asynccontextmanager
-async def opened(path: Path) -> AsyncGenerator[Outbox]:
-    box = Outbox(path)
-    await box.open()
-    try:
-        yield box
-    finally:
-        await box.close()
 
 
 async def send(box: Outbox, limit: int = 1000) -> list[str]:
@@ -116,25 +103,25 @@ def flip(path: Path, at: int) -> None:
 
 async def test_each_run_counts_from_one_and_sends_what_the_run_before_has_not_sent(tmp_path: Path) -> None:
     path = tmp_path / "outbox"
-    async with opened(path) as box:
+    async with opened(Outbox(path)) as box:
         first = box.epoch
-        await box.append([DRAFT] * 24)
+        await box.append([EVENT] * 24)
         assert await send(box, 4) == names(first, range(1, 5))
         assert (box.waiting, box.heads()) == (20, [(first, 4)])
-    async with opened(path) as box:
-        await box.append([DRAFT])
+    async with opened(Outbox(path)) as box:
+        await box.append([EVENT])
         assert (box.waiting, box.heads()) == (21, [(first, 4), (box.epoch, 0)])
         assert await send(box) == [*names(first, range(5, 25)), *names(box.epoch, [1])]
         second = box.epoch
     for _ in range(2):  # without events
-        async with opened(path) as box:
+        async with opened(Outbox(path)) as box:
             assert (box.waiting, box.heads()) == (0, [(first, 24), (second, 1), (box.epoch, 0)])
     assert len({first, second, box.epoch}) == 3
 
 
 async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) -> None:
-    async with opened(tmp_path / "outbox") as box:
-        await box.append([DRAFT] * 60)
+    async with opened(Outbox(tmp_path / "outbox")) as box:
+        await box.append([EVENT] * 60)
         await until(lambda: stored(box))
         for first, last, limit, expected, covered in (
             (5, 7, 10, [5, 6, 7], 7),
@@ -151,16 +138,16 @@ async def test_only_old_acknowledged_events_are_deleted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox_log, "SEGMENTS", 2)
-    async with opened(tmp_path / "outbox") as box:
+    async with opened(Outbox(tmp_path / "outbox")) as box:
         epoch = box.epoch
         for _ in range(9):
-            await box.append([DRAFT] * 10)
+            await box.append([EVENT] * 10)
         assert await kept(box, epoch) == list(range(1, 91))
         await send(box, 85)
         await until(lambda: inside(box, "_log").span(epoch)[0] == 71)
         assert await kept(box, epoch) == list(range(71, 91))
         assert await send(box) == names(epoch, range(86, 91))
-    async with opened(tmp_path / "outbox") as box:
+    async with opened(Outbox(tmp_path / "outbox")) as box:
         assert await kept(box, epoch) == list(range(71, 91))
         assert box.waiting == 0
 
@@ -169,15 +156,15 @@ async def test_a_failing_disk_stops_no_event_and_gets_them_all_later_from_a_boun
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(outbox, "MEMORY_MAX", 3)
-    async with opened(tmp_path / "outbox") as box:
+    async with opened(Outbox(tmp_path / "outbox")) as box:
         for _ in range(4):
-            await box.append([DRAFT] * 2)
+            await box.append([EVENT] * 2)
         await until(lambda: stored(box))
         disk.write_error = OSError(ENOSPC, "No space left on device")
-        await box.append([DRAFT] * 2)
-        await box.append([DRAFT])
+        await box.append([EVENT] * 2)
+        await box.append([EVENT])
         with pytest.raises(EndpointError, match="memory is full with 11 unsent events"):
-            await box.append([DRAFT])
+            await box.append([EVENT])
         assert box.error.startswith("cannot be written: No space left on device; free")
         assert (box.unstored, len(await send(box, 10))) == (3, 10)
         assert box.unstored == 1  # the others need no disk
@@ -185,7 +172,7 @@ async def test_a_failing_disk_stops_no_event_and_gets_them_all_later_from_a_boun
         await until(lambda: not box.error)
         assert (box.unstored, await send(box)) == (0, names(box.epoch, [11]))
         epoch = box.epoch
-    async with opened(tmp_path / "outbox") as box:
+    async with opened(Outbox(tmp_path / "outbox")) as box:
         assert await kept(box, epoch) == list(range(1, 12))
     assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
 
@@ -194,9 +181,9 @@ async def test_a_hanging_disk_delays_no_event_for_long(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.05)
-    async with opened(tmp_path / "outbox") as box:
+    async with opened(Outbox(tmp_path / "outbox")) as box:
         disk.writes.clear()
-        await box.append([DRAFT])
+        await box.append([EVENT])
         assert box.error == "the disk does not respond"
         assert await send(box) == names(box.epoch, [1])
         disk.writes.set()
@@ -205,10 +192,10 @@ async def test_a_hanging_disk_delays_no_event_for_long(
 
 
 async def test_events_do_not_wait_for_fsync(tmp_path: Path, disk: Disk) -> None:
-    async with opened(tmp_path / "outbox") as box:
+    async with opened(Outbox(tmp_path / "outbox")) as box:
         disk.syncs.clear()
         for _ in range(9):
-            await box.append([DRAFT])
+            await box.append([EVENT])
         assert len(await send(box)) == 9
         assert not stored(box)
         disk.syncs.set()
@@ -221,20 +208,20 @@ async def test_damage_in_use_costs_one_event_and_at_the_start_the_rest_of_its_se
 ) -> None:
     monkeypatch.setattr(outbox, "MEMORY_MAX", 10)
     path = tmp_path / "outbox"
-    async with opened(path) as box:
+    async with opened(Outbox(path)) as box:
         epoch = box.epoch
         for _ in range(3):
-            await box.append([DRAFT] * 10)
+            await box.append([EVENT] * 10)
         await until(lambda: stored(box))
         segment = inside(box, "_log", "_segments")[0]
         flip(segment.path, segment.offsets[6] + 50)
         assert await send(box) == names(epoch, [*range(1, 7), *range(8, 31)])
         assert await kept(box, epoch) == [*range(1, 7), *range(8, 31)]
-    async with opened(path) as box:
+    async with opened(Outbox(path)) as box:
         assert (await kept(box, epoch), box.waiting) == ([*range(1, 7), *range(11, 31)], 0)
     flip(segment.path, 10)  # its header
     for _ in range(2):
-        async with opened(path) as box:
+        async with opened(Outbox(path)) as box:
             assert await kept(box, epoch) == [*range(11, 31)]
     assert segment.path.with_suffix(".damaged").exists()
     assert caplog.messages == [
@@ -250,7 +237,7 @@ async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path
             await Outbox(path).open()
         return str(caught.value)
 
-    async with opened(tmp_path / "outbox"):
+    async with opened(Outbox(tmp_path / "outbox")):
         assert "two runs may not publish as one rig; name another rig" in await refusal(tmp_path / "outbox")
     (tmp_path / "file").write_text("x")
     assert "outbox: cannot be used: Not a directory" in await refusal(tmp_path / "file" / "outbox")
@@ -269,7 +256,7 @@ async def test_an_orderly_close_waits_for_a_slow_disk(
     await box.open()
     disk.writes.clear()
     for _ in range(3):
-        await box.append([DRAFT] * 100)
+        await box.append([EVENT] * 100)
     closing = asyncio.create_task(box.close())
     with suppress(TimeoutError):
         await asyncio.wait_for(asyncio.shield(closing), 0.1)
@@ -277,7 +264,7 @@ async def test_an_orderly_close_waits_for_a_slow_disk(
     disk.writes.set()
     await closing
     assert box.unstored == 0
-    async with opened(tmp_path / "outbox") as again:
+    async with opened(Outbox(tmp_path / "outbox")) as again:
         assert again.waiting == 300
 
 
@@ -287,11 +274,11 @@ async def test_losses_of_a_failing_disk_are_exact(
     monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
     box = Outbox(tmp_path / "outbox")
     await box.open()
-    await box.append([DRAFT] * 5)
+    await box.append([EVENT] * 5)
     disk.write_error = OSError(EIO, "Input/output error")
-    await box.append([DRAFT] * 7)
+    await box.append([EVENT] * 7)
     box.acknowledge((await box.next(8))[:6])
-    await box.append([DRAFT] * 3)
+    await box.append([EVENT] * 3)
     await box.close()
     assert box.unstored == 9
     assert caplog.messages[-1].endswith("9 events are lost")
@@ -312,10 +299,10 @@ async def test_events_are_sent_from_memory_after_the_task_that_writes_them_has_f
     monkeypatch.setattr(Outbox, "_keep_writing", fail)
     box = Outbox(tmp_path / "outbox")
     await box.open()
-    await box.append([DRAFT, DRAFT])
+    await box.append([EVENT, EVENT])
     assert "the writing of events has failed: KeyError: 'planted'" in caplog.text
     assert len(await send(box)) == 2
-    await box.append([DRAFT])
+    await box.append([EVENT])
     with pytest.raises(EndpointError, match="the writing of events has failed"):
         await box.close()
     assert "1 events are lost" in caplog.text

@@ -1,4 +1,3 @@
-import os
 from math import inf
 from pathlib import Path
 
@@ -12,11 +11,9 @@ from connectors.mqtt import position
 from connectors.mqtt.gap_replay import GapAnswer
 from connectors.mqtt.position import FILE_MAX, SIZE_MAX, Position, RigId, load, lock_position, read_heads
 from operators.errors import EndpointError, InputError, SlipflowError
+from tests.connectors.mqtt.made import EVENT
 
 UR10 = ("lab", "ur10")
-EVENT = Event(
-    site="lab", rig="ur10", finger="0", epoch="ab", seq=1, state="onset", time=1, probability=0.9, latency=1.0
-)
 
 
 def event(seq: int, epoch: str = "ab") -> Event:
@@ -196,14 +193,6 @@ def test_a_missing_folder_is_an_error_of_one_line(tmp_path: Path) -> None:
         lock_position(tmp_path / "absent" / "position")
     with pytest.raises(SlipflowError, match=r"cannot be read: Is a directory|is not a regular file"):
         load(tmp_path)
-
-
-def test_a_position_file_in_use_is_an_error_with_a_remedy(tmp_path: Path) -> None:
-    held = lock_position(tmp_path / "position")
-    with pytest.raises(EndpointError, match=r"position: is in use by another consumer; name another file$"):
-        lock_position(tmp_path / "position")
-    os.close(held)
-    os.close(lock_position(tmp_path / "position"))
 
 
 @pytest.mark.parametrize(
