@@ -2,13 +2,15 @@ import asyncio
 import signal
 import socket
 import threading
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
 from aiomqtt import Client
 
 from connectors.mqtt import broker_link as module
-from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
+from connectors.mqtt.broker import CA, Broker, Message
 from connectors.mqtt.broker_link import connect
 from operators.errors import EndpointError
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
@@ -36,43 +38,46 @@ async def test_a_connection_sets_tcp_nodelay_and_short_timeouts(broker: TestBrok
     await link.disconnect()
 
 
-def test_a_refused_connection_is_one_clear_line(broker: TestBroker) -> None:
-    broker.stop()
-    with pytest.raises(EndpointError) as caught:
-        asyncio.run(use(broker.url))
-    hint = "check that the broker runs and that this is its port"
-    assert str(caught.value) == f"{broker.url}: cannot connect: Connection refused; {hint}"
+@asynccontextmanager
+async def server(kind: str) -> AsyncGenerator[str]:
+    """Host and port of a server that is absent, silent, or hangs up."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        if kind == "silent":
+            await reader.read()
+        writer.close()
+
+    serving = await asyncio.start_server(serve, "127.0.0.1", 0)
+    port = serving.sockets[0].getsockname()[1]
+    if kind == "absent":
+        serving.close()
+    yield f"127.0.0.1:{port}"
+    serving.close()
+
+
+@pytest.mark.parametrize(
+    ("scheme", "kind", "reason"),
+    [
+        ("mqtt", "absent", "Connection refused; check that the broker runs and that this is its port"),
+        ("mqtt", "silent", r"no response within 0\.1 s; check the address and the network"),
+        ("mqtts", "silent", r"(.*timed out|no response within 0\.1 s); check the address and the network"),
+        ("mqtt", "hangs up", "the broker closed the connection; if it uses TLS, write mqtts://"),
+    ],
+)
+async def test_a_failed_connection_is_one_line_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, scheme: str, kind: str, reason: str
+) -> None:
+    if kind == "silent":
+        monkeypatch.setattr(module, "TIMEOUT", 0.1)
+    async with server(kind) as place:
+        with pytest.raises(EndpointError, match=rf"^{scheme}://{place}: cannot connect: {reason}$"):
+            await use(f"{scheme}://{place}")
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "a..b", "-"])
 def test_an_unknown_host_is_one_clear_line(host: str) -> None:
     with pytest.raises(EndpointError, match=rf"^mqtt://{host}:1883: cannot connect: [^\n]+$"):
         asyncio.run(use(f"mqtt://{host}"))
-
-
-def test_connecting_to_a_silent_server_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "TIMEOUT", 0.1)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        url = f"mqtt://127.0.0.1:{listening.getsockname()[1]}"
-        with pytest.raises(
-            EndpointError,
-            match=r"cannot connect: no response within 0\.1 s; check the address and the network$",
-        ):
-            asyncio.run(use(url))
-
-
-def test_a_server_that_disconnects_is_an_error_at_once() -> None:
-    async def hang_up(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        writer.close()
-
-    async def main() -> None:
-        async with await asyncio.start_server(hang_up, "127.0.0.1", 0) as serving:
-            await use(f"mqtt://127.0.0.1:{serving.sockets[0].getsockname()[1]}")
-
-    with pytest.raises(
-        EndpointError, match=r"cannot connect: the broker closed the connection; if it uses TLS, write mqtts"
-    ):
-        asyncio.run(main())
 
 
 def test_a_cancelled_attempt_leaves_no_open_connection(
@@ -134,18 +139,6 @@ async def test_a_missing_acknowledgement_times_out(
     await link.disconnect()
 
 
-@pytest.mark.parametrize(("name", "value"), [(PASSWORD, "wrong"), (USER, "unknown"), (USER, None)])
-def test_wrong_credentials_are_refused_with_a_hint(
-    guarded: TestBroker, monkeypatch: pytest.MonkeyPatch, name: str, value: str | None
-) -> None:
-    if value:
-        monkeypatch.setenv(name, value)
-    else:
-        monkeypatch.delenv(name)
-    with pytest.raises(EndpointError, match=f"cannot connect: Not authorized; check {USER} and {PASSWORD}$"):
-        asyncio.run(use(guarded.url))
-
-
 async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
     async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read(1000)
@@ -160,14 +153,6 @@ async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
         with pytest.raises(EndpointError, match=r"refuses to subscribe to a/#: Not authorized; allow it in"):
             await link.listen("a/#")
         await link.disconnect()
-
-
-@pytest.mark.parametrize("name", ["SSL_CERT_FILE", CA])
-def test_mqtts_connects_to_a_trusted_broker(
-    secure: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    monkeypatch.setenv(name, str(tmp_path / "certificate.pem"))
-    asyncio.run(use(secure.url.replace("mqtt:", "mqtts:"), "a"))
 
 
 def test_a_certificate_for_another_host_is_refused_with_a_hint(
@@ -192,16 +177,6 @@ def test_mixing_up_tls_and_plain_ports_fails_fast_with_a_hint(secure: TestBroker
                 asyncio.run(use(url))
     finally:
         plain.close()
-
-
-def test_a_tls_handshake_with_a_silent_server_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "TIMEOUT", 0.1)
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        url = f"mqtts://127.0.0.1:{listening.getsockname()[1]}"
-        with pytest.raises(
-            EndpointError, match=r"cannot connect: (.*timed out|no response within 0\.1 s); check the address"
-        ):
-            asyncio.run(use(url))
 
 
 def test_messages_sent_together_arrive_in_order_and_each_refusal_is_reported(guarded: TestBroker) -> None:
