@@ -8,11 +8,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from signal import SIGTERM
+from typing import NamedTuple
 
-from tests.chaos.follow import Delivery, read
 from tests.chaos.processes import Child, scratch, until
 from tests.chaos.run import Promise, Scale
 from tests.connectors.mqtt.broker_process import TestBroker
+
+
+class Delivery(NamedTuple):
+    """Event that the consumer has stored."""
+
+    time: int  # ns
+    identifier: str
 
 
 @dataclass(frozen=True)
@@ -29,8 +36,11 @@ class System:
         return {int(word) for word in self.rig.lines_with("event")}
 
     def delivered(self) -> list[Delivery]:
-        """Return the events that the consumer has stored."""
-        return read(self.folder / "list")
+        """Return the events that the consumer has stored, in order of arrival."""
+        path = self.folder / "list"
+        *lines, _ = path.read_text().split("\n") if path.exists() else [""]  # the last is empty or incomplete
+        rows = map(str.split, lines)
+        return [Delivery(int(first), identifier) for first, identifier in rows]
 
     def missing(self) -> set[int]:
         """Return the times (ns) of the events that the consumer does not have."""

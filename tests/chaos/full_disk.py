@@ -12,7 +12,7 @@ import numpy as np
 
 from operators import EVERY, Motion, Touch, concat, s
 from storage import Session, verify
-from tests.chaos import fill
+from tests.chaos import children
 from tests.chaos.numbered import alike, motion, touch
 from tests.chaos.processes import Child, scratch
 from tests.chaos.run import Promise, Scale
@@ -25,8 +25,8 @@ DISKS = {"tmpfs": "a tmpfs of 1 MiB", "limit": "files may not grow; no tmpfs cou
 class Kept:
     """Rows that can be read from the recording."""
 
-    rows: int  # of touch, motion and samples
-    wrong: int  # rows of touch and motion that differ from those produced
+    rows: int
+    wrong: int  # rows that differ from those produced
     newest: int  # number of the newest row of touch
     code: int  # exit code of verify
 
@@ -37,11 +37,10 @@ def full_for_a_while(scale: Scale) -> Sequence[Promise]:
     with _small_disk() as (folder, how):
         report = _run(folder, how, full, room)
         found = _read(folder)
-    during, after = (report[each][fill.NAME]["error"] for each in ("health", "after"))
-    touch_rows, alerts = report["produced"]["touch"], report["alerts"]
-    dropped = report["sink"][fill.NAME]["dropped"]
-    produced = 2 * touch_rows + report["produced"]["motion"]  # one sample for each row of touch
-    lost = produced - found.rows - dropped
+    during, after = (report[each][children.NAME]["error"] for each in ("health", "after"))
+    (touch_rows, motion_rows), alerts = report["produced"], report["alerts"]
+    dropped = report["sink"][children.NAME]["dropped"]
+    lost = touch_rows + motion_rows - found.rows - dropped
     recovered = after is None and found.newest + 1 == touch_rows
     passed = during is not None and alerts == touch_rows and report["during"] > 0 and dropped > 0
     return [
@@ -66,10 +65,10 @@ def _run(folder: Path, how: str, full: float, room: float) -> Any:
 
 def _read(folder: Path) -> Kept:
     """Read the session, which is recovered first if it was not closed."""
-    session = Session.open(folder / "data" / "sessions" / fill.SESSION)
+    session = Session.open(folder / "data" / "sessions" / children.SESSION)
     touch_rows = concat(Touch, list(session.read(Touch, 0)))
     motion_rows = concat(Motion, list(session.read(Motion, EVERY)))
-    numbers = np.rint((touch_rows.time - touch_rows.time[0]) * fill.RATE / s).astype(np.int64)
+    numbers = np.rint((touch_rows.time - touch_rows.time[0]) * children.RATE / s).astype(np.int64)
     right = (
         alike(touch_rows, touch(numbers, touch_rows.time)),
         alike(motion_rows, motion(motion_rows.device_time, motion_rows.time)),
@@ -77,8 +76,7 @@ def _read(folder: Path) -> Kept:
     rising = [bool((np.diff(each) > 0).all()) for each in (numbers, motion_rows.device_time)]
     rows = len(touch_rows), len(motion_rows)
     wrong = sum(size for size, good, up in zip(rows, right, rising, strict=True) if not (good and up))
-    samples = len(session.frame("samples"))
-    return Kept(sum(rows) + samples, wrong, int(numbers[-1]), verify(session.folder).code)
+    return Kept(sum(rows), wrong, int(numbers[-1]), verify(session.folder).code)
 
 
 @contextmanager

@@ -17,11 +17,11 @@ ROOT: Final = Path(__file__).parents[2]
 
 
 class Child:
-    """Process ``python -m tests.chaos.<name>`` whose lines of output are kept over restarts."""
+    """Process of `tests.chaos.children` whose lines of output are kept over restarts."""
 
     def __init__(self, folder: Path, name: str, *arguments: str | Path) -> None:
-        """Prepare to run the module, with its state in `folder`."""
-        self._command = [sys.executable, "-m", f"tests.chaos.{name}", *map(str, arguments)]
+        """Prepare to run it, with its state in `folder`."""
+        self._command = [sys.executable, "-m", "tests.chaos.children", name, *map(str, arguments)]
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self._reader: Thread | None = None

@@ -1,6 +1,5 @@
 """Kills of a recorder: few rows are lost, all others are correct."""
 
-import asyncio
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
@@ -11,21 +10,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.graph.testing import TestSink
-from flows.run.replay_runner import ReplayRunner
-from operators import EVERY, Labelled, Motion, SlipflowError, Touch, concat, ms
+from operators import EVERY, Motion, SlipflowError, Touch, concat
 from storage import Session, verify
-from tests.chaos import record
+from tests.chaos import children
 from tests.chaos.numbered import Numbers, motion, prefix, touch
 from tests.chaos.processes import PATIENCE, Child, scratch
 from tests.chaos.run import Promise, Scale
 
 BOUND = 10  # rows of a stream
-UNCERTAIN = 60 * ms  # ns; newer samples may depend on motion rows that were lost
 RATES = (100.0, 1000.0)  # rows/s
 SHORTEST, SPREAD = 0.2, 2.0  # s, shortest duration of a recording, and largest addition to it
-COUNTS = 5  # counts of a recorder
-COMPARED = ("time", "counts", "valid", "velocity", "speed", "label")  # columns of a sample
+COUNTS = 4  # counts of a recorder
 
 
 @dataclass(frozen=True)
@@ -33,8 +28,8 @@ class Remains:
     """Rows after one kill."""
 
     produced: Numbers  # (2,) rows of touch and motion
-    accepted: Numbers  # (3,) rows of touch, motion and samples that the dataset accepted
-    found: Numbers  # (3,) recovered rows
+    accepted: Numbers  # (2,) those that the dataset accepted
+    found: Numbers  # (2,) recovered rows
     wrong: str  # names of the checks that failed; empty: none
 
 
@@ -53,9 +48,9 @@ def kills(scale: Scale) -> list[Promise]:
 def _evaluate(rate: float, results: Sequence[Remains | str]) -> Promise:
     count, remains = len(results), [each for each in results if isinstance(each, Remains)]
     produced = np.array([each.produced for each in remains])  # (n, 2)
-    accepted = np.array([each.accepted for each in remains])  # (n, 3)
-    found = np.array([each.found for each in remains])  # (n, 3)
-    lost, queued = accepted - found, produced - accepted[:, :2]
+    accepted = np.array([each.accepted for each in remains])  # (n, 2)
+    found = np.array([each.found for each in remains])  # (n, 2)
+    lost, queued = accepted - found, produced - accepted
     correct = sum(not each.wrong for each in remains)
     recovered = 100 * np.minimum(found, accepted).sum() / accepted.sum()
     errors = "".join(
@@ -64,7 +59,7 @@ def _evaluate(rate: float, results: Sequence[Remains | str]) -> Promise:
         if each and isinstance(each, str)
     )
     return Promise(
-        f"recorder: SIGKILL x{count} at {rate:g} and {record.MOTION_FACTOR * rate:g} rows/s",
+        f"recorder: SIGKILL x{count} at {rate:g} and {children.MOTION_FACTOR * rate:g} rows/s",
         f"at most {lost.max()} accepted rows lost, {recovered:.1f} % recovered; {correct} of {count} sessions"
         f" open with correct rows; at most {queued.max()} more rows lost from the queue{errors}",
         f"<= {BOUND} rows of a table, {count} of {count}",
@@ -101,7 +96,7 @@ def _wave(
 def _wait_for_rows(counts: Sequence[NDArray[np.int64]]) -> None:
     """Wait until all recorders accept rows."""
     deadline = time.monotonic() + PATIENCE
-    while not all(each[record.ACCEPTED].all() for each in counts):
+    while not all(each[children.ACCEPTED].all() for each in counts):
         if time.monotonic() > deadline:
             raise TimeoutError("a recorder accepts no rows")
         time.sleep(0.01)
@@ -112,30 +107,13 @@ def _read(path: Path, counts: Numbers, rate: float) -> Remains | str:
         session = Session.open(path)
         touch_rows = concat(Touch, list(session.read(Touch, 0)))
         motion_rows = concat(Motion, list(session.read(Motion, EVERY)))
-        samples = concat(Labelled, list(session.read(Labelled, 0)))
         checks = {
             "touch": prefix(touch_rows, touch, rate),
-            "motion": prefix(motion_rows, motion, record.MOTION_FACTOR * rate),
-            "samples": _derived(session, samples, rate),
+            "motion": prefix(motion_rows, motion, children.MOTION_FACTOR * rate),
             "verify": verify(path).code in {0, 3},
         }
     except SlipflowError as error:
         return str(error)
-    found = np.array([len(touch_rows), len(motion_rows), len(samples)])
+    found = np.array([len(touch_rows), len(motion_rows)])
     wrong = ", ".join(name for name, correct in checks.items() if not correct)
-    return Remains(counts[record.PRODUCED], counts[record.ACCEPTED], found, wrong)
-
-
-def _derived(session: Session, samples: Labelled, rate: float) -> bool:
-    """Return True if the recorded samples equal those that the flow derives from the recorded rows."""
-    sink = TestSink()
-    flow = record.declare(sink, rate, np.zeros(2, np.int64))
-    asyncio.run(ReplayRunner(flow, session, "derived").execute())
-    derived = sink.rows(Labelled, 0)
-    newest = min(sink.rows(Touch, 0).time[-1], sink.rows(Motion).time[-1]) - UNCERTAIN
-    certain, expected = samples[samples.time < newest], derived[derived.time < newest]
-    same = all(
-        getattr(certain, name).tobytes() == getattr(expected[: len(certain)], name).tobytes()  # NaN included
-        for name in COMPARED
-    )
-    return same and len(expected) - len(certain) <= BOUND
+    return Remains(counts[children.PRODUCED], counts[children.ACCEPTED], found, wrong)
