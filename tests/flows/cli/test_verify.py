@@ -5,32 +5,21 @@ import os
 from pathlib import Path
 from shutil import copytree
 
-import numpy as np
 import pytest
 
-from flows.run.clocks import EventClock
-from operators.batch import BAROMETERS, Touch, ms
-from operators.ports import Run
+from operators import Touch
 from storage import Session
 from storage.files import lock
-from storage.writer import SessionWriter
 from tests.command import slipflow
-
-
-def record(root: Path, session: str, *, close: bool) -> Path:
-    writer = SessionWriter(root, Run(session, "slip", EventClock(0), 0), 10**12, 1000)
-    six = np.zeros((5, BAROMETERS), np.int16)
-    writer.append(Touch(np.arange(5) * 10 * ms, six, six, six == 0, finger=0))
-    if close:
-        writer.close()
-    return writer.folder
+from tests.storage.made import leave, new_run, side_by_side, write
 
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
     """A dataset with a closed session and one whose recorder was killed."""
-    record(tmp_path, "closed", close=True)
-    record(tmp_path, "crashed", close=False)
+    batches = side_by_side(1, [(Touch, 0)])
+    write(tmp_path, new_run("closed"), batches).close()
+    leave(tmp_path, new_run("crashed"), batches)
     return tmp_path
 
 

@@ -43,12 +43,6 @@ def sessions(dataset: Path) -> list[Session]:
     return [Session.open(path) for path in sorted((dataset / "sessions").iterdir())]
 
 
-@pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The tiny plan, simulated with seed 0."""
-    return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0)
-
-
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulate only the first three recordings of a plan."""
@@ -158,7 +152,7 @@ def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(se
 
 def test_an_interrupted_simulation_leaves_nothing(tmp_path: Path) -> None:
     def stop(done: int, of: int) -> None:
-        if done == 2:
+        if done == 1:
             assert (tmp_path / "out.partial").is_dir()
             raise KeyboardInterrupt(of)
 
@@ -182,7 +176,7 @@ def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
 def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: Path) -> None:
     code = (
         "import os, signal; from pathlib import Path; from flows.lab.simulation import simulate\n"
-        "def kill(done, of): done == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
+        "def kill(done, of): done == 1 and os.kill(os.getpid(), signal.SIGKILL)\n"
         f"simulate(Path({str(tmp_path / 'out')!r}), 'tiny', 0, progress=kill)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=False)
