@@ -6,17 +6,7 @@ Stick-slip is chaotic, so the two agree to rounding until the first node slips, 
 import numpy as np
 
 from connectors.sim.contact import ContactModel, FingerState, Pad
-from operators.batch import Reals, Times
-
-
-def rotate_surface(model: ContactModel, pad: Pad, state: FingerState, spin: float) -> None:
-    """Turn the surface under the pad by one step."""
-    state.yaw[0] += spin * model.step
-    cos, sin = np.cos(state.yaw[0]), np.sin(state.yaw[0])
-    pivot = np.array([[model.pivot_x], [model.pivot_y]])
-    place = np.array([[cos, -sin], [sin, cos]]) @ (np.stack([pad.x, pad.y]) + pivot) - pivot  # (2, n)
-    place -= [[model.apex_x], [model.apex_y]]
-    pad.gap[:] = np.array([model.k_x, model.k_y]) / 2 @ place**2
+from operators.batch import Reals
 
 
 def balance_normal(model: ContactModel, pad: Pad, state: FingerState, force: float) -> None:
@@ -78,24 +68,3 @@ def move_tip(model: ContactModel, state: FingerState, drive: Reals, friction: Re
     state.velocity[:] += model.step / mass * (pull + friction + push)
     state.deflection[:] += model.step * (drive[:3] - state.velocity)
     state.path[0] += model.step * float(np.hypot(state.velocity[0], state.velocity[1]))
-
-
-def simulate(
-    model: ContactModel, pad: Pad, state: FingerState, drive: Reals, until: Times
-) -> tuple[Reals, Reals]:
-    """Run the scene and read it at chosen steps, as `contact.simulate` does."""
-    tractions, truth = np.empty((len(until), 3, len(pad.x))), np.empty((len(until), 2))
-    done = 0
-    for reading, last in enumerate(until):
-        slid: list[float] = []
-        for row in drive[done:last]:
-            rotate_surface(model, pad, state, row[2])
-            balance_normal(model, pad, state, row[3])
-            friction, slide = update_friction(model, pad, state)
-            move_tip(model, state, row, friction)
-            state.friction[:] = friction[:2]
-            slid.append(slide)
-        done = last
-        tractions[reading] = state.pressure, *(-model.k_t * state.bristle)
-        truth[reading] = np.mean(slid) if slid else 0.0, (state.pressure * model.area).sum()
-    return tractions, truth

@@ -1,5 +1,3 @@
-from types import ModuleType
-
 import numpy as np
 import pytest
 
@@ -7,40 +5,23 @@ from connectors.sim import contact
 from connectors.sim.finger import contact_model, pad
 from connectors.sim.scene import Curvature, Parameters, Scene
 from operators.batch import Reals
-from tests.connectors.sim import contact_numpy
 
 CURVATURES: tuple[Curvature, ...] = ("plane", "sphere", "cylinder_x", "cylinder_y")
 
 
-def drag(
-    steps: int, speed: float = 0.05, heading: float = 0.4, force: float = 2.0, spin: float = 0.0
-) -> Reals:
+def drag(steps: int, speed: float = 0.05, force: float = 2.0) -> Reals:
     """Half of the time pressing ever harder, then dragging."""
     drive = np.zeros((steps, 6))
     drive[:, 3] = force * np.minimum(1.0, np.arange(steps) / (steps / 4))
-    drive[steps // 2 :, :3] = speed * np.cos(heading), speed * np.sin(heading), spin
+    drive[steps // 2 :, :3] = speed * np.cos(0.4), speed * np.sin(0.4), 0.0
     return drive
 
 
-def run(scene: Scene, drive: Reals, every: int = 1, by: ModuleType = contact) -> tuple[Reals, Reals]:
+def run(scene: Scene, drive: Reals) -> tuple[Reals, Reals]:
     nodes = pad(scene)
-    until = np.arange(0, len(drive) + 1, every)
-    tractions, truth = by.simulate(
-        contact_model(scene), nodes, contact.FingerState.rest(len(nodes.x)), drive, until
-    )
+    state = contact.FingerState.rest(len(nodes.x))
+    tractions, truth = contact.simulate(contact_model(scene), nodes, state, drive, np.arange(len(drive) + 1))
     return tractions, truth
-
-
-@pytest.mark.parametrize("curvature", CURVATURES)
-def test_both_forms_agree_until_the_first_node_slips(curvature: Curvature) -> None:
-    scene = Scene(curvature=curvature, apex=(0.003, -0.001), tilt=(0.003, -0.002))
-    drive = drag(400, spin=0.3)
-    ours, found = run(scene, drive)
-    theirs, judged = run(scene, drive, by=contact_numpy)
-    first = int(np.argmax(judged[:, 0] > 0))
-    assert first >= 203, "the pad must have been loaded sideways before it slips"
-    np.testing.assert_allclose(ours[:first], theirs[:first], rtol=1e-9, atol=1e-6)
-    np.testing.assert_allclose(found[:first], judged[:first], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("curvature", CURVATURES)

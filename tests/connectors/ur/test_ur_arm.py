@@ -228,15 +228,16 @@ def test_an_arm_that_is_late_on_its_path_gets_no_velocity_after_the_stop() -> No
     assert asyncio.run(main()) == [Signal.STOP]
 
 
-def test_a_cancelled_move_stops_the_arm() -> None:
+@pytest.mark.parametrize("move", [away, to(0.09), to(0.05, 0.09)], ids=["turn", "line", "path"])
+def test_a_cancelled_move_stops_the_arm(move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> None:
     async def main() -> bool:
         async with lab() as here:
-            move = asyncio.create_task(away(here.arm))
+            moving = asyncio.create_task(move(here.arm))
             await here.arm.wait(0.5)
             assert max(map(abs, here.arm.state.velocity)) > 0.01
-            move.cancel()
-            await asyncio.gather(move, return_exceptions=True)
-            await here.arm.stop()
+            moving.cancel()
+            await asyncio.gather(moving, return_exceptions=True)
+            await here.arm.wait(1.0)
             assert here.arm.state.still
             return not here.arm.fault
 
