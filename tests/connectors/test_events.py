@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from msgspec.structs import replace
 
+from connectors.documents import MESSAGE_MAX, Document, Number, decode
 from connectors.events import Event, Fault, Model, encode
 from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
@@ -185,3 +186,30 @@ def test_contradictory_fields_are_rejected(name: str, value: str) -> None:
 
 def test_a_sequence_of_any_kind_becomes_an_array() -> None:
     assert json.loads(encode({"rows": ("one", float("nan"), range(2))})) == {"rows": ["one", None, [0, 1]]}
+
+
+# --- documents of any kind ---
+
+
+class Seen(Document, frozen=True):
+    seq: Number
+    text: str = ""
+
+
+def test_a_too_large_document_is_rejected_unparsed() -> None:
+    payload = b'{"seq": 1, "more": "' + b"x" * MESSAGE_MAX + b'"}'
+    reason = rf"^here: is {len(payload)} bytes long; the limit is {MESSAGE_MAX}$"
+    with pytest.raises(InputError, match=reason):
+        decode(payload, Seen, "here")
+    assert decode(payload, Seen, "here", largest=len(payload)) == Seen(1)
+
+
+@pytest.mark.parametrize("number", ["0", "true", "1.5", "9223372036854775808", "1e999", '"1"'])
+def test_a_wrong_number_is_named(number: str) -> None:
+    with pytest.raises(InputError, match=r"^here: "):
+        decode(f'{{"seq": {number}}}'.encode(), Seen, "here")
+
+
+def test_control_characters_are_rejected() -> None:
+    with pytest.raises(InputError, match=r"^here: `text` must be printable text"):
+        decode(b'{"seq": 1, "text": "a\\u001bb"}', Seen, "here")

@@ -1,7 +1,6 @@
 """The commands `slipflow evaluate`, `train` and `onnx` as processes."""
 
 import json
-import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -31,16 +30,6 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
     markdown = (tmp_path / "evaluation" / "evaluation.md").read_text()
     assert markdown.endswith(f"    slipflow evaluate {tiny} --method psd --method {model} --json\n")
     assert "| rotation" in markdown
-
-
-def test_train_writes_files(tiny: Path, tmp_path: Path) -> None:
-    size = ("--filters", "4", "--steps", "20", "-o", "small.safetensors")
-    done = slipflow("train", str(tiny), *size, "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    model = json.loads(done.stdout.splitlines()[-1])
-    assert model["recipe"]["steps"] == 20
-    assert json.loads((tmp_path / "small.json").read_text())["sha256"] == model["sha256"]
-    assert re.search(r"^step 20 of 20: accuracy \d+\.\d\d % on validation, \d+ s$", done.stderr, re.MULTILINE)
 
 
 def test_interrupted_training_stops_without_a_model(
