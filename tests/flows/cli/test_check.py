@@ -23,8 +23,6 @@ def test_a_time_is_set_with_its_unit_and_listed_so() -> None:
         70_000_000,
         "ns",
     )
-    line = error("check", "record", "--set", "delay=70mm")
-    assert line == "record: delay is '70mm', must be a time with its unit: 500ms, 30s, 1h or 30d"
     drawn = slipflow("check", "record", "--set", "delay=20ms").stdout
     assert "Label(delay=20 ms)" in drawn
 

@@ -58,6 +58,7 @@ MISTAKES = [
     ("check record --set delay=70mm", "delay is '70mm', must be a time with its unit: 500ms, 30s, 1h or 30d"),
     ("doctor --set a=1", "--set requires a flow"),
     ("show .", ": is not a session"),
+    ("show none --listen 0.0.0.0:0", "Page: token is None"),  # none is not read
     ("watch mqtt://127.0.0.1:1", "mqtt://127.0.0.1:1: cannot connect"),
     ("watch localhost", "localhost"),
     ("watch --since yesterday", "yesterday"),

@@ -14,13 +14,12 @@ from urllib.request import urlopen
 
 import pytest
 
-from connectors.web.access import TOKEN
-from flows.cli.show import load, show
+from flows.cli.show import load
 from flows.demo import demo
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import ParameterError, s
+from operators import s
 from storage import Session
 from tests.command import slipflow
 from tests.storage.made import write_pad
@@ -83,14 +82,3 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_without_scores(t
     line = done.stderr.splitlines()[0]
     assert re.match(r"one: shown without scores: tcn needs 6 cells, .*; the data has 9 cells, .*kPa", line)
     assert "train a detector with `slipflow train`, or give one with --detector FILE" in line
-
-
-@pytest.mark.parametrize("token", [None, "short"])
-def test_an_invalid_token_is_an_error_before_anything_is_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str | None
-) -> None:
-    monkeypatch.delenv(TOKEN, raising=False)
-    if token:
-        monkeypatch.setenv(TOKEN, token)
-    with pytest.raises(ParameterError, match="Page: token"):
-        show(tmp_path / "none", listen="0.0.0.0:0")  # not read: that would be another error

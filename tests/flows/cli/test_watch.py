@@ -1,6 +1,7 @@
 import re
 import subprocess
 from time import time_ns
+from typing import Any
 
 import pytest
 
@@ -18,22 +19,17 @@ def started(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen([*SLIPFLOW, *arguments], stdout=pipe, stderr=pipe, text=True)
 
 
+def event(rig: str, time: int, latency: float | None = 8.5) -> Event:
+    about: dict[str, Any] = {"site": "lab", "rig": rig, "finger": "0", "epoch": "ab", "seq": 7}
+    return Event(**about, state="onset", time=time, probability=0.93, latency=latency)
+
+
 def test_an_event_is_printed_as_received_in_json(broker: TestBroker) -> None:
-    event = Event(
-        site="lab",
-        rig="ur10",
-        finger="0",
-        epoch="ab",
-        seq=7,
-        state="onset",
-        time=time_ns(),
-        probability=0.93,
-        latency=8.5,
-    )
-    broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
+    payload = event("ur10", time_ns()).encode().decode()
+    broker.publish("slip/v1/lab/ur10/0/event", payload, "-r")
     watch = started("watch", broker.url, "--json")
     assert watch.stdout
-    assert watch.stdout.readline() == event.encode().decode() + "\n"
+    assert watch.stdout.readline() == payload + "\n"
     watch.terminate()
     watch.communicate()
 
@@ -50,18 +46,7 @@ def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
     broker: TestBroker, rig: str, age: int, latency: float | None, end: str
 ) -> None:
     time = time_ns() - age * s
-    event = Event(
-        site="lab",
-        rig=rig,
-        finger="0",
-        epoch="ab",
-        seq=7,
-        state="onset",
-        time=time,
-        probability=0.93,
-        latency=latency,
-    )
-    broker.publish(f"slip/v1/lab/{rig}/0/event", event.encode().decode(), "-r")
+    broker.publish(f"slip/v1/lab/{rig}/0/event", event(rig, time, latency).encode().decode(), "-r")
     broker.publish(f"slip/v1/lab/{rig}/1/event", "{}", "-r")
     watch = started("watch", broker.url, "--rig", rig)
     assert watch.stdout
