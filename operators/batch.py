@@ -63,7 +63,7 @@ class Batch(Declared):
         """
         names = columns(cls)
         cells = next((len(v[0]) for v, c in zip(values, names.values(), strict=True) if CELLS in c.shape), 0)
-        rows = np.empty(len(values[0]), packed_type(cls, cells))
+        rows = np.zeros(len(values[0]), packed_type(cls, cells))
         for name, value in zip(names, values, strict=True):
             rows[name] = value
         return cls.unpack(rows, finger)
@@ -194,7 +194,7 @@ class Layout:
 
 def pack(batch: Batch, row: np.dtype[Any]) -> NDArray[Any]:
     """Return the rows of a batch as one array; columns that the row lacks are left out."""
-    rows = np.empty(len(batch), row)
+    rows = np.zeros(len(batch), row)
     for name in row.names or ():
         rows[name] = getattr(batch, name)
     return rows

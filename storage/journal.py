@@ -5,14 +5,13 @@
     journal/000000.wal  segment; numbered on
     identity            JSON: version, session, number of the segment, sha256 of the columns of all tables
     record              code of the batch type (1), finger (2), cells (4), rows (4), number of the first in
-                        its table (8); the columns
+                        its table (8); the packed rows
 
 A segment begins with all rows of single-file tables so far, which are in no file until the session ends.
 All numbers are little-endian and, except for the finger, unsigned. See `storage.append_log` for the file.
 """
 
 import json
-import math
 from collections import Counter, deque
 from collections.abc import Iterable
 from functools import cache
@@ -24,10 +23,10 @@ from sys import byteorder
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from operators.batch import Batch, columns
+from operators.batch import Batch, columns, packed_type
 from operators.errors import InputError
+from operators.fingertip import CELL_LIMIT
 from storage import files
 from storage.append_log import AppendLog, LogReader
 from storage.layout import (
@@ -36,10 +35,9 @@ from storage.layout import (
     TABLE_OF,
     file_name,
     files_of,
-    row_size,
 )
 
-VERSION: Final = 6  # of identity and records; other versions refuse the segment
+VERSION: Final = 7  # of identity and records; other versions refuse the segment
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
 MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
 
@@ -57,7 +55,7 @@ class NumberedRows(NamedTuple):
 
 
 class Buffer:
-    """Rows of one table that are in no part yet, in packed columns, with at most an eighth of spare capacity.
+    """Rows of one table that are in no part yet, packed, with at most an eighth of spare capacity.
 
     Attributes:
         kind: Type of all batches of this session.
@@ -79,8 +77,7 @@ class Buffer:
     def __init__(self, kind: type[Batch], start: int = 0, cells: int = 0) -> None:
         self.kind, self.start, self.cells = kind, start, cells
         self.rows = self.first = self.last = 0
-        self._columns = {name: bytearray() for name in columns(kind)}
-        self._fingers = bytearray()
+        self._rows, self._fingers = bytearray(), bytearray()
 
     @property
     def end(self) -> int:
@@ -90,8 +87,7 @@ class Buffer:
     def add(self, batch: Batch) -> None:
         """Add the rows of a batch that is not empty."""
         self.rows, self.first, self.last = self.extent_with(batch)
-        for name, values in self._columns.items():
-            values.extend(getattr(batch, name).tobytes())
+        self._rows += batch.packed.tobytes()
         self._fingers += batch.finger.to_bytes(2, byteorder, signed=True) * len(batch)
 
     def extent_with(self, batch: Batch) -> tuple[int, int, int]:
@@ -105,16 +101,10 @@ class Buffer:
     def batches(self) -> list[Batch]:
         """Return the rows in order of arrival, consecutive rows of a fingertip as one batch."""
         fingers = np.frombuffer(bytes(self._fingers), np.int16)  # (n,)
-        values = [
-            np.frombuffer(bytes(self._columns[name]), each.dtype).reshape(self.rows, *each.sizes(self.cells))
-            for name, each in columns(self.kind).items()
-        ]
+        rows = np.frombuffer(bytes(self._rows), packed_type(self.kind, self.cells))
         changes = np.flatnonzero(np.diff(fingers)) + 1
         edges: list[int] = [0, *changes.tolist(), self.rows] if self.rows else []
-        return [
-            self.kind(*(value[first:end] for value in values), finger=int(fingers[first]))
-            for first, end in pairwise(edges)
-        ]
+        return [self.kind.unpack(rows[first:end], int(fingers[first])) for first, end in pairwise(edges)]
 
     def numbered(self) -> list[NumberedRows]:
         """Return the same batches, each with the number of its first row."""
@@ -264,8 +254,7 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
     records = list[bytes]()
     for first, batch in rows:
         head = _HEAD.pack(_CODES[type(batch)], batch.finger, batch.cells, len(batch), first)
-        values = (getattr(batch, name).tobytes() for name in columns(type(batch)))
-        records.append(b"".join([head, *values]))
+        records.append(head + batch.packed.tobytes())
     return records
 
 
@@ -277,15 +266,10 @@ def decode(record: bytes, where: str) -> NumberedRows:
     """
     code, finger, cells, count, first = _HEAD.unpack(record[: _HEAD.size].ljust(_HEAD.size, b"\xff"))
     kind = _KINDS[code] if code < len(_KINDS) else None
-    if kind is None or len(record) != _HEAD.size + count * row_size(kind, cells):
+    row = packed_type(kind, cells) if kind and cells <= CELL_LIMIT else None
+    if kind is None or row is None or len(record) != _HEAD.size + count * row.itemsize:
         raise InputError(where, f"has an invalid record{_MOVE}")
-    values, offset = list[NDArray[Any]](), _HEAD.size
-    for column in columns(kind).values():
-        shape = count, *column.sizes(cells)
-        column_values = np.frombuffer(record, column.dtype, math.prod(shape), offset)
-        values.append(column_values.reshape(shape))
-        offset += column_values.nbytes
-    return NumberedRows(first, kind(*values, finger=finger))
+    return NumberedRows(first, kind.unpack(np.frombuffer(record, row, count, _HEAD.size), finger))
 
 
 def check_segment(log: LogReader, session: str, number: int) -> None:

@@ -9,6 +9,7 @@ of the turns.
 import sys
 import tempfile
 from functools import partial
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +54,7 @@ def written(path: Path) -> dict[str, Reals]:
 
 def judged(touch: Touch) -> Reals:
     """What the shipped detector says of the whole stream at once."""
-    zero = Zero(baseline=400)
+    zero = Zero(baseline=400, spike=inf)
     zeroed = concat(Zeroed, [zero.push(touch), zero.flush()])
     scores = Score(load_detector("tcn")).push(zeroed).probability
     assert len(scores) == len(touch) - LENGTH + 1
