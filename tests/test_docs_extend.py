@@ -43,25 +43,22 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Any]]:
     return make
 
 
-def case_of(defined: dict[str, Any]) -> test_conformance.Case:
-    """The page's line for the table of the suite."""
-    case: test_conformance.Case
-    [case] = eval(f"[{block(PAGE, 'case')}]", {**vars(test_conformance), **defined})  # noqa: S307 - ours
-    return case
-
-
+@pytest.mark.parametrize("operator", [0, 1], ids=["process", "steps"])
 @pytest.mark.parametrize(
     "name",
     [name for name in OWED if "case" in inspect.signature(getattr(test_conformance, name)).parameters],
 )
-def test_the_operator_passes_the_conformance_suite(
+def test_the_operators_pass_the_conformance_suite(
     name: str,
+    operator: int,
     made: Callable[..., dict[str, Any]],
     same: Callable[[Batch, Batch], None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    defined = {**vars(test_conformance), **made("active_rows.py"), **made("activity.py")}
+    cases = eval(f"[{block(PAGE, 'case')}]", defined)  # noqa: S307 - ours
     check = getattr(test_conformance, name)
-    given = {"case": case_of(made("active_rows.py")), "same": same, "monkeypatch": monkeypatch}
+    given = {"case": cases[operator], "same": same, "monkeypatch": monkeypatch}
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 
