@@ -150,7 +150,11 @@ class CompiledFlow:
         return push(*batches.values())
 
     def pusher(self, *entries: Entry) -> Callable[..., list[Delivery]]:
-        """Return the function that `push` calls with the batches of these sources and fingertips."""
+        """Return the function that `push` calls with the batches of these sources and fingertips.
+
+        Raises:
+            BatchError: if a source does not declare the fingertip.
+        """
         for node, finger in entries:
             if (node, finger) not in self.entries:
                 reason = f"source {node.name!r} yielded fingertip {finger}, but declares {node.fingers}"
