@@ -1,6 +1,6 @@
 """Rotation vectors: the direction is the axis, the length the angle in rad.
 
-The functions use `math` only, so that compiled loops can call them and give the same bits.
+The functions use `math` only, so that compiled steps can call them and give the same bits.
 """
 
 from math import atan2, cos, inf, nan, sin, sqrt
