@@ -1,3 +1,5 @@
+from itertools import permutations
+
 import numpy as np
 import pytest
 
@@ -53,8 +55,9 @@ def turned(scene: Scene, degrees: float) -> Reals:
 
 def test_a_surface_turns_under_the_pad() -> None:
     """A quarter turn makes one cylinder of the other; half of one about a pivot moves the apex around it."""
-    quarter = turned(Scene(curvature="cylinder_x"), 90.0)
-    np.testing.assert_allclose(quarter, pad(Scene(curvature="cylinder_y")).gap, atol=1e-15)
+    for one, other in permutations(CURVATURES[2:]):
+        quarter = turned(Scene(curvature=one), 90.0)
+        np.testing.assert_allclose(quarter, pad(Scene(curvature=other)).gap, atol=1e-15)
     half = turned(Scene(curvature="sphere", apex=(0.001, 0.002), offset=(0.003, -0.001)), 180.0)
     expected = pad(Scene(curvature="sphere", apex=(-0.007, 0.0))).gap
     np.testing.assert_allclose(half, expected, atol=1e-15)
