@@ -27,6 +27,7 @@ def test_the_velocity_in_the_fingertip_frame_is_along_the_stroke() -> None:
     velocity, pose = in_base(drive, local)
     seen = Rotation.from_rotvec(pose[:, 3:]).apply(velocity[:, :3], inverse=True)
     np.testing.assert_allclose(seen[:, :2], drive[:, :2], atol=1e-12)
+    np.testing.assert_allclose(np.diff(pose[:, :2], axis=0), velocity[:-1, :2] * 1e-4, atol=1e-6)
     cruising = drive[(FINE > 1.0) & (FINE < 1.2)]
     np.testing.assert_allclose(cruising[:, :2], 0.1 * math.sqrt(0.5), atol=1e-12)
 
