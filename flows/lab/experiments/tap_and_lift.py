@@ -177,19 +177,16 @@ def judge_lift(
 
     Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
     ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
-    enough at some time; ``given up``, released by the controller; ``not lifted``, hangs too low, still slides
-    or stands on the table; else ``too late``.
+    enough at some time; ``not lifted``, hangs too low, still slides or stands on the table; ``too late``.
     """
     lifting = trace.between(LIFT.start, LIFT_END + 1)
-    first, began = (  # s, sliding of any finger and of the pad
-        float(times[0]) if len(times := trace.t[lifting][speed[lifting] > SLIDING]) else math.inf
-        for speed in (trace.fastest, trace.speed)
-    )
-    onsets = trace.onsets(rule)
-    answers = onsets[onsets >= first - EARLY]
-    delay = float(answers[0]) - began if len(answers) else math.nan
+    onsets, t = trace.onsets(rule), trace.t[lifting]
+    slides = t[trace.fastest[lifting] > SLIDING]
+    answers = onsets[onsets >= (slides[0] - EARLY if len(slides) else math.inf)]
+    began = [*t[trace.speed[lifting] > SLIDING], *slides]  # s; of the pad, or else of a passive finger
+    delay = float(answers[0] - began[0]) if len(answers) else math.nan
     slide: Reals = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])  # (m,) mm
-    ending = _lift_ending(trace, rule, least, delay)
+    ending = _lift_ending(trace, least, delay)
     firm = _firm_metrics(false_slips or {})
     if firm["false_firm"] or len(answers) < len(onsets):
         ending = "false slip"
@@ -205,11 +202,9 @@ def judge_lift(
     return Outcome(ending, ending == "held", metrics)
 
 
-def _lift_ending(trace: Trace, rule: GripController, least: float, delay: float) -> str:
+def _lift_ending(trace: Trace, least: float, delay: float) -> str:
     if _held(trace):
         return "held"
-    if trace.commanded[-1] <= rule.min_force:
-        return "given up"
     if math.isnan(delay) or delay > LATE:
         return "missed"
     if not trace.dropped[-1]:

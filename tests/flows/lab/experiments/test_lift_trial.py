@@ -67,12 +67,6 @@ def test_a_dropped_object_was_caught_too_late_or_once_held(make_trace: MakeTrace
     assert _judge(make_trace(**lost), least=0.9).ending == "dropped after catch"
 
 
-def test_an_object_that_the_controller_releases_is_given_up(make_trace: MakeTrace, during: During) -> None:
-    sliding = during((2.6, 4.0), value=0.02)
-    trace = make_trace(**DOWN, speed=sliding, probability=during((2.6, 4.0)), commanded=np.zeros(700))
-    assert _judge(trace).ending == "given up"
-
-
 def test_a_false_slip_fails_a_held_object(make_trace: MakeTrace, during: During) -> None:
     trace = make_trace(**UP, probability=during((2.0, 2.1), (2.6, 2.8)), speed=during((2.6, 2.8)))
     assert _judge(trace).ending == "false slip"  # before anything slid

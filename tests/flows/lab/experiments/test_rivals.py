@@ -19,7 +19,7 @@ def test_each_usual_method_has_a_threshold_tuned_on_validation_trials() -> None:
         _, controller = method.load()
         assert controller.threshold == card["debounce"]["threshold"]
         assert controller.threshold == card["tuning"]["threshold"]
-        assert card["tuning"]["trials"] >= 50
+        assert card["tuning"]["taps"] >= 50
 
 
 def test_a_rule_takes_the_threshold_of_the_model_card() -> None:
