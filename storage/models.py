@@ -55,7 +55,7 @@ def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, s
     try:
         weights = safetensors.load(data)
         size = int.from_bytes(data[:8], "little")  # bytes of the header, which has the description
-        about = json.loads(data[8 : 8 + size]).get("__metadata__", {})
+        about = json.loads(data[8 : 8 + size]).get("__metadata__") or {}
     except Exception as error:  # json, numpy and safetensors each raise their own
         reason = str(error).partition("\n")[0]
         reason = f"is damaged or not a {_SUFFIX} file: {reason}; restore a copy"

@@ -1,4 +1,4 @@
-"""Invariants that hold at the end of every simulation."""
+"""Invariants that hold at the end of every simulation, and bounds of the memory that hold all the time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from unittest.mock import patch
 
+from connectors.mqtt import outbox as outbox_module
 from operators import Slips, Touch
 from operators.batch import Batch
 from operators.errors import SlipflowError
 from storage import Session, parts, recover, session, verification, verify
+from storage.journal import Buffer
 from tests.faults.schedule import STALL_MAX
-from tests.faults.simulated_rig import FINGERS, Identity, RigRun, Row, numbered_rows
+from tests.faults.simulated_rig import (
+    FINGERS,
+    Identity,
+    RigRun,
+    Row,
+    WatchedDataset,
+    WatchedMqtt,
+    numbered_rows,
+)
+from tests.inside import inside
 
 if TYPE_CHECKING:
     from tests.faults.world import World
@@ -32,6 +43,11 @@ FINDINGS: Final = {  # of `verify`, by the end of a run; an orderly one is check
     "killed": ("note", "repaired", "lossy"),
     "power loss": ("note", "repaired", "lossy", "lost"),
 }
+TASKS_MAX: Final = 24  # of a process
+CAPACITY: Final = 16  # batches in the queue of a sink
+PART_ROWS: Final = 100  # rows of a table in memory
+EVENTS_MAX: Final = 24  # in the memory of the outbox
+SMALL: Final = ((outbox_module, "MEMORY_MAX", EVENTS_MAX),)  # attributes for a simulation
 DISK_FAULTS: Final = frozenset({"disk full", "disk error", "fsync error", "slow disk"})
 
 
@@ -210,3 +226,27 @@ def _missing(world: World, rig_run: RigRun, name: str, missing: list[Row]) -> It
             yield f"{text}, {len(old)} of them older than {POWER_SPAN} s"
     elif len(missing) > (KILL_ROWS if rig_run.end == "killed" else 0):
         yield text
+
+
+def excess(world: World) -> Iterator[str]:
+    """Yield a line for each process, queue or buffer that has more objects than its bound."""
+    for process in (world.rig, world.consumer):
+        if process and len(process.tasks) > TASKS_MAX:
+            yield f"the {process.name} has {len(process.tasks)} tasks"
+    if not world.runner:
+        return
+    for queue in inside(world.runner, "_queues").values():
+        if (waiting := len(inside(queue, "_waiting"))) > CAPACITY:
+            yield f"{waiting} batches wait for {queue.name}"
+        if isinstance(queue.sink, WatchedDataset) and (writer := inside(queue.sink, "_writer")):
+            buffers: list[dict[str, Buffer]] = [
+                inside(writer, "_buffers"),
+                inside(writer, "_committing") or {},
+            ]
+            rows = max((each["touch"].rows for each in buffers if "touch" in each), default=0)
+            if rows > PART_ROWS:
+                yield f"{rows} rows of a table are in memory"
+        if isinstance(queue.sink, WatchedMqtt) and hasattr(queue.sink, "_outbox"):
+            events = len(inside(queue.sink, "_outbox", "_memory"))
+            if events > EVENTS_MAX:
+                yield f"{events} events are in the memory of the outbox"

@@ -26,8 +26,7 @@ from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
 from storage import files
 from storage.background_task import BackgroundTask
-from tests.faults.invariants import violations
-from tests.faults.memory import CAPACITY, PART_ROWS, SMALL, excess
+from tests.faults.invariants import CAPACITY, PART_ROWS, SMALL, excess, violations
 from tests.faults.schedule import STALL_MAX, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
 from tests.faults.simulated_disk import SimulatedDisk

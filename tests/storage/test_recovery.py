@@ -139,6 +139,14 @@ def test_a_torn_end_costs_its_own_rows_only(left: Path, tail: str) -> None:
     assert verify(left).worst == "lossy"
 
 
+def test_a_torn_end_of_an_older_segment_is_a_loss(left: Path) -> None:
+    path = min(numbered_files(left, SEGMENTS).values())
+    path.write_bytes(path.read_bytes()[:-1])
+    assert "the recorder was cut off there" in recover(left).lost[0]
+    assert recovered(left)["cut"] == []
+    assert verify(left).worst == "lost"
+
+
 def test_rows_that_do_not_follow_are_left_out_and_reported(left: Path) -> None:
     listed = read_manifest(left)
     for name in ("motion/part-000000.parquet", "motion/part-000001.parquet"):

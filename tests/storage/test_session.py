@@ -203,7 +203,7 @@ def thirty() -> list[Batch]:
 
 @pytest.mark.parametrize("live", [True, False])
 def test_a_session_that_is_being_recorded_is_read_as_far_as_it_is_committed(
-    tmp_path: Path, thirty: list[Batch], *, live: bool
+    tmp_path: Path, thirty: list[Batch], caplog: pytest.LogCaptureFixture, *, live: bool
 ) -> None:
     writer = write(tmp_path, new_run(live=live), thirty)
     session = Session.open(tmp_path)
@@ -211,6 +211,7 @@ def test_a_session_that_is_being_recorded_is_read_as_far_as_it_is_committed(
     assert len(session.frame("touch")) == 20
     assert (tmp_path / "sessions/one/journal").exists() is live
     writer.close()
+    assert not caplog.records
     assert len(Session.open(tmp_path).frame("touch")) == 30
     assert not (tmp_path / "sessions/one/journal").exists()
 

@@ -101,57 +101,6 @@ def flip(path: Path, at: int) -> None:
     path.write_bytes(content)
 
 
-async def test_each_run_counts_from_one_and_sends_what_the_run_before_has_not_sent(tmp_path: Path) -> None:
-    path = tmp_path / "outbox"
-    async with opened(Outbox(path)) as box:
-        first = box.epoch
-        await box.append([EVENT] * 24)
-        assert await send(box, 4) == names(first, range(1, 5))
-        assert (box.waiting, box.heads()) == (20, [(first, 4)])
-    async with opened(Outbox(path)) as box:
-        await box.append([EVENT])
-        assert (box.waiting, box.heads()) == (21, [(first, 4), (box.epoch, 0)])
-        assert await send(box) == [*names(first, range(5, 25)), *names(box.epoch, [1])]
-        second = box.epoch
-    for _ in range(2):  # without events
-        async with opened(Outbox(path)) as box:
-            assert (box.waiting, box.heads()) == (0, [(first, 24), (second, 1), (box.epoch, 0)])
-    assert len({first, second, box.epoch}) == 3
-
-
-async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) -> None:
-    async with opened(Outbox(tmp_path / "outbox")) as box:
-        await box.append([EVENT] * 60)
-        await until(lambda: stored(box))
-        for first, last, limit, expected, covered in (
-            (5, 7, 10, [5, 6, 7], 7),
-            (5, 900, 3, [5, 6, 7], 7),
-            (55, 900, 10, [55, 56, 57, 58, 59, 60], 60),
-            (61, 900, 10, [], 60),
-        ):
-            entries, reached = await box.between(box.epoch, first, last, limit)
-            assert ([entry.seq for entry in entries], reached) == (expected, covered)
-        assert await box.between("unknown", 3, 9, 10) == ([], 9)
-
-
-async def test_only_old_acknowledged_events_are_deleted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(outbox_log, "SEGMENTS", 2)
-    async with opened(Outbox(tmp_path / "outbox")) as box:
-        epoch = box.epoch
-        for _ in range(9):
-            await box.append([EVENT] * 10)
-        assert await kept(box, epoch) == list(range(1, 91))
-        await send(box, 85)
-        await until(lambda: inside(box, "_log").span(epoch)[0] == 71)
-        assert await kept(box, epoch) == list(range(71, 91))
-        assert await send(box) == names(epoch, range(86, 91))
-    async with opened(Outbox(tmp_path / "outbox")) as box:
-        assert await kept(box, epoch) == list(range(71, 91))
-        assert box.waiting == 0
-
-
 async def test_a_failing_disk_stops_no_event_and_gets_them_all_later_from_a_bounded_memory(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

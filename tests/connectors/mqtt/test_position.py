@@ -78,13 +78,6 @@ def test_a_new_rig_starts_with_its_next_or_its_first_event() -> None:
         assert missed(by_event) == (("ab", 1, 6) if everything else ("ab", 8, 8))
 
 
-def test_a_new_epoch_of_a_known_rig_is_missed_from_its_first_event() -> None:
-    position = Position()
-    position.announce(UR10, {"ab": 5})
-    assert not position.announce(UR10, {"ab": 5, "cd": 2})
-    assert missed(position) == ("cd", 1, 2)
-
-
 def test_missing_events_of_an_answer_are_reported_lost_once_and_only_if_they_were_missed() -> None:
     position = Position(everything=True)
     position.announce(UR10, {"ab": 9})
