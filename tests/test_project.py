@@ -161,7 +161,7 @@ def test_the_flow_of_the_readme_runs_and_prints_slip_events(tmp_path: Path) -> N
     [block] = re.findall(r"```python slip.py\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     (tmp_path / "slip.py").write_text(block)
     assert slipflow("check", "slip.py", cwd=tmp_path).returncode == 0
-    done = slipflow("run", "slip.py", "--for", "8s", cwd=tmp_path)
+    done = slipflow("run", "slip.py", "--for", "5s", cwd=tmp_path)
     assert done.returncode == 0
     assert re.search(r"^\S+ \S+  finger 0  slip onset  p [01]\.\d\d ", done.stdout, re.MULTILINE)
 

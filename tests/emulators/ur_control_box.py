@@ -104,7 +104,7 @@ class ControlBox:
             "timestamp": self.timestamp,
             "actual_TCP_pose": tuple(self.drive.pose.tolist()),
             "actual_TCP_speed": tuple(self.drive.velocity.tolist()),
-            "actual_TCP_force": (0.0, 0.0, self.drive.push, 0.0, 99.0, 0.0),  # the torques are no force
+            "actual_TCP_force": (0.0, 0.0, self.drive.push, 99.0, 0.0, 0.0),  # the torques are no force
             "robot_mode": self.robot_mode,
             "safety_mode": self.safety_mode,
             "runtime_state": self.runtime_state,

@@ -240,28 +240,29 @@ def test_depth_and_speed_are_kept_over_a_sphere(tmp_path: Path) -> None:
         assert (speed > 0.999 * 0.05).sum() / 125 > 0.7 * PATH.slide_time
 
 
-def interrupted(done: Made, why: str) -> None:
-    """Check that a collection ended early, with the recorded part committed."""
+def unplug(arm: SimulatedArm) -> None:
+    arm._fingertips = []
+
+
+def press_ctrl_c(_: SimulatedArm) -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize(
+    ("act", "why"), [(unplug, "has given no sample for 0.3 s"), (press_ctrl_c, "interrupted")]
+)
+def test_an_interruption_stops_the_arm_and_commits(
+    tmp_path: Path, act: Callable[[SimulatedArm], None], why: str
+) -> None:
+    done = made(tmp_path / "data", act=act)
     assert why in done.collected.error
+    assert done.collected.interrupted == (act is press_ctrl_c)
     assert done.collected.strokes < QUICK.count
     assert not done.about["complete"]
     assert why in done.about["error"]
     touch = concat(Touch, list(done.session.read(Touch, 0)))
     assert touch.time[-1] - touch.time[0] > 1.5 * s
     assert done.session.frame("episodes")["end"][-1] <= done.about["end_ns"]
-
-
-def test_a_lost_sensor_stops_the_arm(tmp_path: Path) -> None:
-    def unplug(arm: SimulatedArm) -> None:
-        arm._fingertips = []
-
-    interrupted(made(tmp_path / "data", act=unplug), "has given no sample for 0.3 s")
-
-
-def test_ctrl_c_stops_the_arm_and_commits(tmp_path: Path) -> None:
-    done = made(tmp_path / "data", act=lambda _: signal.raise_signal(signal.SIGINT))
-    interrupted(done, "interrupted")
-    assert done.collected.interrupted
 
 
 def test_too_much_force_stops_the_arm(tmp_path: Path) -> None:
