@@ -11,6 +11,7 @@ from operators.operator import Operator
 from operators.steps import Record, RowType, Steps, copy, nearest_count
 
 _FASTEST = 1e6  # Hz
+_MOST = 1_000_000  # rows that one input row may complete
 
 
 @dataclass
@@ -31,7 +32,8 @@ class Resample(Operator[Touch, Touch]):
         gap: Longest distance between input rows that a line bridges, ns.
 
     Raises:
-        ParameterError: if the rate is not above 0 and at most 1 MHz, or the gap is not above 0.
+        ParameterError: if the rate is not above 0 and at most 1 MHz, or the gap is not above 0 and at most
+            1,000,000 periods.
 
     >>> time = np.arange(0, 41) * ms
     >>> ramp = np.arange(0, 41, dtype=np.int16)[:, None]
@@ -47,6 +49,8 @@ class Resample(Operator[Touch, Touch]):
         check_above("Resample", "rate", self.rate, 0, "Hz")
         check_between("Resample", "rate", self.rate, 0, _FASTEST, unit="Hz")
         check_above("Resample", "gap", self.gap, 0, "ns")
+        longest = round(_MOST * s / self.rate)
+        check_between("Resample", "gap", self.gap, 0, longest, unit=f"ns, {_MOST} rows")
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip at the new rate."""

@@ -9,7 +9,7 @@ from flows.graph.validation import sink_fingertips, trace_fingertips, validate
 from operators.batch import BAROMETERS, EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, Operator, fuses
-from operators.segment import Segment, Stage
+from operators.segment import Segment, Stage, compiler
 from operators.steps import RowType, Steps
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
@@ -165,7 +165,7 @@ class CompiledFlow:
             several = len(unit.fingers) > 1
             fingers = {finger for _, finger in entries} if several else set(unit.fingers)
             places = [unit.entrances.index(node) if node in unit.entrances else -1 for node, _ in entries]
-            if -1 not in places and len(fingers) == 1:
+            if -1 not in places and len(fingers) == 1 and compiler():  # else a step may raise an error
                 push = unit.segment.pusher(*fingers, *places)
                 if not read:
                     return push
