@@ -7,7 +7,6 @@ import argparse
 import os
 import platform
 import sys
-import traceback
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from time import monotonic
@@ -50,16 +49,6 @@ def table(promises: Iterable[Promise]) -> str:
     return "\n".join([lines[0], "|---|---|---|---|", *lines[1:]])
 
 
-def run_test(test: Test, scale: Scale) -> Sequence[Promise]:
-    """Run a test and return its results; an exception counts as a failed test."""
-    try:
-        return test(scale)
-    except Exception as error:  # noqa: BLE001 - the other tests must run too
-        traceback.print_exc()
-        where = f"{test.__module__.rpartition('.')[2]}: {test.__name__}"
-        return [Promise(where, f"{type(error).__name__}: {error}"[:200], "a result", passed=False)]
-
-
 def main() -> int:
     """Run all tests, or the subjects given."""
     from tests.chaos import events, full_disk, recorder
@@ -80,7 +69,7 @@ def main() -> int:
     for subject in options.only or subjects:
         for test in subjects[subject]:
             began = monotonic()
-            for promise in run_test(test, scale):
+            for promise in test(scale):
                 word = "passed" if promise.passed else "FAILED"
                 line = f"{word} ({monotonic() - began:.0f} s)  {promise.claim}: {promise.result}\n"
                 sys.stderr.write(line)

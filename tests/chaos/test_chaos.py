@@ -3,7 +3,7 @@
 import pytest
 
 from tests.chaos import events, full_disk, recorder
-from tests.chaos.run import Promise, Scale, Test, run_test
+from tests.chaos.run import Scale, Test
 
 SHORT = Scale(short=True)
 
@@ -19,12 +19,3 @@ SHORT = Scale(short=True)
 def test_a_promise_is_kept(test: Test) -> None:
     for promise in test(SHORT):
         assert promise.passed, promise.result
-
-
-def test_an_exception_is_a_failed_test() -> None:
-    def fail(_: Scale) -> list[Promise]:
-        raise OSError("no disk")
-
-    [promise] = run_test(fail, SHORT)
-    assert not promise.passed
-    assert "no disk" in promise.result

@@ -91,10 +91,14 @@ def test_only_this_machine_can_reach_the_cluster_and_only_to_see_its_dashboard()
     assert policy["ingress"] == [{"from": [{"podSelector": policy["podSelector"]}]}]
 
 
-def test_all_containers_of_the_cluster_are_unprivileged_and_share_the_recordings() -> None:
-    for each in read("dask/compose.yaml")["services"].values():
+def test_all_containers_are_unprivileged_and_those_of_the_cluster_share_the_recordings() -> None:
+    compose, cluster = (read(name)["services"].values() for name in ("compose.yaml", "dask/compose.yaml"))
+    for each in (*compose, *cluster):
         assert (each["read_only"], each["cap_drop"]) == (True, ["ALL"])
-        assert "recordings:/recordings" in each["volumes"]
+    for each in compose:
+        assert all(port.startswith("127.0.0.1:") for port in each["ports"])
+        assert each["security_opt"] == ["no-new-privileges:true"]
+    assert all("recordings:/recordings" in each["volumes"] for each in cluster)
     for each in (each for each in read_all(KUBERNETES) if each["kind"] == "Deployment"):
         pod = each["spec"]["template"]["spec"]
         assert pod["securityContext"]["runAsNonRoot"]
@@ -114,12 +118,8 @@ def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
     assert {"--metrics=0.0.0.0:9464", "--log=json"} <= {*settings}
 
 
-def test_containers_are_locked_down_and_mount_only_shipped_files_and_secrets() -> None:
+def test_containers_mount_only_shipped_files_and_secrets() -> None:
     compose, tls = read("compose.yaml"), read("compose.tls.yaml")
-    for service in compose["services"].values():
-        assert all(port.startswith("127.0.0.1:") for port in service["ports"])
-        assert (service["read_only"], service["cap_drop"]) == (True, ["ALL"])
-        assert service["security_opt"] == ["no-new-privileges:true"]
     used = {compose["services"]["recorder"]["env_file"]}
     for file in (compose, tls):
         used |= {each["file"] for each in file["secrets"].values()}

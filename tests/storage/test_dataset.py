@@ -3,8 +3,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Coroutine, Generator, Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Coroutine, Generator, Iterable
+from contextlib import contextmanager
 from pathlib import Path
 from shutil import copytree
 from typing import Any
@@ -36,13 +36,21 @@ from storage import Dataset, Session, files, verify
 from storage.description import describe_dataset, read_dataset
 from tests.storage.disk_steps import each_kind, observed, steps_of
 from tests.storage.made import STREAMS, new_batch, new_run, rows, session_names, side_by_side
+from tests.waiting import until
 
 
-@pytest.fixture
-def disk() -> Iterator[ExitStack]:
-    """Close the entered contexts at the end of the test."""
-    with ExitStack() as stack:
-        yield stack
+@contextmanager
+def held(step: str) -> Generator[tuple[threading.Event, threading.Event]]:
+    """Hold up a step on the disk; yield events that it was reached, and that it may go on."""
+    reached, go_on = threading.Event(), threading.Event()
+
+    def wait(name: str) -> None:
+        if name == step:
+            reached.set()
+            assert go_on.wait(60)
+
+    with observed(wait):
+        yield reached, go_on
 
 
 def record(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
@@ -230,17 +238,10 @@ def test_a_failure_at_any_step_of_a_replay_costs_nothing_but_a_second_try(tmp_pa
 async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
     tmp_path: Path,
 ) -> None:
-    writing, go_on = threading.Event(), threading.Event()
-
-    def wait(step: str) -> None:
-        if step == "replace new part":
-            writing.set()
-            assert go_on.wait(60)
-
     dataset = Dataset(tmp_path, part_span=s)
     await dataset.open(new_run(live=False))
     await dataset.write(new_batch(Touch))
-    with observed(wait):
+    with held("replace new part") as (writing, go_on):
         task = asyncio.create_task(dataset.write(new_batch(Touch, start=2 * s)))
         assert await asyncio.to_thread(writing.wait, 60)
         task.cancel()
@@ -253,28 +254,21 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
 
 
 async def test_a_slow_commit_makes_no_row_wait_until_as_many_as_a_part_holds_are_in_memory(
-    tmp_path: Path, disk: ExitStack
+    tmp_path: Path,
 ) -> None:
-    writing, go_on = threading.Event(), threading.Event()
-
-    def wait(step: str) -> None:
-        if step == "fsync new part":
-            writing.set()
-            assert go_on.wait(60)
-
     dataset = Dataset(tmp_path, part_span=100 * ms, part_rows=50)
     await dataset.open(new_run())
-    disk.enter_context(observed(wait))
-    for number in range(60):  # 10 in the part that is committed; the others go to the journal
-        await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
-        assert dataset.pending <= 10
-    assert await asyncio.to_thread(writing.wait, 60)
-    full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=600 * ms)))
-    await asyncio.to_thread(lambda: None)
-    assert not full.done()
-    killed = copytree(tmp_path / "sessions/one", tmp_path / "killed")
-    go_on.set()
-    await full
+    with held("fsync new part") as (writing, go_on):
+        for number in range(60):  # 10 in the part that is committed; the others go to the journal
+            await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
+            assert dataset.pending <= 10
+        assert await asyncio.to_thread(writing.wait, 60)
+        full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=600 * ms)))
+        await asyncio.to_thread(lambda: None)
+        assert not full.done()
+        killed = copytree(tmp_path / "sessions/one", tmp_path / "killed")
+        go_on.set()
+        await full
     assert len(Session.open(killed).frame("touch")) >= 50
     await dataset.close()
     session = Session.open(tmp_path)
@@ -282,33 +276,24 @@ async def test_a_slow_commit_makes_no_row_wait_until_as_many_as_a_part_holds_are
     assert [part.rows for part in session.listed.values()] == [10, 50, 1]
 
 
-async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
-    tmp_path: Path, disk: ExitStack
-) -> None:
-    go_on, took = threading.Event(), list[int]()
+async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(tmp_path: Path) -> None:
+    took = list[int]()
 
-    def wait(step: str) -> None:
-        if step == "pwrite segment":
-            assert go_on.wait(60)
-
-    async def write(dataset: Dataset, ten: asyncio.Event) -> None:
+    async def write() -> None:
         for number in range(30):
             await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
             took.append(number)
-            if len(took) == 10:
-                ten.set()
 
     dataset = Dataset(tmp_path)
     await dataset.open(new_run())
-    disk.enter_context(observed(wait))
-    ten = asyncio.Event()
-    writing = asyncio.create_task(write(dataset, ten))
-    await ten.wait()
-    for _ in range(100):
-        await asyncio.sleep(0)
-    assert len(took) == dataset.pending == 10  # what a kill could cost
-    go_on.set()
-    await writing
+    with held("pwrite segment") as (_, go_on):
+        writing = asyncio.create_task(write())
+        await until(lambda: len(took) == 10)
+        for _ in range(100):
+            await asyncio.sleep(0)
+        assert len(took) == dataset.pending == 10  # what a kill could cost
+        go_on.set()
+        await writing
     await dataset.close()
     assert dataset.pending == 0
     assert len(Session.open(tmp_path).frame("touch")) == 30
