@@ -1,10 +1,9 @@
 import asyncio
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from errno import EIO, ENOSPC
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,6 +14,7 @@ from operators.errors import EndpointError, InputError
 from storage.append_log import AppendLog, LogReader
 from tests.connectors.mqtt.made import EVENT, opened
 from tests.inside import inside
+from tests.storage.disk_steps import observed
 from tests.waiting import PATIENCE, until
 
 
@@ -28,36 +28,26 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 class Disk:
     """Disk whose writes and fsyncs fail or wait."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self) -> None:
         self.write_error: OSError | None = None
         self.writes, self.syncs = threading.Event(), threading.Event()  # cleared: they hang
         self.writes.set()
         self.syncs.set()
-        append, sync, create = AppendLog.append, AppendLog.sync, AppendLog.__init__
 
-        def failing_append(log: AppendLog, records: Iterable[bytes]) -> list[int]:
+    def reach(self, step: str) -> None:
+        if step.startswith("fsync"):
+            assert self.syncs.wait(PATIENCE)
+        elif step.startswith(("open", "pwrite")):
             assert self.writes.wait(PATIENCE)
             if self.write_error:
                 raise self.write_error
-            return append(log, records)
-
-        def failing_sync(log: AppendLog) -> None:
-            assert self.syncs.wait(PATIENCE)
-            sync(log)
-
-        def failing_create(log: AppendLog, *arguments: Any) -> None:
-            if self.write_error:
-                raise self.write_error
-            create(log, *arguments)
-
-        monkeypatch.setattr(AppendLog, "append", failing_append)
-        monkeypatch.setattr(AppendLog, "sync", failing_sync)
-        monkeypatch.setattr(AppendLog, "__init__", failing_create)
 
 
 @pytest.fixture
-def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
-    return Disk(monkeypatch)
+def disk() -> Iterator[Disk]:
+    disk = Disk()
+    with observed(disk.reach):
+        yield disk
 
 
 async def send(box: Outbox, limit: int = 1000) -> list[str]:
@@ -142,8 +132,10 @@ async def test_a_hanging_disk_delays_no_event_for_long(
 
 async def test_events_do_not_wait_for_fsync(tmp_path: Path, disk: Disk) -> None:
     async with opened(Outbox(tmp_path / "outbox")) as box:
+        await box.append([EVENT])  # creates a segment
+        await until(lambda: stored(box))
         disk.syncs.clear()
-        for _ in range(9):
+        for _ in range(8):
             await box.append([EVENT])
         assert len(await send(box)) == 9
         assert not stored(box)
