@@ -20,7 +20,7 @@ from connectors.ur.control_process import Command, Signal
 from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import UrArm, request_stop
 from connectors.ur.ur_state import ArmState, Bounds
-from flows.graph.testing import VirtualLoop, run_virtually
+from flows.graph.testing import VirtualLoop
 from flows.run.clocks import LoopClock
 from operators import EndpointError
 from tests.connectors.ur.direct_control import DirectControl
@@ -56,26 +56,20 @@ async def lab(version: Version = CB3) -> AsyncGenerator[Lab]:
             yield Lab(controller, moved)
 
 
-def refused(
-    act: Callable[[Lab], None] | None,
-    move: Callable[[UrArm], Coroutine[Any, Any, None]],
-    execute: Callable[[Coroutine[Any, Any, Lab]], Lab] = run_virtually,
+async def refused(
+    act: Callable[[Lab], None] | None, move: Callable[[UrArm], Coroutine[Any, Any, None]]
 ) -> Lab:
     """Return a lab whose arm was stopped during a move, because of what `act` does after 0.3 s, if given."""
-
-    async def main() -> Lab:
-        async with lab() as here:
-            if act:
-                asyncio.get_running_loop().call_later(0.3, act, here)
-            with pytest.raises(EndpointError):
-                await move(here.arm)
-            await here.arm.stop()
-            assert here.arm.state.still
-            with pytest.raises(EndpointError):  # for good
-                await here.arm.line([BEGIN], 0.1, 0.5, 1.0)
-        return here
-
-    return execute(main())
+    async with lab() as here:
+        if act:
+            asyncio.get_running_loop().call_later(0.3, act, here)
+        with pytest.raises(EndpointError):
+            await move(here.arm)
+        await here.arm.stop()
+        assert here.arm.state.still
+        with pytest.raises(EndpointError):  # for good
+            await here.arm.line([BEGIN], 0.1, 0.5, 1.0)
+    return here
 
 
 def away(arm: UrArm) -> Coroutine[Any, Any, None]:
@@ -84,68 +78,56 @@ def away(arm: UrArm) -> Coroutine[Any, Any, None]:
 
 @real
 @pytest.mark.parametrize("version", [CB3, E_SERIES, NEWEST], ids=str)
-def test_it_moves_along_lines_and_turns(version: Version) -> None:
-    async def main() -> list[tuple[float, ...]]:
-        poses = list[tuple[float, ...]]()
-        async with lab(version) as here:
-            arm = here.arm
-            await arm.line([(0.42, 0.05, 0.12, math.pi, 0, 0)], 0.1, 0.5, 0.8)
-            poses.append(arm.state.pose)
-            await arm.turn(0.5, 0.5, 1.0)
-            poses.append(arm.state.pose)
-            await arm.line([BEGIN], 0.2, 0.5, 0.8)  # a line after a velocity
-            assert arm.state.stands_at(BEGIN)
-            assert not arm.fault
-        return poses
-
-    first, second = asyncio.run(main())
+async def test_it_moves_along_lines_and_turns(version: Version) -> None:
+    async with lab(version) as here:
+        arm = here.arm
+        await arm.line([(0.42, 0.05, 0.12, math.pi, 0, 0)], 0.1, 0.5, 0.8)
+        first = arm.state.pose
+        await arm.turn(0.5, 0.5, 1.0)
+        second = arm.state.pose
+        await arm.line([BEGIN], 0.2, 0.5, 0.8)  # a line after a velocity
+        assert arm.state.stands_at(BEGIN)
+        assert not arm.fault
     np.testing.assert_allclose(first, (0.42, 0.05, 0.12, math.pi, 0, 0), atol=6e-4)
     np.testing.assert_allclose(second[:3], first[:3], atol=6e-4)
     assert abs(second[4]) > 0.1  # turned about the vertical
 
 
 @real
-def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     step, turns = Program.step, count()
 
     def seldom(program: Program) -> bool:
         return step(program) if next(turns) % 25 == 0 else True  # every 0.2 s; writes come every 0.05 s
 
-    async def main() -> None:
-        async with lab() as here:
-            monkeypatch.setattr(Program, "step", seldom)
-            await here.arm.turn(0.4, 1.0, 1.0)
-            assert here.arm.state.still
-            assert abs(here.arm.state.pose[4]) > 0.2
-            monkeypatch.undo()
-
-    asyncio.run(main())
+    async with lab() as here:
+        monkeypatch.setattr(Program, "step", seldom)
+        await here.arm.turn(0.4, 1.0, 1.0)
+        assert here.arm.state.still
+        assert abs(here.arm.state.pose[4]) > 0.2
+        monkeypatch.undo()
 
 
-def test_it_follows_an_arc_at_its_speed_and_height() -> None:
+@pytest.mark.virtual
+async def test_it_follows_an_arc_at_its_speed_and_height() -> None:
     radius, centre = 0.06, (0.4, 0.06)  # m
     angles = np.linspace(0.0, 0.5, 20)
     points = [
         (0.4, 0.06 - radius * math.cos(a), 0.1 + radius * math.sin(a), *BEGIN[3:]) for a in angles.tolist()
     ]
+    seen = list[ArmState]()
 
-    async def main() -> list[ArmState]:
-        seen = list[ArmState]()
+    async def watch(arm: UrArm) -> None:
+        while True:
+            seen.append(arm.state)
+            await asyncio.sleep(0.008)
 
-        async def watch(arm: UrArm) -> None:
-            while True:
-                seen.append(arm.state)
-                await asyncio.sleep(0.008)
-
-        async with lab() as here:
-            watching = asyncio.create_task(watch(here.arm))
-            await here.arm.line(points[1:], 0.05, 0.5, 0.7)
-            assert here.arm.state.still
-            watching.cancel()
-            await here.arm.line([BEGIN], 0.2, 0.5, 0.5)  # a line after it
-        return seen
-
-    seen = run_virtually(main())
+    async with lab() as here:
+        watching = asyncio.create_task(watch(here.arm))
+        await here.arm.line(points[1:], 0.05, 0.5, 0.7)
+        assert here.arm.state.still
+        watching.cancel()
+        await here.arm.line([BEGIN], 0.2, 0.5, 0.5)  # a line after it
     off = [math.dist(state.pose[1:3], (centre[1], 0.1)) - radius for state in seen]
     assert max(map(abs, off)) < 1e-3
     assert math.dist(seen[-1].pose[:3], points[-1][:3]) < 5e-3
@@ -170,6 +152,7 @@ def to(*y: float, x: float = 0.4) -> Callable[[UrArm], Coroutine[Any, Any, None]
     return lambda arm: arm.line([(x, each, 0.1, *BEGIN[3:]) for each in y], 0.05, 0.5, 2.0)
 
 
+@pytest.mark.virtual
 @pytest.mark.parametrize(
     ("act", "move", "fault", "farthest"),
     [
@@ -180,117 +163,100 @@ def to(*y: float, x: float = 0.4) -> Callable[[UrArm], Coroutine[Any, Any, None]
     ],
     ids=["path", "safety", "bounds", "target"],
 )
-def test_it_is_stopped_for_good(
+async def test_it_is_stopped_for_good(
     act: Callable[[Lab], None] | None,
     move: Callable[[UrArm], Coroutine[Any, Any, None]],
     fault: str,
     farthest: float,
 ) -> None:
-    here = refused(act, move)
+    here = await refused(act, move)
     assert re.fullmatch(fault, here.arm.fault)
     assert math.dist(here.arm.state.pose[:3], BEGIN[:3]) < farthest
 
 
 @real
-def test_a_process_that_dies_leaves_no_arm_moving() -> None:
+async def test_a_process_that_dies_leaves_no_arm_moving() -> None:
     def kill(here: Lab) -> None:
         process = here.arm.control.process
         assert process
         assert process.pid
         os.kill(process.pid, signal.SIGSEGV)
 
-    here = refused(kill, away, asyncio.run)
+    here = await refused(kill, away)
     assert "died" in here.arm.fault
     assert here.controller.box.runtime_state == RuntimeState.STOPPED
 
 
-def test_a_missing_state_stops_it() -> None:
-    async def main() -> str:
-        async with lab() as here:
-            asyncio.get_running_loop().call_later(0.3, here.controller.stall)
-            with pytest.raises(EndpointError, match="its state is unknown: sent nothing"):
-                await away(here.arm)
-            return here.arm.fault
-
-    assert "sent nothing" in run_virtually(main())
+@pytest.mark.virtual
+async def test_a_missing_state_stops_it() -> None:
+    async with lab() as here:
+        asyncio.get_running_loop().call_later(0.3, here.controller.stall)
+        with pytest.raises(EndpointError, match="its state is unknown: sent nothing"):
+            await away(here.arm)
+        assert "sent nothing" in here.arm.fault
 
 
-def test_an_arm_that_is_late_on_its_path_gets_no_velocity_after_the_stop() -> None:
-    async def main() -> list[Command]:
-        sent, arm = list[Command](), UrArm(HOST, BOUNDS, LoopClock())
-        arm.state = ArmState(BEGIN, (0.0,) * 6)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(arm.control, "send", sent.append)
-            with pytest.raises(EndpointError, match="to reach the target"):
-                await arm.line([BEGIN, (0.42, *BEGIN[1:])], 0.05, 0.5, seconds=-1.5)  # the time is up at once
-        return sent
-
-    assert asyncio.run(main()) == [Signal.STOP]
+async def test_an_arm_that_is_late_on_its_path_gets_no_velocity_after_the_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sent, arm = list[Command](), UrArm(HOST, BOUNDS, LoopClock())
+    arm.state = ArmState(BEGIN, (0.0,) * 6)
+    monkeypatch.setattr(arm.control, "send", sent.append)
+    with pytest.raises(EndpointError, match="to reach the target"):
+        await arm.line([BEGIN, (0.42, *BEGIN[1:])], 0.05, 0.5, seconds=-1.5)  # the time is up at once
+    assert sent == [Signal.STOP]
 
 
+@pytest.mark.virtual
 @pytest.mark.parametrize("move", [away, to(0.09), to(0.05, 0.09)], ids=["turn", "line", "path"])
-def test_a_cancelled_move_stops_the_arm(move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> None:
-    async def main() -> bool:
-        async with lab() as here:
-            moving = asyncio.create_task(move(here.arm))
-            await here.arm.wait(0.5)
-            assert max(map(abs, here.arm.state.velocity)) > 0.01
-            moving.cancel()
-            await asyncio.gather(moving, return_exceptions=True)
-            await here.arm.wait(1.0)
-            assert here.arm.state.still
-            return not here.arm.fault
-
-    assert run_virtually(main())
+async def test_a_cancelled_move_stops_the_arm(move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> None:
+    async with lab() as here:
+        moving = asyncio.create_task(move(here.arm))
+        await here.arm.wait(0.5)
+        assert max(map(abs, here.arm.state.velocity)) > 0.01
+        moving.cancel()
+        await asyncio.gather(moving, return_exceptions=True)
+        await here.arm.wait(1.0)
+        assert here.arm.state.still
+        assert not here.arm.fault
 
 
-def test_an_arm_that_may_not_move_is_not_opened() -> None:
-    async def main() -> None:
-        async with UrController(np.array(BEGIN), host=HOST, version=CB3) as controller:
-            controller.box.stop_for(SafetyMode.ROBOT_EMERGENCY_STOP)
+async def test_an_arm_that_may_not_move_is_not_opened() -> None:
+    async with UrController(np.array(BEGIN), host=HOST, version=CB3) as controller:
+        controller.box.stop_for(SafetyMode.ROBOT_EMERGENCY_STOP)
+        with pytest.raises(EndpointError, match="emergency stop"):
             async with UrArm(HOST, BOUNDS, LoopClock()):
                 pass
 
-    with pytest.raises(EndpointError, match="emergency stop"):
-        asyncio.run(main())
 
-
-def test_it_is_stopped_when_the_check_of_its_states_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.virtual
+async def test_it_is_stopped_when_the_check_of_its_states_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> str:
         raise KeyError("planted")
 
-    async def main() -> None:
-        async with lab() as here:
-            asyncio.get_running_loop().call_later(0.3, monkeypatch.setattr, Bounds, "violation", fail)
-            with pytest.raises(EndpointError, match="the reading of its state has failed: KeyError"):
-                await away(here.arm)
-            await asyncio.sleep(2.0)
-            assert np.abs(here.controller.box.drive.velocity).max() < 1e-3
-
-    run_virtually(main())
+    async with lab() as here:
+        asyncio.get_running_loop().call_later(0.3, monkeypatch.setattr, Bounds, "violation", fail)
+        with pytest.raises(EndpointError, match="the reading of its state has failed: KeyError"):
+            await away(here.arm)
+        await asyncio.sleep(2.0)
+        assert np.abs(here.controller.box.drive.velocity).max() < 1e-3
 
 
-def test_the_dashboard_stops_the_program_of_an_arm() -> None:
-    async def main() -> tuple[str, int]:
-        async with UrController(np.array(BEGIN), host=HOST, ports=ANYWHERE) as controller:
-            controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
-            answer = await request_stop(HOST, controller.ports.dashboard)
-            return answer, controller.box.runtime_state
-
-    assert asyncio.run(main()) == ("Stopped", RuntimeState.STOPPED)
+async def test_the_dashboard_stops_the_program_of_an_arm() -> None:
+    async with UrController(np.array(BEGIN), host=HOST, ports=ANYWHERE) as controller:
+        controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
+        assert await request_stop(HOST, controller.ports.dashboard) == "Stopped"
+        assert controller.box.runtime_state == RuntimeState.STOPPED
 
 
 @pytest.mark.parametrize(
     ("sent", "reason"), [(b"", "closed the connection without an answer"), (bytes(1 << 17), "Separator")]
 )
-def test_an_answer_that_is_no_line_of_a_dashboard_is_an_error(sent: bytes, reason: str) -> None:
+async def test_an_answer_that_is_no_line_of_a_dashboard_is_an_error(sent: bytes, reason: str) -> None:
     async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(sent)
         writer.close()
 
-    async def main() -> None:
-        async with await asyncio.start_server(serve, HOST, 0) as server:
+    async with await asyncio.start_server(serve, HOST, 0) as server:
+        with pytest.raises(ValueError, match=reason):
             await request_stop(HOST, server.sockets[0].getsockname()[1])
-
-    with pytest.raises(ValueError, match=reason):
-        asyncio.run(main())
