@@ -13,7 +13,7 @@ from connectors import UrMotion
 from connectors.ur import rtde
 from connectors.ur.rtde import Kind, Version, pack
 from flows.graph import Flow
-from flows.graph.testing import TestSink, run_virtually
+from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
@@ -32,20 +32,11 @@ from operators import (
 from tests.emulators.ur_control_box import SafetyMode
 from tests.emulators.ur_controller import ANYWHERE, CB3, E_SERIES, UrController
 
+pytestmark = pytest.mark.virtual
+
 HOST = "127.0.0.1"
 FORWARD = np.array([0.1, -0.02, 0.0, 0.0, 0.0, 0.3])  # m/s, rad/s
 POSE = np.array([0.4, 0.1, 0.2, 0.0, 0.0, 0.5])  # m, rad
-
-
-async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], EndpointError]:
-    """Return all batches of a connection, and the error that ended it."""
-    taken = list[Motion]()
-    try:
-        async for batch in source.batches(clock):
-            taken.append(batch)
-    except EndpointError as error:
-        return taken, error
-    raise AssertionError
 
 
 @dataclass
@@ -69,9 +60,13 @@ class Lab:
     async def fail(self, after: float, fault: Callable[[], None]) -> tuple[list[Motion], str]:
         """Return all batches of a connection with a fault `after` (s), and the reason for its end."""
         asyncio.get_running_loop().call_later(after, fault)
-        taken, error = await exhaust(self.source, self.clock)
-        assert error.endpoint == f"rtde://{HOST}:{self.controller.ports.rtde}"
-        return taken, error.reason
+        taken = list[Motion]()
+        try:
+            async for batch in self.source.batches(self.clock):
+                taken.append(batch)
+        except EndpointError as error:
+            return taken, str(error).removeprefix(f"rtde://{HOST}:{self.controller.ports.rtde}: ")
+        raise AssertionError("it ended")
 
 
 @asynccontextmanager
@@ -88,38 +83,26 @@ async def lab(version: Version = E_SERIES, rate: float = 125.0, drift: float = 0
 
 
 @pytest.mark.parametrize(("version", "rate"), [(CB3, 125.0), (E_SERIES, 125.0), (E_SERIES, 500.0)])
-def test_every_package_is_received_once_in_order(version: Version, rate: float) -> None:
-    async def main() -> tuple[Motion, UrMotion]:
-        async with lab(version, rate) as here:
-            return await here.take(1000), here.source
-
-    motion, source = run_virtually(main())
-    period = round(s / rate)
-    assert (np.diff(motion.device_time) == period).all()
+async def test_every_package_is_received_once_in_order(version: Version, rate: float) -> None:
+    async with lab(version, rate) as here:
+        motion, about = await here.take(1000), here.source.describe()
+    assert (np.diff(motion.device_time) == round(s / rate)).all()
     assert (motion.time - motion.device_time == 1_700_000_000 * s).all()  # no network delay
     travelled = motion.device_time[:, None] / s * FORWARD  # (n, 6)
     np.testing.assert_allclose(motion.pose, POSE + travelled, atol=1e-9)
     np.testing.assert_allclose(motion.velocity, np.tile(FORWARD, (len(motion), 1)))
-    about = source.describe()
-    assert about["controller"] == str(version)
-    assert about["connections"] == 1
+    assert (about["controller"], about["connections"]) == (str(version), 1)
 
 
-def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rtde, "BACKLOG", 20)
-
-    async def main() -> list[Motion]:
-        async with lab() as here:
-            taken = list[Motion]()
-            async with aclosing(cast("Any", here.source.batches(here.clock))) as batches:
-                async for batch in batches:
-                    taken.append(batch)
-                    await asyncio.sleep(2.0 if len(taken) % 10 == 0 else 0)
-                    if len(taken) > 50:
-                        break
-            return taken
-
-    taken = run_virtually(main())
+    taken = list[Motion]()
+    async with lab() as here, aclosing(cast("Any", here.source.batches(here.clock))) as batches:
+        async for batch in batches:
+            taken.append(batch)
+            await asyncio.sleep(2.0 if len(taken) % 10 == 0 else 0)
+            if len(taken) > 50:
+                break
     motion = concat(Motion, taken)
     assert (np.diff(motion.device_time) == 8 * ms).all()
     assert len(motion) > 3 * 250
@@ -129,13 +112,10 @@ def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 # --- failures ---
 
 
-def test_a_clock_that_goes_back_ends_the_connection() -> None:
-    async def main() -> tuple[Motion, str, Motion]:
-        async with lab() as here:
-            taken, reason = await here.fail(1.0, lambda: here.controller.restart(drop=False))
-            return concat(Motion, taken), reason, await here.take(5)
-
-    before, reason, after = run_virtually(main())
+async def test_a_clock_that_goes_back_ends_the_connection() -> None:
+    async with lab() as here:
+        taken, reason = await here.fail(1.0, lambda: here.controller.restart(drop=False))
+        before, after = concat(Motion, taken), await here.take(5)
     assert (np.diff(before.device_time) == 8 * ms).all()
     assert len(before) in (124, 125)
     assert reason == "its clock went back: the controller restarted"
@@ -143,43 +123,35 @@ def test_a_clock_that_goes_back_ends_the_connection() -> None:
 
 
 @pytest.mark.parametrize("stamp", [nan, inf, -1.0, 1e300])
-def test_invalid_stamps_are_refused(stamp: float, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_invalid_stamps_are_refused(stamp: float, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.emulators.ur_control_box.ControlBox.timestamp", stamp)
-
-    async def main() -> str:
-        async with lab() as here:
-            return (await here.fail(0.0, lambda: None))[1]
-
-    assert "sent timestamps" in run_virtually(main())
+    async with lab() as here:
+        assert "sent timestamps" in (await here.fail(0.0, lambda: None))[1]
 
 
 # --- in a flow ---
 
 
-def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink, Lab]:
+async def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink, Lab]:
     """Run the source, raw and in the host's time, with faults that `body` schedules."""
-
-    async def main() -> tuple[Any, TestSink, Lab]:
-        async with lab(CB3, drift=50e-6) as here:
-            flow, sink = Flow("arm"), TestSink()
-            motion = flow.source(here.source)
-            (motion | DeviceClock()).to(sink)
-            (motion | WatchClock()).to(sink)
-            body(here)
-            run = await LiveRunner(flow, "run", clock=here.clock, duration=seconds * s).execute()
-            return run, sink, here
-
-    return run_virtually(main())
+    async with lab(CB3, drift=50e-6) as here:
+        flow, sink = Flow("arm"), TestSink()
+        motion = flow.source(here.source)
+        (motion | DeviceClock()).to(sink)
+        (motion | WatchClock()).to(sink)
+        body(here)
+        run = await LiveRunner(flow, "run", clock=here.clock, duration=seconds * s).execute()
+        return run, sink, here
 
 
-def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
+async def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def restart(here: Lab) -> None:
         asyncio.get_running_loop().call_later(16.0, here.controller.restart)
 
     with caplog.at_level(logging.WARNING):
-        run, sink, here = live(restart, 22)
+        run, sink, here = await live(restart, 22)
     [gap] = run.sources["motion"].gaps
     assert 0 < gap.end - gap.start < 0.3 * s
     assert [record.message.split(":")[0] for record in caplog.records] == [
@@ -198,13 +170,13 @@ def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
     assert here.source.describe()["connections"] == 2
 
 
-def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
+async def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
     def faults(here: Lab) -> None:
         loop, controller = asyncio.get_running_loop(), here.controller
         for number, fault in enumerate([controller.reset, controller.stall]):
             loop.call_later(3.0 + 4 * number, fault)
 
-    run, sink, here = live(faults, 12)
+    run, sink, here = await live(faults, 12)
     assert [gap.reason.split(": ")[1][:12] for gap in run.sources["motion"].gaps] == [
         "Connection r",
         "sent nothing",
@@ -216,7 +188,7 @@ def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
     assert here.source.describe()["connections"] == 3
 
 
-def test_a_controller_that_floods_messages_neither_delays_the_run_nor_loses_packages(
+async def test_a_controller_that_floods_messages_neither_delays_the_run_nor_loses_packages(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def flood(here: Lab) -> None:
@@ -225,7 +197,7 @@ def test_a_controller_that_floods_messages_neither_delays_the_run_nor_loses_pack
         asyncio.get_running_loop().call_later(0.02, flood, here)
 
     with caplog.at_level(logging.WARNING):
-        run, sink, here = live(flood, 7)
+        run, sink, here = await live(flood, 7)
     motion = sink.rows(Motion)
     assert (np.diff(motion.device_time) == 8 * ms).all()
     assert len(motion) > 6.9 * 125
@@ -246,24 +218,21 @@ def test_an_invalid_rate_is_refused(rate: float) -> None:
 # --- checks before a run ---
 
 
-def test_controller_and_rate_are_checked() -> None:
-    async def main(version: Version, rate: float) -> list[Finding]:
+async def test_controller_and_rate_are_checked() -> None:
+    async def found(version: Version, rate: float) -> list[Finding]:
         async with lab(version, rate) as here:
             return (await diagnose({"motion": here.source}, here.clock))["motion"]
 
-    assert [(found.text, found.state) for found in run_virtually(main(E_SERIES, 500.0))] == [
+    assert [(each.text, each.state) for each in await found(E_SERIES, 500.0)] == [
         ("controller of version 5.11.0.1", "good"),
         ("500.0 rows per second of 500", "good"),
     ]
-    [found] = run_virtually(main(CB3, 100.0))
-    assert (found.state, "sends 125.0 Hz at most" in found.text) == ("bad", True)
+    [slow] = await found(CB3, 100.0)
+    assert (slow.state, "sends 125.0 Hz at most" in slow.text) == ("bad", True)
 
 
-def test_an_arm_that_cannot_move_is_noted() -> None:
-    async def main() -> list[Finding]:
-        async with lab() as here:
-            here.controller.box.safety_mode = SafetyMode.PROTECTIVE_STOP
-            return (await diagnose({"motion": here.source}, here.clock))["motion"]
-
-    found = run_virtually(main())
+async def test_an_arm_that_cannot_move_is_noted() -> None:
+    async with lab() as here:
+        here.controller.box.safety_mode = SafetyMode.PROTECTIVE_STOP
+        found = (await diagnose({"motion": here.source}, here.clock))["motion"]
     assert (found[1].text, found[1].state) == ("protective stop: see the teach pendant", "note")
