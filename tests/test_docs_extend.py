@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Batch, EndpointError, Run, Sink, Slips, Source, Touch, Zeroed
@@ -69,7 +69,10 @@ def test_source_sink_and_detector_are_what_they_say(made: Callable[..., dict[str
     assert (detector.name, detector.length) == ("roughness", 20)
 
 
-def test_the_batch_type_reaches_a_sink_through_its_operator(made: Callable[..., dict[str, Any]]) -> None:
+@pytest.mark.virtual
+async def test_the_batch_type_reaches_a_sink_through_its_operator(
+    made: Callable[..., dict[str, Any]],
+) -> None:
     activity = made("activity.py")
     counts = np.zeros((3, 6), np.int16)
     counts[1] = 6
@@ -77,11 +80,7 @@ def test_the_batch_type_reaches_a_sink_through_its_operator(made: Callable[..., 
     flow, sink = Flow("own"), TestSink()
     rows = flow.source(TestSource(Zeroed, [touch], fingers=(0,)))
     (rows | activity["MeasureActivity"]()).to(sink)
-
-    async def main() -> Run:
-        return await LiveRunner(flow, "one", clock=LoopClock(0)).execute()
-
-    run_virtually(main())
+    await LiveRunner(flow, "one", clock=LoopClock(0)).execute()
     assert sink.rows(activity["Activity"], 0).change.tolist() == [0.0, 6.0, 6.0]
 
 
@@ -105,9 +104,9 @@ async def received(source: Source[Touch], sent: bytes, *, reset: bool = False) -
     return counts
 
 
-def test_the_source_gives_whole_lines(made: Callable[..., dict[str, Any]]) -> None:
+async def test_the_source_gives_whole_lines(made: Callable[..., dict[str, Any]]) -> None:
     source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
-    assert asyncio.run(received(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n")) == [
+    assert await received(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n") == [
         [1, 2, 3, 4, 5, 6],
         [0] * 5 + [1023],
     ]
@@ -124,15 +123,15 @@ def test_the_source_gives_whole_lines(made: Callable[..., dict[str, Any]]) -> No
         (b"1" * 5000, "sent a line of more than 1024 bytes"),
     ],
 )
-def test_the_source_refuses_what_is_no_line_of_counts(
+async def test_the_source_refuses_what_is_no_line_of_counts(
     sent: bytes, said: str, made: Callable[..., dict[str, Any]]
 ) -> None:
     source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
     with pytest.raises(EndpointError, match=said):
-        asyncio.run(received(source, sent))
+        await received(source, sent)
 
 
-def test_the_sink_takes_back_what_the_disk_had_no_room_for(
+async def test_the_sink_takes_back_what_the_disk_had_no_room_for(
     tmp_path: Path, made: Callable[..., dict[str, Any]]
 ) -> None:
     sink = made("event_file.py")["EventFile"](tmp_path / "events.txt")
@@ -141,15 +140,12 @@ def test_the_sink_takes_back_what_the_disk_had_no_room_for(
     full = len("# one\n" + "5 0 onset\n")  # bytes
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    async def main() -> None:
-        await sink.open(Run("one", "own", LoopClock(), 0))
-        resource.setrlimit(resource.RLIMIT_FSIZE, (full, most))
-        try:
-            with pytest.raises(EndpointError, match="cannot be written: No space left on device"):
-                await sink.write(batch)
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-        await sink.write(batch)
-
-    asyncio.run(main())
+    await sink.open(Run("one", "own", LoopClock(), 0))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (full, most))
+    try:
+        with pytest.raises(EndpointError, match="cannot be written: No space left on device"):
+            await sink.write(batch)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+    await sink.write(batch)
     assert sink.path.read_text() == "# one\n5 0 onset\n9 0 end\n"

@@ -9,7 +9,7 @@ from connectors import Replay, Trace
 from flows.cli.run import execute, report_run
 from flows.cli.terminal import Format
 from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.testing import TestSink, TestSource
 from operators import Run, Touch, s
 from operators.ports import SinkStatus
 
@@ -29,8 +29,9 @@ def flow() -> tuple[Flow, TestSink]:
     return made, sink
 
 
+@pytest.mark.virtual
 @pytest.mark.parametrize("declared", [False, True])
-def test_a_replay_names_another_destination_at_its_start(
+async def test_a_replay_names_another_destination_at_its_start(
     trace: Trace, *, declared: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     class Moved(TestSink):
@@ -40,14 +41,15 @@ def test_a_replay_names_another_destination_at_its_start(
 
     made, sink = Flow("pressed"), Moved()
     made.source(Replay(trace, Touch) if declared else TestSource(Touch)).to(sink)
-    run = run_virtually(execute(made, recording=None if declared else trace))
+    run = await execute(made, recording=None if declared else trace)
     assert [status.rows for status in run.sinks.values()] == [200]
     assert [text for text in caplog.messages if "the replay is written to the attic" in text]
 
 
-def test_a_limit_ends_a_paced_replay_and_its_session_is_named_after_flow_and_time(trace: Trace) -> None:
+@pytest.mark.virtual
+async def test_a_limit_ends_a_paced_replay_and_its_session_is_named_after_flow_and_time(trace: Trace) -> None:
     made, sink = flow()
-    run = run_virtually(execute(made, limit=s, recording=trace, pace=1.0))
+    run = await execute(made, limit=s, recording=trace, pace=1.0)
     assert re.fullmatch(r"pressed-\d{8}T\d{6}\.\d{6}Z", run.session)
     assert 98 <= len(sink.rows(Touch, 0)) <= 101
 

@@ -1,4 +1,3 @@
-import asyncio
 import sys
 from io import StringIO
 from pathlib import Path
@@ -95,14 +94,10 @@ def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are
     assert "metrics2: writes to http://127.0.0.1:9464, as does Debounce -> metrics" in str(problem)
 
 
-def test_a_flow_of_touch_alone_has_metrics(capsys: pytest.CaptureFixture[str]) -> None:
+async def test_a_flow_of_touch_alone_has_metrics(capsys: pytest.CaptureFixture[str]) -> None:
     flow = Flow("raw")
     flow.source(TestSource(Touch)).to(TestSink())
     add_metrics(flow, "0")
     assert problems(flow) == []
-
-    async def main() -> None:
-        await LiveRunner(flow, "run1").execute()
-
-    asyncio.run(main())
+    await LiveRunner(flow, "run1").execute()
     assert capsys.readouterr().err.startswith("metrics: http://127.0.0.1:")

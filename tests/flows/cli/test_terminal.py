@@ -1,4 +1,3 @@
-import asyncio
 import json
 import logging
 import sys
@@ -21,7 +20,7 @@ from flows.cli.terminal import (
     note,
 )
 from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
 from operators import Debounce, Faults, Run, Scores, Slips
@@ -50,17 +49,15 @@ def scores(*probability: float) -> Scores:
     return Scores(np.arange(len(probability)), np.array(probability))
 
 
-def test_the_log_has_the_start_failures_and_result_of_a_run(log_text: StringIO) -> None:
+@pytest.mark.virtual
+async def test_the_log_has_the_start_failures_and_result_of_a_run(log_text: StringIO) -> None:
     flow = Flow("pressed")
     source = TestSource(Scores, [scores(0.1), OSError("unplugged"), scores(0.2, 0.3)])
     flow.source(source, "touch").to(TestSink(failures=[OSError("disk full")]))
 
-    async def main() -> None:
-        runner = LiveRunner(flow, "run1")
-        with logged(runner.run):
-            await runner.execute()
-
-    run_virtually(main())
+    runner = LiveRunner(flow, "run1")
+    with logged(runner.run):
+        await runner.execute()
     found = objects(log_text.getvalue())
     assert found[0]["event"] == "run_begins"
     assert found[-1]["event"] == "run_ends"
@@ -121,16 +118,15 @@ def test_notes_and_the_error_of_a_command_are_records_of_a_json_log(
     assert capsys.readouterr().err == ""
 
 
-def test_consoles_print_json_and_one_is_added_if_there_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+async def test_consoles_print_json_and_one_is_added_if_there_is_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     flow = Flow("pressed")
     slips = flow.source(TestSource(Scores, [scores(0.9, 0.9)])) | Debounce()
     slips.to(Console())
     print_json(flow)
 
-    async def main() -> None:
-        await LiveRunner(flow, "run1").execute()
-
-    asyncio.run(main())
+    await LiveRunner(flow, "run1").execute()
     assert [each["event"] for each in objects(capsys.readouterr().out)] == ["slip_onset"]
     bare = Flow("bare")
     slips = bare.source(TestSource(Scores)) | Debounce()

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from flows.cli.collect import _collect
-from flows.lab.collection.collector import Collector
 from flows.lab.collection.stroke_plan import Limits
 from flows.run.clocks import LoopClock
 from operators import EVERY, SLIP, Labelled, Motion, Touch, concat
@@ -38,17 +37,13 @@ class Skin:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
-def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
+async def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
     limits = Limits(margin=0.05, sensor_timeout=5.0, watchdog=0.1)  # for a busy host
     plan = replace(QUICK, limits=limits)
-
-    async def main() -> Collector:
-        controller = UrController(TOUCHING, host=HOST, version=CB3, now=LoopClock().now)
-        with served(EmulatedI2cBus(Skin(controller.box.drive)), PATH):
-            async with asyncio.timeout(PATIENCE), controller:
-                return await _collect(plan, HOST, PATH, (0,), tmp_path, virtual=False)
-
-    collected = asyncio.run(main())
+    controller = UrController(TOUCHING, host=HOST, version=CB3, now=LoopClock().now)
+    with served(EmulatedI2cBus(Skin(controller.box.drive)), PATH):
+        async with asyncio.timeout(PATIENCE), controller:
+            collected = await _collect(plan, HOST, PATH, (0,), tmp_path, virtual=False)
     assert (collected.strokes, collected.error) == (STROKES, "")
     session = Session.open(tmp_path / "sessions" / collected.runs[0].session)
     assert concat(Touch, list(session.read(Touch, 0))).valid.all()
