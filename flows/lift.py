@@ -7,12 +7,10 @@ from connectors.gripper.robotiq import WEAKEST
 from connectors.sim.grasp import least_force
 from connectors.sim.hand import Hand
 from connectors.sim.objects import OBJECTS
-from flows.graph import Flow, Stream
+from flows.graph import Flow
 from flows.graph.quantity import Force
-from operators import Commands, Debounce, Grip, Score, Scores, Sink, Source, Touch, Zero, ms, s
-from operators.detectors import Detector
+from operators import Commands, Debounce, Grip, Score, Sink, Source, Touch, Zero, ms, s
 from operators.errors import InputError, ParameterError
-from operators.grip import GripController
 from storage import load_debounce, load_detector
 
 SIMULATED_SETTLE: Final = 300 * ms  # ns; simulated fingers close at once
@@ -62,19 +60,7 @@ def lift(
         force, settle = force or least_force(held.held) / 2, SIMULATED_SETTLE
     debounce = load_debounce(detector) or Debounce()
     rule = Grip(force=force, max_force=max(max_force, force), threshold=debounce.threshold, settle=settle)
-    scores, commands = declare_grip(flow, source, load_detector(detector), rule)
+    scores = flow.source(source) | Zero() | Score(load_detector(detector))
     (scores | debounce).to(Console())
-    commands.to(hand)
+    (scores | rule).to(hand)
     return flow
-
-
-def declare_grip(
-    flow: Flow, source: Source[Touch], detector: Detector, grip: GripController
-) -> tuple[Stream[Scores], Stream[Commands]]:
-    """Declare the path from touch to grip commands, and return the scores and the commands.
-
-    The hand is open during the first 100 samples.
-    """
-    touch = flow.source(source)
-    scores = touch | Zero() | Score(detector)
-    return scores, scores | grip

@@ -89,14 +89,13 @@ def _draw_grasp(
         held,
         parameters,
         int(random.integers(2**31)),
-        rate=gripper.rate,
         taps=taps,
         lift=lift if random.random() < 0.9 else None,
         passive=passive,
         grip=(x, y),
         vibration=vibration,
     )
-    grasp.press(gripper.force, CLOSING)
+    grasp.press(gripper.force, CLOSING, gripper.rate)
     return grasp
 
 

@@ -21,6 +21,7 @@ from connectors.sim.objects import Object
 from connectors.sim.scene import Faults, Parameters, Scene, Travel, Vibration
 from operators.batch import Reals, Touch, s
 
+RATE: Final = 10.0  # N/s, of a gripper; assumed
 FINGER_OFFSET: Final = 0.015  # m, from the middle of the hand to each passive finger; assumed
 TABLE_STIFFNESS: Final = 1e4  # N/m per corner; assumed: 0.25 mm under a box of 0.5 kg
 TABLE_DAMPING: Final = 0.3  # damping ratio; assumed
@@ -141,7 +142,6 @@ class Grasp:
         held: The object.
         parameters: Parameters of the fingertip and the material (default `Parameters()`).
         seed: Random seed of the cells' rest levels and of all noise.
-        rate: Rate at which the force changes unless `press` gives another (N/s, default 10).
         taps: Mallet blows on the object.
         lift: Lift of the hand; None if the object stays on the table.
         friction: Factor of all friction coefficients (default 1).
@@ -157,7 +157,6 @@ class Grasp:
         parameters: Parameters | None = None,
         seed: int = 0,
         *,
-        rate: float = 10.0,
         taps: Sequence[Tap] = (),
         lift: Travel | None = None,
         friction: float = 1.0,
@@ -169,7 +168,7 @@ class Grasp:
         held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
         scene = surface(held, parameters or Parameters())
         p = scene.parameters
-        self._step, self._rate = p.step, rate
+        self._step = p.step
         self._grip, self._pad = grip_model(held, scene, grip, passive), pad(scene)
         self._tip = FingerState.rest(p.columns * p.rows)
         self._held, self._taps, self._lift, self._vibration = held, tuple(taps), lift, vibration
@@ -181,9 +180,9 @@ class Grasp:
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)
-        self._ramp = (0.0, 0.0, 0.0, rate)  # start (s), initial and final force (N), rate (N/s)
+        self._ramp = (0.0, 0.0, 0.0, RATE)  # start (s), initial and final force (N), rate (N/s)
 
-    def press(self, force: float, instant: float, rate: float | None = None) -> None:
+    def press(self, force: float, instant: float, rate: float = RATE) -> None:
         """Command a normal force from an instant on, or from the end of the simulated time if that is later.
 
         A later command replaces it and starts from the force reached by then.
@@ -191,9 +190,8 @@ class Grasp:
         Args:
             force: Normal force (N), at least 0.
             instant: Start (s since the run began).
-            rate: Rate at which the force changes (N/s); None for the rate of the grasp.
+            rate: Rate at which the force changes (N/s).
         """
-        rate = self._rate if rate is None else rate
         self._pending.append((max(instant, self._ticks * self._step), force, rate))
         self._pending.sort(key=lambda ramp: ramp[0])  # stable: at equal instants the later call applies
 

@@ -30,8 +30,8 @@ def experiment(
         typer.Option(
             "--object",
             metavar="NAME",
-            help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve, metal_can, or random (as"
-            " many trials as the others together); repeatable (default: all).",
+            help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve, metal_can, or random (six"
+            " times as many trials); repeatable (default: all).",
         ),
     ] = None,
     seed: Annotated[

@@ -7,10 +7,10 @@ from connectors.sim.hand import Hand
 from connectors.sim.objects import OBJECTS
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
-from flows.lift import SIMULATED_SETTLE, declare_grip, lift
+from flows.lift import SIMULATED_SETTLE, lift
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Commands, Debounce, Grip, InputError, ParameterError, Run, s
+from operators import Commands, Debounce, Grip, InputError, ParameterError, Run, Score, Zero, s
 from storage import load_debounce, load_detector
 
 DETECTOR = "tcn_grasp"
@@ -47,7 +47,7 @@ def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> Non
     debounce, force = load_debounce(DETECTOR) or Debounce(), least_force(ball) / 2
     rule = Grip(force=force, threshold=debounce.threshold, settle=SIMULATED_SETTLE)
     rule = rule if ruled else Grip(force=force, gain=0.0)
-    _, given = declare_grip(flow, hand.touch, load_detector(DETECTOR), rule)
+    given = flow.source(hand.touch) | Zero() | Score(load_detector(DETECTOR)) | rule
     given.to(hand)
     given.to(commands)
     run = _for(flow, 6)

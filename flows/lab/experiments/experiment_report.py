@@ -51,18 +51,15 @@ EVENTS: Final[Mapping[str, Mapping[str, Statistic]]] = {
     "tap": {**_FALSE, "soft blow %": share("false_soft", "soft", 100), **_MISSED},
     "lift": _FALSE,
 }
-_NOTES: Final = {
-    "tap": "Paper's: success by the paper's words. Firm lift: share with a false slip. Lead (from the "
-    "registered slip to the onset of sliding) and slide at the blows that move the object: medians.",
-    "lift": "Paper's: success by the paper's words. Firm lift: share with a false slip. Medians over trials: "
-    "force of the last second and highest force relative to the least that holds, lead from the registered "
-    "slip to the onset of sliding, slide.",
-}
-_EVENTS_NOTE: Final = {
-    "tap": "False slips per 100 firm lifts in each phase; soft blows with a false slip; blows whose slip is "
-    "not registered within 0.2 s, by size of the slide.",
-    "lift": "False slips per 100 firm lifts in each phase.",
-}
+_NOTES: Final = (
+    "Paper's: success by the paper's words. Firm lift: share with a false slip. Medians over trials: lead "
+    "from the registered slip to the onset of sliding; slide; force of the last second and highest force, "
+    "relative to the least that holds."
+)
+_EVENTS_NOTE: Final = (
+    "False slips per 100 firm lifts in each phase; soft blows with a false slip; blows whose slip is not "
+    "registered within 0.2 s, by size of the slide."
+)
 _TEXT: Final = (
     "Simulated trials, the same for all methods; the paper used real objects. "
     "docs/explanations/experiments.md defines success and lists the assumptions."
@@ -87,15 +84,15 @@ def experiment_report(
     found = estimates(nominal, STATISTICS[experiment], by=_SIDES)
     rates = [name for name in STATISTICS[experiment] if "%" in name]
     table = estimate_table(found, _DECIMALS, index=_SIDES, intervals=rates)
-    if trials.six:
-        mean = sum(PAPER[name][experiment] for name in trials.six) / len(trials.six)
-        real: list[Value] = [_REAL, "six", *(mean if head == BY_PAPER else None for head in table.head[2:])]
-        table = replace(table, rows=[*table.rows, real])
+    if real := [PAPER[name][experiment] for name in trials.objects if name in PAPER]:
+        mean = sum(real) / len(real)
+        row: list[Value] = [_REAL, "six", *(mean if head == BY_PAPER else None for head in table.head[2:])]
+        table = replace(table, rows=[*table.rows, row])
     events = estimate_table(estimates(nominal, EVENTS[experiment], by=_SIDES, draws=0), {}, index=_SIDES)
     figure = partial(trial_figure, experiment, methods[0], trials)
     sections = [
-        Section(experiment, "Success and false slips", _NOTES[experiment], [table]),
-        Section("events", "Events by phase", _EVENTS_NOTE[experiment], [events]),
+        Section(experiment, "Success and false slips", _NOTES, [table]),
+        Section("events", "Events by phase", _EVENTS_NOTE, [events]),
         Section("objects", "Success by object, %", "", _objects(experiment, nominal, trials)),
         Section("failures", "Failed trials by ending", "", [_endings(nominal)], folded=True),
         Section("trial", "An example trial", "", draw=figure, folded=True),
@@ -152,12 +149,11 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     figure, axes = grid(5, 1, (9, 8), sharex=True)
     force, counts, probability, slide, height = axes
     t = trace.t
-    force.plot(t, trace.commanded, color=FAINT, drawstyle="steps-post", label="commanded")
     force.plot(t, trace.force, color=MAIN, label="normal force")
     force.axhline(least, color=SECOND, linestyle="--", linewidth=0.9, label="least that holds")
-    top = 1.3 * max(float(trace.commanded.max()), least)  # leaves room for the legend
+    top = 1.3 * max(float(trace.force.max()), least)  # leaves room for the legend
     force.set(ylabel="N", ylim=(0, top), title=f"{method}: {name.replace('_', ' ')}, {outcome.ending}")
-    force.legend(loc="upper left", ncols=3)
+    force.legend(loc="upper left", ncols=2)
     for cell, color in enumerate(CELLS):
         counts.plot(t, trace.counts[:, cell], color=color, linewidth=0.8)
     counts.set(ylabel="counts", title="Barometers")

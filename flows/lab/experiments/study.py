@@ -132,14 +132,9 @@ class Trials:
         for name in self.objects:
             check_choice("Trials", "object", name, (*OBJECTS, RANDOM))
 
-    @property
-    def six(self) -> tuple[str, ...]:
-        """Those of the paper's objects that take part."""
-        return tuple(name for name in self.objects if name != RANDOM)
-
     def seeds(self, name: str) -> range:
-        """Return the seeds of an object; there are as many random objects as trials with the others."""
-        return range(self.seed, self.seed + self.count * (max(1, len(self.six)) if name == RANDOM else 1))
+        """Return the seeds of an object; there are as many random trials as with the six objects."""
+        return range(self.seed, self.seed + self.count * (len(OBJECTS) if name == RANDOM else 1))
 
 
 def conditions_of(experiment: str, *, stress: bool) -> dict[str, Conditions]:

@@ -98,13 +98,13 @@ def judge_tap(trace: Trace, rule: GripController) -> Outcome:
     soft = [blow for blow in blows if blow.still]
     false_slips = trace.false_slips(rule)
     ending = next((blow.ending for blow in blows if blow.ending != "registered"), "registered")
-    if any(false_slips.values()):
+    if false_slips["false_firm"]:
         ending = "false slip"
     if trace.dropped[-1]:
         ending = "dropped"
     leads = [blow.lead for blow in moved if not math.isnan(blow.lead)]
     metrics = {
-        **_firm_metrics(false_slips),
+        **false_slips,
         "paper": ending != "dropped" and all(blow.paper for blow in blows[1:]),
         "slide": float(np.mean([blow.slide for blow in moved])) if moved else math.nan,  # mm, mean over blows
         "lead": float(np.mean(leads)) if leads else math.nan,  # ms from the registered slip to the sliding
@@ -119,12 +119,6 @@ def judge_tap(trace: Trace, rule: GripController) -> Outcome:
             f"missed {size}": sum(blow.ending in {"missed", "too late"} for blow in those),
         }
     return Outcome(ending, ending == "registered", metrics)
-
-
-def _firm_metrics(false_slips: Mapping[str, int]) -> dict[str, float]:
-    """Return whether, and how often in each phase, a slip was registered in a firm lift without one."""
-    by_phase = {f"false {phase}": count for phase, count in false_slips.items()}
-    return {"false_firm": any(false_slips.values()), **by_phase}
 
 
 def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) -> _Blow:
@@ -168,16 +162,12 @@ def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> li
     return found
 
 
-def judge_lift(
-    trace: Trace, rule: GripController, least: float, false_slips: Mapping[str, int] | None = None
-) -> Outcome:
+def judge_lift(trace: Trace, rule: GripController, least: float, false_slips: Mapping[str, int]) -> Outcome:
     """Return the outcome of a lift; its forces are relative to `least`, which just holds the object (N).
 
-    `false_slips` are those of the firm lift, by phase (default none).
-
-    Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
-    ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
-    enough at some time; ``not lifted``, hangs too low, still slides or stands on the table; ``too late``.
+    `false_slips` are the metrics of the firm lift. Endings other than ``held``: ``false slip``, registered in
+    the firm lift or before anything slid; ``missed``, no slip registered within half a second of sliding;
+    ``dropped``; ``not lifted``, hangs too low, still slides or stands on the table.
     """
     lifting = trace.between(LIFT.start, LIFT_END + 1)
     onsets, t = trace.onsets(rule), trace.t[lifting]
@@ -186,30 +176,24 @@ def judge_lift(
     began = [*t[trace.speed[lifting] > SLIDING], *slides]  # s; of the pad, or else of a passive finger
     delay = float(answers[0] - began[0]) if len(answers) else math.nan
     slide: Reals = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])  # (m,) mm
-    ending = _lift_ending(trace, least, delay)
-    firm = _firm_metrics(false_slips or {})
-    if firm["false_firm"] or len(answers) < len(onsets):
+    if held := _held(trace):
+        ending = "held"
+    elif math.isnan(delay) or delay > LATE:
+        ending = "missed"
+    else:
+        ending = "dropped" if trace.dropped[-1] else "not lifted"
+    if false_slips["false_firm"] or len(answers) < len(onsets):
         ending = "false slip"
     force = trace.force[trace.between(LIFT_END - 1, LIFT_END + 1)]
     metrics = {
-        **firm,
-        "paper": _held(trace) and bool(trace.registered(rule)[lifting].any()),
+        **false_slips,
+        "paper": held and bool(trace.registered(rule)[lifting].any()),
         "slide": float(slide.max()),  # mm
         "lead": -1000 * delay,  # ms from the first registered slip to the first sliding
-        "force": float(force.mean()) / least if _held(trace) else math.nan,  # mean of the last second
+        "force": float(force.mean()) / least if held else math.nan,  # mean of the last second
         "peak": float(trace.force.max()) / least,
     }
     return Outcome(ending, ending == "held", metrics)
-
-
-def _lift_ending(trace: Trace, least: float, delay: float) -> str:
-    if _held(trace):
-        return "held"
-    if math.isnan(delay) or delay > LATE:
-        return "missed"
-    if not trace.dropped[-1]:
-        return "not lifted"
-    return "dropped after catch" if trace.force[~trace.dropped].max() >= least else "too late"
 
 
 def _held(trace: Trace) -> bool:

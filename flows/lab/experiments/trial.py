@@ -44,7 +44,6 @@ SCANS: Final = 100  # samples of the open gripper at least: a detector's first w
 # scene, and cannot reduce its force without opening. The model has its steps, refresh rate and delay, but
 # for small forces, and can reduce them.
 LATENCY: Final = 0.008  # s: 3 ms to convert, 4 ms to read on a 100 kHz bus, 1 ms from command to gripper
-RATE: Final = 10.0  # N/s, change of the gripper's force; assumed
 SPAN: Final = 10.0  # N, for the 255 steps of its register; assumed
 
 
@@ -138,9 +137,11 @@ class Trial:
 
     def hold(self, taps: Sequence[Tap], seconds: float) -> "Trace":
         """Simulate a firm lift with constant force, without a detector: `Trace.scored` adds its scores."""
-        force, grasp = self.firm * self.least_force, self.grasp(FIRM_LIFT, taps)
-        grasp.press(quantize(force), BASELINE - 1 / SCANS, RATE)  # when a controller first commands
-        return simulate(grasp, _instants(self.conditions, SCANS, seconds), lambda _touch: force)
+        grasp = self.grasp(FIRM_LIFT, taps)
+        grasp.press(
+            quantize(self.firm * self.least_force), BASELINE - 1 / SCANS
+        )  # when a controller first commands
+        return simulate(grasp, _instants(self.conditions, SCANS, seconds))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +151,6 @@ class Trace:
     t: Reals  # (n,) s
     counts: Counts  # (n, 6) relative to the open gripper
     probability: Reals  # (n,) of slip; NaN: no score
-    commanded: Reals  # (n,) N, by the newest command
     force: Reals  # (n,) N, normal
     slide: Reals  # (n,) m, distance of the object from where it was gripped
     speed: Reals  # (n,) m/s, sliding of the pad
@@ -190,23 +190,22 @@ class Trace:
         return self.t[now & ~np.concatenate(([False], now[:-1]))]
 
     def false_slips(self, rule: GripController) -> dict[str, int]:
-        """Return the number of slips registered in each phase of a firm lift while no finger slipped."""
-        false = [onset for onset in self.onsets(rule).tolist() if not self._slipped_before(onset)]
-        counts, _ = np.histogram(false, [*PHASES.values(), HELD])
-        return dict(zip(PHASES, counts.tolist(), strict=True))
+        """Return the metrics of slips registered in a firm lift without a slip of any finger just before.
 
-    def _slipped_before(self, onset: float) -> bool:
-        """Return whether a finger slid by `STILL` or more, and fast, within `PROMPT` before a time (s)."""
-        rows = self.between(onset - PROMPT, onset + 0.5 / SCANS)
-        return self.travel(rows, self.fastest) >= STILL and float(self.fastest[rows].max()) > SLIDING
+        ``false_firm`` is 1 if there are any, ``false PHASE`` their number in each phase.
+        """
+
+        def slipped(onset: float) -> bool:
+            rows = self.between(onset - PROMPT, onset + 0.5 / SCANS)
+            return self.travel(rows, self.fastest) >= STILL and float(self.fastest[rows].max()) > SLIDING
+
+        false = [onset for onset in self.onsets(rule).tolist() if not slipped(onset)]
+        counts, _ = np.histogram(false, [*PHASES.values(), HELD])
+        by_phase = {f"false {phase}": count for phase, count in zip(PHASES, counts.tolist(), strict=True)}
+        return {"false_firm": int(counts.any()), **by_phase}
 
     def travel(self, rows: slice, speed: Reals | None = None) -> float:
-        """Return how far the pad slid on the object in some samples (mm), there and back.
-
-        Args:
-            rows: The samples.
-            speed: Sliding speed (n,) (m/s); default that of the pad.
-        """
+        """Return how far a finger slid in some samples (mm), there and back; by default the pad."""
         speed = self.speed if speed is None else speed
         return 1000 * float(speed[rows] @ np.diff(self.t, prepend=0.0)[rows])
 
@@ -221,7 +220,6 @@ class Actuator:
 
     def __init__(self, grasp: Grasp, delay: float = 0.0) -> None:
         self._grasp, self._delay = grasp, delay
-        self.commanded = 0.0  # N, by the newest command
         self._target = 0.0  # N
 
     def execute(self, commands: Commands) -> None:
@@ -229,10 +227,9 @@ class Actuator:
         for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
             if math.isnan(force):
                 continue
-            self.commanded, target = force, quantize(force)
-            if target != self._target:
+            if (target := quantize(force)) != self._target:
                 self._target = target
-                self._grasp.press(target, effect(time / s, self._delay), RATE)
+                self._grasp.press(target, effect(time / s, self._delay))
 
 
 def effect(instant: float, delay: float = 0.0) -> float:
@@ -253,25 +250,17 @@ def control_trial(
 ) -> Trace:
     """Simulate a grasp whose force a rule controls by the scores of a detector, as the flow `lift` does.
 
-    The open gripper is sampled at least as often as the detector needs for its first score.
-
-    Args:
-        grasp: Grasp at its start, with an open gripper.
-        detector: Detector that scores the fingertip.
-        rule: Controller of the grip force.
-        conditions: Conditions, for the gripper and the sample rate.
-        seconds: Duration, s.
+    The grasp begins with an open gripper, sampled at least as often as the detector's first score needs.
     """
     instants = _instants(conditions, max(SCANS, detector.length), seconds)
     stamps, probability = np.rint(instants * s).astype(np.int64), np.full(len(instants), np.nan)
     zero, score = Zero(scans=int(np.sum(instants < BASELINE))), Score(detector)
     actuator = Actuator(grasp, conditions.delay)
 
-    def react(touch: Touch) -> float:
+    def react(touch: Touch) -> None:
         scores = score.push(zero.push(touch))
         probability[np.searchsorted(stamps, scores.time)] = scores.probability
         actuator.execute(rule.push(scores))
-        return actuator.commanded
 
     return replace(simulate(grasp, instants, react), probability=probability)
 
@@ -283,26 +272,19 @@ def _instants(conditions: Conditions, scans: int, seconds: float) -> Reals:
     return np.concatenate((np.arange(opened) / opened * BASELINE, closed))
 
 
-def simulate(grasp: Grasp, instants: Reals, react: Callable[[Touch], float]) -> Trace:
-    """Simulate a grasp.
-
-    Args:
-        grasp: Grasp at its start, with an open gripper.
-        instants: Times of the samples (n,), s.
-        react: Called with each sample, returns the commanded force (N).
-    """
-    truth: list[GraspState] = []
-    counts, commanded = np.zeros((len(instants), BAROMETERS), np.int16), np.zeros(len(instants))
+def simulate(grasp: Grasp, instants: Reals, react: Callable[[Touch], object] = lambda _touch: None) -> Trace:
+    """Sample a grasp at instants (n,) (s), and call `react` with each sample."""
+    truth, counts = list[GraspState](), np.zeros((len(instants), BAROMETERS), np.int16)
     for k, instant in enumerate(instants.tolist()):
         touch, held = grasp.sense(instant)
         truth.append(held)
-        counts[k], commanded[k] = touch.counts[0], react(touch)
+        counts[k] = touch.counts[0]
+        react(touch)
     base = np.rint(np.median(counts[instants < BASELINE], axis=0)).astype(np.int16)
     return Trace(
         t=np.array([held.instant for held in truth]),
         counts=counts - base,
         probability=np.full(len(instants), np.nan),
-        commanded=commanded,
         force=np.array([held.force for held in truth]),
         slide=np.array([np.hypot(held.slide_x, held.slide_y) for held in truth]),
         speed=np.array([held.speed for held in truth]),

@@ -20,7 +20,8 @@ def test_the_least_force_is_where_a_loosening_grip_begins_to_slip(name: str) -> 
     """With Stribeck friction, lever and tilt, but the same friction everywhere."""
     thing = OBJECTS[name]
     least = least_force(thing, SMOOTH)
-    grasp = gripped(Grasp(thing, SMOOTH, rate=100.0, lift=Travel(0.3, 0.02)), 1.5 * least, closing=0.0)
+    grasp = Grasp(thing, SMOOTH, lift=Travel(0.3, 0.02))
+    grasp.press(1.5 * least, 0.0, rate=100.0)
     _, before = grasp.sense(2.0)
     assert not before.on_table
     grasp.press(0.5 * least, 2.0, rate=0.1 * least)

@@ -18,7 +18,7 @@ def make_trace() -> Callable[..., Trace]:
     """A trace of 7 s in which nothing happens except in the given columns."""
     zero, never = np.zeros(700), np.zeros(700, np.bool_)
     counts = np.zeros((700, 6), np.int16)
-    calm = Trace(_T, counts, zero, zero + 1, zero + 1, zero, zero, zero, zero, zero, never, never)
+    calm = Trace(_T, counts, zero, zero + 1, zero, zero, zero, zero, zero, never, never)
 
     def trace(**columns: Any) -> Trace:
         slides = {"fastest": columns["speed"]} if "speed" in columns else {}

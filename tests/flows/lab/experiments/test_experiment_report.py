@@ -96,8 +96,8 @@ def test_trials_are_counted_by_ending(report: Report) -> None:
     assert rows(report, "failures") == [
         {"method": "psd, ours", "objects": "six", "held": 3, "missed": 1},
         {"method": "psd, none", "objects": "six", "held": 0, "missed": 4},
-        {"method": "psd, ours", "objects": "random", "held": 4, "missed": 0},
-        {"method": "psd, none", "objects": "random", "held": 0, "missed": 4},
+        {"method": "psd, ours", "objects": "random", "held": 12, "missed": 0},
+        {"method": "psd, none", "objects": "random", "held": 0, "missed": 12},
     ]
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from connectors.sim.grasp import Grasp, least_force
+from connectors.sim.grasp import RATE, Grasp, least_force
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.trial import (
     FINGERTIP,
@@ -13,7 +13,6 @@ from flows.lab.experiments.trial import (
     HELD,
     PHASES,
     RANDOM,
-    RATE,
     SPAN,
     SPREAD,
     Actuator,
@@ -81,12 +80,22 @@ def test_a_slip_registered_in_a_firm_lift_is_false_unless_a_finger_slipped_just_
     make_trace: Callable[..., Trace], during: Callable[..., Reals]
 ) -> None:
     rule, seen = Grip(settle=0), during((2.0, 2.1), (2.2, 2.3), (3.5, 3.6))
-    none = dict.fromkeys(PHASES, 0)
-    assert make_trace(probability=seen).false_slips(rule) == {**none, "load transfer": 2, "holding": 1}
+    none = {"false_firm": 0, **{f"false {phase}": 0 for phase in PHASES}}
+    assert make_trace(probability=seen).false_slips(rule) == {
+        **none,
+        "false_firm": 1,
+        "false load transfer": 2,
+        "false holding": 1,
+    }
     passive = make_trace(probability=seen, fastest=during((1.9, 2.0), value=0.02))
-    assert passive.false_slips(rule) == {**none, "load transfer": 1, "holding": 1}
+    assert passive.false_slips(rule) == {
+        **none,
+        "false_firm": 1,
+        "false load transfer": 1,
+        "false holding": 1,
+    }
     slow = make_trace(probability=seen, speed=during((1.9, 2.0), value=0.002))
-    assert slow.false_slips(rule) == {**none, "load transfer": 2, "holding": 1}
+    assert slow.false_slips(rule) == {**none, "false_firm": 1, "false load transfer": 2, "false holding": 1}
     assert make_trace(probability=during((0.5, 0.6), (HELD, HELD + 0.1))).false_slips(rule) == none
 
 
