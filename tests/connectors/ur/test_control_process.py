@@ -1,5 +1,7 @@
+import asyncio
 import multiprocessing
 from collections.abc import Iterator
+from importlib.util import find_spec
 from itertools import groupby
 from multiprocessing.connection import Connection
 from threading import Thread
@@ -11,12 +13,15 @@ import pytest
 from connectors.ur import control_process
 from connectors.ur.control_process import (
     Command,
+    ControlClient,
     Move,
     MoveTo,
     Reply,
     Signal,
     serve,
 )
+from tests.loopback import own_host
+from tests.waiting import PATIENCE
 
 POSE = (0.4, 0.0, 0.1, 3.14, 0.0, 0.0)
 FORWARD = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -161,3 +166,15 @@ def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]
     control.moveL.return_value = False
     replies = served(pipe, control, MoveTo(POSE, 0.1, 0.5))
     assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")
+
+
+@pytest.mark.skipif(find_spec("rtde_control") is None, reason="needs the extra `ur`")
+async def test_a_controller_that_cannot_be_commanded_is_reported() -> None:
+    reasons = list[str]()
+    client = ControlClient(own_host(9), 5.0, reasons.append)  # nothing listens there
+    client.start()
+    async with asyncio.timeout(PATIENCE):
+        await client.ended.wait()
+    await client.close()
+    assert reasons[0].startswith("cannot be commanded: ")
+    assert not client.ready
