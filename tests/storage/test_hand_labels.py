@@ -86,35 +86,24 @@ def test_overlapping_spans_are_an_error_and_write_nothing(session: Session) -> N
     assert not (session.folder / "labels").exists()
 
 
-def damage(session: Session, old: bytes, new: bytes) -> None:
-    path = session.folder / "labels/000001.json"
-    path.write_bytes(path.read_bytes().replace(old, new))
-
-
-def test_a_damaged_version_is_lost_and_not_used(session: Session) -> None:
+def test_a_damaged_version_a_file_edited_by_hand_and_a_missing_version_are_found(session: Session) -> None:
     session.write_hand_labels(SPANS, based_on=0)
-    damage(session, b'"begin": 30', b'"begin": 31')
+    path = session.folder / "labels/000001.json"
+    whole, check = path.read_text(), read_json(path)["check"]
+    path.write_text(whole.replace('"begin": 30', '"begin": 31'))
     [finding] = verify(session.folder).findings
-    assert finding.weight == "lost"
-    assert "000001.json: is damaged" in finding.text
+    assert (finding.weight, "000001.json: is damaged" in finding.text) == ("lost", True)
     with pytest.raises(InputError, match="is damaged"):
         session.hand_labels()
-
-
-def test_a_file_edited_by_hand_is_checked(session: Session) -> None:
-    session.write_hand_labels(SPANS, based_on=0)
-    check = read_json(session.folder / "labels/000001.json")["check"]
-    damage(session, f',\n  "check": "{check}"'.encode(), b"")
+    edited = whole.replace(f',\n  "check": "{check}"', "")
+    path.write_text(edited)
     assert session.hand_labels().version == 1
-    damage(session, b'"begin": 30', b'"begin": 3.5')
+    path.write_text(edited.replace('"begin": 30', '"begin": 3.5'))
     with pytest.raises(InputError, match="has an invalid span: 'float' object cannot be"):
         session.hand_labels()
-
-
-def test_a_missing_version_is_found(session: Session) -> None:
-    session.write_hand_labels(SPANS, based_on=0)
+    path.write_text(whole)
     session.write_hand_labels((), based_on=1)
-    (session.folder / "labels/000001.json").unlink()
+    path.unlink()
     [finding] = verify(session.folder).findings
     assert finding.text == "labels/000001.json: is missing, with its labels"
 

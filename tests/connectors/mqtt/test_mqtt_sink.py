@@ -29,6 +29,7 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 RIG = "slip/v1/lab/rig"
 REFUSED = "cannot connect: Connection refused; check that the broker runs and that this is its port"
 NOW = 100 * s  # what the clock of the run shows
+TOPIC_LEVELS = ("a/b", "+", "a+", "#", "a\0b", "a\nb", "x" * 65)  # that are invalid
 
 
 def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
@@ -237,8 +238,8 @@ def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None
     ("name", "value"),
     [
         ("url", "localhost"),
-        ("site", "a/b"),
-        ("rig", "+"),
+        ("site", ""),
+        *((level, part) for level in ("site", "rig") for part in TOPIC_LEVELS),
         ("model", {"sha256": "0f"}),
         ("model", {"sha256": "G" * 64}),
         ("model", {"id": "a\nb"}),
