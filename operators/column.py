@@ -31,6 +31,7 @@ class Column:
 def column(dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()) -> Any:
     """Declare a column of a batch type; checks, empty batches and Arrow schemas are derived from it.
 
+    >>> from operators.batch import Batch, Reals
     >>> class Force(Batch):
     ...     normal: Reals = column(np.float64, unit="N")  # (n,)
     >>> Force.zeros(rows=2).normal

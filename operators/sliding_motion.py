@@ -25,6 +25,7 @@ class SlidingMotion(Operator[Truth, Motion]):
     Raises:
         ParameterError: if a parameter is below 0.
 
+    >>> import numpy as np
     >>> truth = Truth(np.arange(4) * 10 * ms, np.array([0, 0.05, 0, 0.04]), np.ones(4), np.zeros((4, 3)))
     >>> SlidingMotion().push(truth).velocity[:, 0]
     array([0.  , 0.05, 0.05, 0.04])
