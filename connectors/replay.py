@@ -6,7 +6,7 @@ from heapq import merge
 from pathlib import PurePath
 from typing import Generic, TypeVar
 
-from operators.batch import ANNOTATIONS, Batch
+from operators.batch import ANNOTATIONS, Batch, Touch, Zeroed
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.ports import Clock, Description, Recording, Source, TouchRecording
@@ -45,6 +45,11 @@ class Replay(Source[Given], Generic[Given]):
     def kind(self) -> type[Given]:
         """Type of the batches."""
         return self._kind
+
+    @cached_property
+    def exact_kind(self) -> type[Batch]:
+        """Type of the recorded batches: touch may be recorded zeroed."""
+        return Zeroed if self._kind is Touch and self._recording.fingers(Zeroed) else self._kind
 
     @cached_property
     def fingers(self) -> tuple[int, ...]:

@@ -147,6 +147,11 @@ class Source(Endpoint, ABC, Generic[Given]):
         """Type of the batches."""
 
     @property
+    def exact_kind(self) -> type[Batch]:
+        """Type of the batches in a run: `kind`, or a subtype that only the run can know."""
+        return self.kind
+
+    @property
     def fingers(self) -> tuple[int, ...]:
         """Fingertips that the batches belong to."""
         return (EVERY,)

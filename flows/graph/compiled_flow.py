@@ -9,6 +9,7 @@ from flows.graph.validation import sink_fingertips, trace_fingertips, validate
 from operators.batch import BAROMETERS, EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, Operator, fuses
+from operators.ports import Source
 from operators.segment import Segment, Stage, compiler
 from operators.steps import RowType, Steps
 
@@ -224,10 +225,10 @@ class CompiledFlow:
         fused = dict[tuple[int, tuple[int, ...]], dict[Node, Steps]]()
         singles = list[tuple[int, _Single]]()
         for node in flow.nodes:  # each after its inputs
+            if isinstance(node.part, Source):
+                cells = fingertips[node].cells if node in fingertips else BAROMETERS
+                types[node], ranks[node] = RowType(node.part.exact_kind, cells), 0
             if not isinstance(node.part, Operator | Join):
-                if node.gives is not None:
-                    tip = fingertips.get(node)
-                    types[node], ranks[node] = RowType(node.gives, tip.cells if tip else BAROMETERS), 0
                 continue
             given = [types[parent] for parent in node.inputs]
             try:
