@@ -188,7 +188,11 @@ class Grip(GripController):
 
     def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:
         """Grow with the evidence of slip; decrease to the margin afterwards."""
-        force, earlier = self._aim, self._earlier(time)
+        force, history = self._aim, self._history
+        history.append((time, force))
+        while len(history) > 1 and history[1][0] <= time - self.latency:
+            history.popleft()
+        earlier = history[0][1]  # N, commanded `latency` ago
         if registered:
             span = 1 - self.threshold
             evidence = (probability - self.threshold) / span if span else 1.0
@@ -198,11 +202,3 @@ class Grip(GripController):
         if not self._slipped or force <= sufficient or time - self._since < self.latency:
             return force
         return max(force * (1 - self.release_rate * elapsed), sufficient)
-
-    def _earlier(self, time: int) -> float:
-        """Return the force (N) commanded `latency` ago, and store the current one."""
-        history = self._history
-        history.append((time, self._aim))
-        while len(history) > 1 and history[1][0] <= time - self.latency:
-            history.popleft()
-        return history[0][1]

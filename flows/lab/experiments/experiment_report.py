@@ -39,17 +39,18 @@ RATES: Final = {
     BY_PAPER: rate("paper", "trials"),
     FALSE_FIRM: rate("false_firm", "trials"),
 }
-_COSTS: Final = {"lead ms": median("lead"), "slide mm": median("slide")}
-STATISTICS: Final[Mapping[str, Mapping[str, Statistic]]] = {
-    "tap": {**RATES, **_COSTS},
-    "lift": {**RATES, "force": median("force"), "peak": median("peak"), **_COSTS},
+STATISTICS: Final[Mapping[str, Statistic]] = {  # those that an experiment lacks are left out of its tables
+    **RATES,
+    "force": median("force"),
+    "peak": median("peak"),
+    "lead ms": median("lead"),
+    "slide mm": median("slide"),
 }
 _DECIMALS: Final = {"force": 2, "peak": 2}
-_FALSE: Final = {phase: share(f"false {phase}", "trials", 100) for phase in PHASES}
-_MISSED: Final = {f"missed {size} %": share(f"missed {size}", f"blows {size}", 100) for size in SIZES}
-EVENTS: Final[Mapping[str, Mapping[str, Statistic]]] = {
-    "tap": {**_FALSE, "soft blow %": share("false_soft", "soft", 100), **_MISSED},
-    "lift": _FALSE,
+EVENTS: Final[Mapping[str, Statistic]] = {
+    **{phase: share(f"false {phase}", "trials", 100) for phase in PHASES},
+    "soft blow %": share("false_soft", "soft", 100),
+    **{f"missed {size} %": share(f"missed {size}", f"blows {size}", 100) for size in SIZES},
 }
 _NOTES: Final = (
     "Paper's: success by the paper's words. Firm lift: share with a false slip. Medians over trials: lead "
@@ -81,14 +82,14 @@ def experiment_report(
     kind = pl.when(pl.col("fold") == RANDOM).then(pl.lit(RANDOM)).otherwise(pl.lit("six"))
     results = results.with_columns(kind.alias("objects"))
     nominal = results.filter(condition=NOMINAL)
-    found = estimates(nominal, STATISTICS[experiment], by=_SIDES)
-    rates = [name for name in STATISTICS[experiment] if "%" in name]
+    found = estimates(nominal, STATISTICS, by=_SIDES)
+    rates = [name for name in STATISTICS if "%" in name]
     table = estimate_table(found, _DECIMALS, index=_SIDES, intervals=rates)
     if real := [PAPER[name][experiment] for name in trials.objects if name in PAPER]:
         mean = sum(real) / len(real)
         row: list[Value] = [_REAL, "six", *(mean if head == BY_PAPER else None for head in table.head[2:])]
         table = replace(table, rows=[*table.rows, row])
-    events = estimate_table(estimates(nominal, EVENTS[experiment], by=_SIDES, draws=0), {}, index=_SIDES)
+    events = estimate_table(estimates(nominal, EVENTS, by=_SIDES, draws=0), {}, index=_SIDES)
     figure = partial(trial_figure, experiment, methods[0], trials)
     sections = [
         Section(experiment, "Success and false slips", _NOTES, [table]),
@@ -162,7 +163,7 @@ def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
     probability.set(ylabel="", ylim=(0, 1), title="Probability of slip (shaded: the object slides)")
     slide.plot(t, 1000 * trace.slide, color=MAIN)
     slide.set(ylabel="mm", title="Slide along the pad")
-    height.plot(t, 1000 * trace.gripper_height, color=FAINT, label="gripper")
+    height.plot(t, 1000 * trace.hand, color=FAINT, label="gripper")
     height.plot(t, 1000 * trace.height, color=MAIN, label="object")
     height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
     height.legend(loc="upper left")

@@ -193,16 +193,16 @@ def run_study(
     work = partial(_run, experiment, setups, conditions)
     return joined(
         result_rows(
-            _metrics(outcome),
+            metrics,
             method=str(method),
             recording=f"{name}-{seed}",
             condition=condition,
             fold=name,
         )
-        for (condition, name, seed), outcomes in zip(
+        for (condition, name, seed), found in zip(
             tasks, map_tasks(work, tasks, executor, progress=progress), strict=True
         )
-        for method, outcome in zip(methods, outcomes, strict=True)
+        for method, metrics in zip(methods, found, strict=True)
     )
 
 
@@ -211,13 +211,12 @@ def _run(
     setups: Sequence[Setup],
     conditions: Mapping[str, Conditions],
     task: tuple[str, str, int],
-) -> list[Outcome]:
+) -> list[dict[str, float]]:
+    """Return the metrics of a trial with each method; unknown values are left out."""
     condition, name, seed = task
-    trial = Trial.draw(name, seed, conditions[condition])
-    return [outcome for _, outcome in EXPERIMENTS[experiment](trial, setups)]
-
-
-def _metrics(outcome: Outcome) -> dict[str, float]:
-    """Return the metrics of a trial; unknown values are left out."""
-    known = {name: float(value) for name, value in outcome.metrics.items() if not math.isnan(value)}
-    return {"trials": 1, "success": float(outcome.success), f"ending {outcome.ending}": 1, **known}
+    outcomes = EXPERIMENTS[experiment](Trial.draw(name, seed, conditions[condition]), setups)
+    return [
+        {"trials": 1, "success": float(outcome.success), f"ending {outcome.ending}": 1}
+        | {name: float(value) for name, value in outcome.metrics.items() if not math.isnan(value)}
+        for _, outcome in outcomes
+    ]

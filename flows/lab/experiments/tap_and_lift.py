@@ -198,6 +198,6 @@ def judge_lift(trace: Trace, rule: GripController, least: float, false_slips: Ma
 
 def _held(trace: Trace) -> bool:
     """Return whether the object hangs in the gripper at the end, and no longer slides."""
-    low = float(trace.gripper_height[-1] - trace.height[-1])
+    low = float(trace.hand[-1] - trace.height[-1])
     lifted = not trace.dropped[-1] and not trace.on_table[-1] and low < ROOM
     return lifted and bool(np.ptp(trace.slide[trace.between(LIFT_END - 0.5, LIFT_END + 1)]) < RESTS)

@@ -156,7 +156,7 @@ class Trace:
     speed: Reals  # (n,) m/s, sliding of the pad
     fastest: Reals  # (n,) m/s, sliding of the finger that slides fastest: the pad or a passive one
     height: Reals  # (n,) m, of the object
-    gripper_height: Reals  # (n,) m
+    hand: Reals  # (n,) m, height of the gripper
     on_table: Flags  # (n,)
     dropped: Flags  # (n,)
 
@@ -281,16 +281,12 @@ def simulate(grasp: Grasp, instants: Reals, react: Callable[[Touch], object] = l
         counts[k] = touch.counts[0]
         react(touch)
     base = np.rint(np.median(counts[instants < BASELINE], axis=0)).astype(np.int16)
+    same = ("force", "speed", "height", "hand", "on_table", "dropped")
     return Trace(
-        t=np.array([held.instant for held in truth]),
+        t=instants,
         counts=counts - base,
         probability=np.full(len(instants), np.nan),
-        force=np.array([held.force for held in truth]),
         slide=np.array([np.hypot(held.slide_x, held.slide_y) for held in truth]),
-        speed=np.array([held.speed for held in truth]),
         fastest=np.array([max(held.speed, held.passive_speed) for held in truth]),
-        height=np.array([held.height for held in truth]),
-        gripper_height=np.array([held.hand for held in truth]),
-        on_table=np.array([held.on_table for held in truth]),
-        dropped=np.array([held.dropped for held in truth]),
+        **{name: np.array([getattr(held, name) for held in truth]) for name in same},
     )

@@ -15,8 +15,8 @@ from storage import load_detector
 MakeTrace: TypeAlias = Callable[..., Trace]
 During: TypeAlias = Callable[..., Reals]
 
-UP = {"gripper_height": np.full(700, 0.05), "height": np.full(700, 0.048)}
-DOWN = {"gripper_height": np.full(700, 0.05), "height": np.zeros(700), "on_table": np.ones(700, np.bool_)}
+UP = {"hand": np.full(700, 0.05), "height": np.full(700, 0.048)}
+DOWN = {"hand": np.full(700, 0.05), "height": np.zeros(700), "on_table": np.ones(700, np.bool_)}
 NEVER = StepThreshold(math.inf)  # never reports slip
 
 
@@ -76,7 +76,7 @@ def test_without_control_a_weak_grip_loses_the_object() -> None:
     assert outcome.ending == "missed"
     assert trace.force.max() < outcome.metrics["peak"] * 2
     assert outcome.metrics["peak"] < 1
-    assert trace.gripper_height[-1] == pytest.approx(LIFT.distance, abs=1e-4)
+    assert trace.hand[-1] == pytest.approx(LIFT.distance, abs=1e-4)
     assert outcome.metrics["slide"] > 10
 
 
