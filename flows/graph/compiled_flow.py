@@ -172,6 +172,9 @@ class CompiledFlow:
                     return push
                 return lambda *batches: [*((node, batches[i]) for i, node in read), *push(*batches)]
 
+        if not units:
+            return lambda *batches: [(node, batches[i]) for i, node in read]
+
         def push_all(*batches: Batch) -> list[Delivery]:
             values = {entry: batch for entry, batch in zip(entries, batches, strict=True) if batch.time.size}
             deliveries = [(node, batches[i]) for i, node in read if batches[i].time.size]

@@ -148,7 +148,8 @@ def pushes(job: Job, entries: list[Entry], rows: int) -> list[dict[Entry, Batch]
     single: list[tuple[int, dict[Entry, Batch]]] = []
     for finger, stamps, values in streams:
         whole = batch((finger, stamps, values))
-        single += [(t, {entry[finger]: whole[i : i + 1]}) for i, t in enumerate(stamps.tolist())]
+        packed = type(whole).unpack(whole.packed, whole.finger)  # as sources give it
+        single += [(t, {entry[finger]: packed[i : i + 1]}) for i, t in enumerate(stamps.tolist())]
     single.sort(key=lambda push: push[0])  # stable
     return [push for _, push in single]
 
