@@ -1,9 +1,8 @@
 """What a sample costs our TCN, by its filters: streaming, and on windows; batch 1, one core, CPU time.
 
-Run by `make bench`. Streaming takes sample after sample through `Score`, as live. Windowed takes a whole
-window for each sample, as those must who do not stream. Weights are random: they cost what trained ones do.
-The live path is `Score` with the operators around it. All variants take turns, so that a change of the
-machine's speed affects all of them; tables show medians.
+Run by `make bench`. Live takes sample after sample through a compiled flow. Windowed takes a whole window for
+each sample, as those must who do not stream. Weights are random: they cost what trained ones do. All
+variants take turns, so that a change of the machine's speed affects all of them; tables show medians.
 """
 
 import gc
@@ -15,8 +14,11 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
+from flows.graph.testing import TestSink, TestSource
 from operators import Debounce, Score, Touch, Zero, Zeroed, ms
-from operators.batch import Batch, Counts, Scores
+from operators.batch import Counts
 from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
 from operators.operator import Operator
@@ -24,7 +26,6 @@ from tests.benchmarks.machine import print_head
 
 FILTERS = (4, 8, 12, 16, 24)
 SAMPLES = 2000  # of one fingertip
-DEFAULT = 16  # filters
 TURNS = 15
 Run = Callable[[], int]  # says how many samples it scored
 SomeTouch = TypeVar("SomeTouch", bound=Touch)
@@ -45,28 +46,25 @@ def touch(kind: type[SomeTouch], counts: Counts) -> SomeTouch:
     return kind(np.arange(len(counts)) * 10 * ms, counts, counts, valid, finger=0)
 
 
-def streaming(operator: Operator[Any, Any], batch: Batch) -> Run:
-    """Return a run of an operator on batches of one, all of one time, so that none is late."""
-    operator.push(batch)
-    rows = batch.packed.copy()
+def live(counts: Counts, *operators: Operator[Any, Any]) -> Run:
+    """Return a run of a flow on batches of one, all of one time, so that none is late."""
+    flow, rows = Flow("live"), touch(Touch, counts).packed.copy()
+    stream: Any = flow.source(TestSource(Touch, fingers=(0,)))
+    for each in operators:
+        stream |= each
+    stream.to(TestSink())
+    compiled = CompiledFlow(flow)
+    push = compiled.pusher(*compiled.entries)
+    push(Touch.unpack(rows.copy(), 0))
     rows["time"] = rows["time"][-1]
-    kind, pieces = type(batch), [rows[at : at + 1] for at in range(len(rows))]
+    pieces = [rows[at : at + 1] for at in range(len(rows))]
 
     def run() -> int:
         for row in pieces:
-            operator.push(kind.unpack(row, batch.finger))
+            push(Touch.unpack(row, 0))
         return len(pieces)
 
     return run
-
-
-def around(counts: Counts) -> dict[str, Run]:
-    """Operators before and after `Score` on the live path of one fingertip."""
-    given, probability = touch(Touch, counts + 700), np.random.default_rng(0).random(len(counts))
-    return {
-        "Zero": streaming(Zero(), given),
-        "Debounce": streaming(Debounce(), Scores(given.time, probability, finger=0)),
-    }
 
 
 def windowed(detector: Detector, counts: Counts, number: int) -> Run:
@@ -88,7 +86,8 @@ def variants(filters: int, counts: Counts) -> dict[str, Run]:
     streamed = Score(tcn).push(touch(Zeroed, counts)).probability[:50]
     np.testing.assert_allclose(tcn.score(windows), streamed, atol=1e-5)
     return {
-        "streaming": streaming(Score(tcn), touch(Zeroed, counts)),
+        "live: Zero, Score, Debounce": live(counts, Zero(), Score(tcn), Debounce()),
+        "live: Zero": live(counts, Zero()),
         "windowed, numpy": windowed(tcn, counts, 200),
     }
 
@@ -99,7 +98,6 @@ def main() -> None:
     rng = np.random.default_rng(0)
     counts = (-250 + np.cumsum(rng.integers(-20, 21, (SAMPLES, 6)), axis=0) % 250).astype(np.int16)
     runs = {(name, each): run for each in FILTERS for name, run in variants(each, counts).items()}
-    runs |= {(name, 0): run for name, run in around(counts).items()}
     cost: dict[tuple[str, int], list[float]] = {key: [] for key in runs}
     gc.disable()
     for turn in range(TURNS + 1):  # the first one warms up
@@ -110,14 +108,9 @@ def main() -> None:
                 cost[key].append((time.process_time() - began) / samples * 1e6)
         gc.collect()
     print(f"{'us per sample, by filters':46}" + "".join(f"{filters:9}" for filters in FILTERS))
-    for name in dict.fromkeys(name for name, filters in cost if filters):
+    for name in dict.fromkeys(name for name, _ in cost):
         medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
         print(f"{name:46}" + "".join(f"{median:9.2f}" for median in medians))
-    path = {"Zero": ("Zero", 0), "Score": ("streaming", DEFAULT), "Debounce": ("Debounce", 0)}
-    costs = {name: statistics.median(cost[key]) for name, key in path.items()}
-    print(f"us per sample, live, {DEFAULT} filters")
-    for name, value in {**costs, "all": sum(costs.values())}.items():
-        print(f"{name:46}{value:9.2f}")
 
 
 if __name__ == "__main__":

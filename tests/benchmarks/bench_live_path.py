@@ -230,7 +230,7 @@ async def run(port: int, *, apart: bool) -> Seen:
         {name: each.rows for name, each in result.sources.items()} | {"dataset": dataset.rows},
         {
             "touch": len(FINGERS) * (scans["missed"] + scans["silent"]),
-            "motion": cast("int", motion.describe()["missed"]),
+            "motion": result.sources["motion"].missing,
             "dataset": dataset.dropped,
         },
         scans["late"],
