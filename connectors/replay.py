@@ -6,7 +6,7 @@ from heapq import merge
 from pathlib import PurePath
 from typing import Generic, TypeVar
 
-from operators.batch import ANNOTATIONS, Batch, Touch, Zeroed
+from operators.batch import ANNOTATIONS, Batch, Touch
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.ports import Clock, Description, Recording, Source, TouchRecording
@@ -49,7 +49,9 @@ class Replay(Source[Given], Generic[Given]):
     @cached_property
     def exact_kind(self) -> type[Batch]:
         """Type of the recorded batches: touch may be recorded zeroed."""
-        return Zeroed if self._kind is Touch and self._recording.fingers(Zeroed) else self._kind
+        if self._kind is not Touch or not self.fingers:
+            return self._kind
+        return type(next(iter(self._recording.read(self._kind, self.fingers[0], 1)), Touch.empty()))
 
     @cached_property
     def fingers(self) -> tuple[int, ...]:
