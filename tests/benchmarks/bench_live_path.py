@@ -260,7 +260,7 @@ def report(whole: Seen, apart: Seen) -> str:
         f"{'  event loop':40}{whole.loop:8.1%}",
         *(f"{'    ' + name:40}{value:8.1%}" for name, value in apart.parts.items()),
         f"{'    the rest: RTDE, queues, recording':40}{whole.loop - sum(apart.parts.values()):8.1%}",
-        f"{'rows':20}{'in':>10}{'lost':>10}",
+        f"{'rows':20}{'in':>10}{'missing':>10}",
         *(f"{name:20}{whole.rows[name]:10}{lost:10}" for name, lost in whole.lost.items()),
         f"{whole.late} scans began more than 1 ms late",
         f"{'ms to the event':20}{'events':>10}{'p50':>10}{'p99':>10}",
