@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_300,
+    "operators": 5_280,
     "connectors": 11_570,
-    "storage": 4_030,
-    "flows": 12_790,
-    "product": 33_700,
+    "storage": 4_020,
+    "flows": 12_730,
+    "product": 33_590,
     "product files": 218,
-    "tests": 36_400,
+    "tests": 35_610,
     "commands": 16,
     "options": 84,
-    "words": 38_700,
+    "words": 38_510,
 }
 
 
