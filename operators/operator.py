@@ -15,7 +15,7 @@ import numpy as np
 from operators.batch import EVERY, Batch
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
-from operators.segment import Outputs, Segment, Stage
+from operators.segment import EARLIEST, Outputs, Segment, Stage
 from operators.steps import RowType, Steps
 
 In = TypeVar("In", bound=Batch, contravariant=True)
@@ -24,14 +24,12 @@ Right = TypeVar("Right", bound=Batch, contravariant=True)
 Out = TypeVar("Out", bound=Batch, covariant=True)
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
-_EARLIEST = int(np.iinfo(np.int64).min)
-
 
 @dataclass
 class LateRowFilter:
     """Filter that drops and counts late rows: rows older than the newest one before them."""
 
-    newest: int = _EARLIEST  # ns
+    newest: int = EARLIEST  # ns
     late: int = 0  # rows
 
     def filter(self, batch: SomeBatch) -> SomeBatch:
@@ -142,8 +140,7 @@ class Operator(AnyOperator, Generic[In, Out]):
         """
         if batch.time.size:
             if fuses(type(self)) and self._start((RowType(type(batch), batch.cells),)):
-                self._finger = batch.finger
-                return cast("Out", self._joined(self._pushers[0](batch)))
+                return Operator.process(self, batch)
             if (kept := self._late_filters[0].filter(batch)).time.size:
                 return self.process(kept)
         return cast("Out", output_type(type(self)).empty())

@@ -74,7 +74,7 @@ def compose(
         if shape.delivers:
             fields += [(f"out{i}", shape.gives.packed, (rows * factor + extra,)), (f"count{i}", np.int64)]
     block, constants = np.dtype(fields, align=True), np.dtype(settings, align=True)
-    function = _linked(shapes, order)
+    function = _composed(shapes, order)
     if compiler is None:
         return Program(_as_python(function), block, constants, order, rows)
     empty = tuple(np.empty(0, entrances[i].packed) for i in order)
@@ -92,30 +92,33 @@ def _as_python(function: Callable[..., int]) -> Callable[..., int]:
     return drive
 
 
-def _linked(shapes: Sequence[Shape], order: Sequence[int]) -> FunctionType:
+def _composed(shapes: Sequence[Shape], order: Sequence[int]) -> FunctionType:
     """Return `drive`, bound to the functions of the operators."""
     number = len(order)
-    after: list[Any] = [stop] * (number + len(shapes))  # what reads from each entrance and operator
-    ends, awaited, cleared = cast("tuple[Any, Any, Any]", (nothing, none, keep))
+    after: list[Any] = [drop] * (number + len(shapes))  # what reads from each entrance and operator
+    ends, awaited, cleared = cast("tuple[Any, Any, Any]", (end_none, count_none, clear_none))
     for i, shape in reversed(list(enumerate(shapes))):
         (step, takes, give), names = shape.functions, {"STATE": f"stage{i}", "MADE": f"made{i}"}
         if shape.delivers:
             outlet = {"OUT": f"out{i}", "COUNT": f"count{i}"}
             after[number + i] = _both(bind(deliver, **outlet), after[number + i])
-            awaited, cleared = bind(waiting, OTHER=awaited, **outlet), bind(clear, OTHER=cleared, **outlet)
+            awaited, cleared = (
+                bind(count_waiting, OTHER=awaited, **outlet),
+                bind(clear_outlet, OTHER=cleared, **outlet),
+            )
         names["NEXT"] = after[number + i]
         for side, source in enumerate(shape.inputs):
             if step is not None:
-                reader = bind(through, STEP=step, **names)
+                reader = bind(pass_through, STEP=step, **names)
             else:
-                reader = bind(held, TAKE=takes[side], GIVE=give, **names)
+                reader = bind(take_and_give, TAKE=takes[side], GIVE=give, **names)
             after[source] = _both(reader, after[source])
         if "ended" in (shape.state.names or ()):
             ends = bind(end, GIVE=give, OTHER=ends, **names)
     ways = times = None
     for i in reversed(order):
         way = bind(enter, STATE=f"enter{i}", NEXT=after[i])
-        ways = bind(only if ways is None else choose, NEXT=way, OTHER=ways)
+        ways = bind(choose_last if ways is None else choose, NEXT=way, OTHER=ways)
         times = bind(time_of_last if times is None else time_of, OTHER=times)
     functions = {"NEXT": ways, "END": ends, "WAITING": awaited, "CLEAR": cleared, "TIME": times}
     return bind(drive, ENTRANCES=number, **functions)
@@ -123,7 +126,7 @@ def _linked(shapes: Sequence[Shape], order: Sequence[int]) -> FunctionType:
 
 def _both(first: Any, second: Any) -> Any:
     """Return a function that passes a row two ways."""
-    return first if second is stop else bind(fork, NEXT=first, OTHER=second)
+    return first if second is drop else bind(fork, NEXT=first, OTHER=second)
 
 
 def _capacities(entrances: int, shapes: Sequence[Shape]) -> list[tuple[int, int]]:
@@ -154,18 +157,18 @@ def bind(template: Callable[..., Any], **names: object) -> FunctionType:
     return FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__)
 
 
-def stop(settings: Record, flow: Record, row: Record) -> None:
+def drop(settings: Record, flow: Record, row: Record) -> None:
     """End the path of a row that nothing reads."""
 
 
-def through(settings: Record, flow: Record, row: Record) -> None:
+def pass_through(settings: Record, flow: Record, row: Record) -> None:
     """Pass a row through a step."""
     made = flow[MADE]
     if STEP(settings[STATE], flow[STATE], row, made):
         NEXT(settings, flow, made)
 
 
-def held(settings: Record, flow: Record, row: Record) -> None:
+def take_and_give(settings: Record, flow: Record, row: Record) -> None:
     """Pass a row to an operator, and on all rows that it gives."""
     TAKE(settings[STATE], flow[STATE], row)
     made = flow[MADE]
@@ -204,12 +207,12 @@ def choose(settings: Record, flow: Record, entrance: int, index: int, rows: Any)
         OTHER(settings, flow, entrance - 1, index, rows[1:])
 
 
-def only(settings: Record, flow: Record, entrance: int, index: int, rows: Any) -> None:
+def choose_last(settings: Record, flow: Record, entrance: int, index: int, rows: Any) -> None:
     """Let a row of the last entrance in."""
     NEXT(settings, flow, rows[0][index])
 
 
-def nothing(settings: Record, flow: Record) -> None:
+def end_none(settings: Record, flow: Record) -> None:
     """End a segment without operators that hold rows."""
 
 
@@ -222,22 +225,22 @@ def end(settings: Record, flow: Record) -> None:
     OTHER(settings, flow)
 
 
-def none(flow: Record) -> int:
+def count_none(flow: Record) -> int:
     """Return the number of rows that wait without outlets."""
     return 0
 
 
-def keep(flow: Record) -> None:
+def clear_none(flow: Record) -> None:
     """Forget nothing: there are no outlets."""
 
 
-def clear(flow: Record) -> None:
+def clear_outlet(flow: Record) -> None:
     """Forget the rows that were taken from this outlet and the others."""
     flow[COUNT] = 0
     OTHER(flow)
 
 
-def waiting(flow: Record) -> int:
+def count_waiting(flow: Record) -> int:
     """Return the number of rows that wait in this outlet and the others."""
     return int(flow[COUNT]) + int(OTHER(flow))
 

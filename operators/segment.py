@@ -18,8 +18,7 @@ from operators.program import LATEST, Shape, compose
 from operators.steps import RowType, Steps
 
 Outputs: TypeAlias = list[tuple[Any, Batch]]  # key of a stage, and a batch of its output
-
-_EARLIEST: Final = int(np.iinfo(np.int64).min)
+EARLIEST: Final = int(np.iinfo(np.int64).min)  # ns
 
 
 @dataclass(frozen=True)
@@ -73,7 +72,7 @@ class Segment:
         self._block: Any = np.zeros(len(fingers), program.block)
         self._settings: Any = np.zeros(1, program.settings)
         for i in range(len(entrances)):
-            self._block[f"enter{i}"]["newest"] = _EARLIEST
+            self._block[f"enter{i}"]["newest"] = EARLIEST
         for i, stage in enumerate(stages):
             for records, values in ((self._block, stage.steps.state), (self._settings, stage.steps.settings)):
                 for name, value in values.items():
@@ -96,19 +95,19 @@ class Segment:
         collect = self._collector(first, last)
         places = [self._order.index(entrance) for entrance in entrances]
         types = [self._entrances[entrance].packed for entrance in entrances]
-        limit, empty = self._rows, self._empty
+        empty = self._empty
+
+        def let_in(rows: Sequence[NDArray[Any]]) -> Outputs:
+            if sum(map(len, rows)) > self._rows:
+                return [output for part in self._halves(rows) for output in let_in(part)]
+            return collect() if drive(settings, block, first, last, tuple(rows), False) else []
 
         def push(*batches: Batch) -> Outputs:
-            rows, size = [*empty], 0
+            rows = [*empty]
             for place, row, batch in zip(places, types, batches, strict=True):
                 packed = batch.packed
-                if packed.dtype is not row:
-                    packed = self._packed(batch, place)
-                rows[place] = packed
-                size += packed.size
-            if size > limit:
-                return self._in_parts(rows, first, last)
-            return collect() if drive(settings, block, first, last, (*rows,), False) else []
+                rows[place] = packed if packed.dtype is row else self._packed(batch, place)
+            return let_in(rows)
 
         if len(entrances) > 1:
             return push
@@ -123,11 +122,8 @@ class Segment:
 
         return push_one
 
-    def _in_parts(self, rows: list[NDArray[Any]], first: int, last: int) -> Outputs:
-        """Let rows in that are too many for one call: first those of the earlier half of the time span."""
-        if sum(map(len, rows)) <= self._rows:
-            waiting = self._drive(self._settings, self._block, first, last, tuple(rows), False)
-            return self._collector(first, last)() if waiting else []
+    def _halves(self, rows: Sequence[NDArray[Any]]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
+        """Divide rows that are too many for one call: first those of the earlier half of the time span."""
         reached = [np.maximum.accumulate(each["time"]) for each in rows]
         longest = max(reached, key=len)
         side: Literal["left", "right"] = "right" if longest[len(longest) // 2] < longest[-1] else "left"
@@ -136,8 +132,7 @@ class Segment:
             place = min(range(len(rows)), key=lambda i: reached[i][0] if len(rows[i]) else LATEST)
             cuts[place] = min(self._rows, int(reached[place].searchsorted(reached[place][0], "right")))
         earlier = [each[:cut] for each, cut in zip(rows, cuts, strict=True)]
-        later = [each[cut:] for each, cut in zip(rows, cuts, strict=True)]
-        return [*self._in_parts(earlier, first, last), *self._in_parts(later, first, last)]
+        return earlier, [each[cut:] for each, cut in zip(rows, cuts, strict=True)]
 
     def flush(self) -> Outputs:
         """End all streams and return the last output."""
@@ -150,11 +145,6 @@ class Segment:
     def late(self) -> int:
         """Number of late rows that entered, of the first fingertip."""
         return sum(int(self._block[f"enter{i}"]["late"][0]) for i in range(len(self._entrances)))
-
-    @property
-    def state(self) -> bytes:
-        """State of all operators."""
-        return bytes(self._block.tobytes())
 
     def _slots(self, finger: int) -> tuple[int, int]:
         if finger in self._fingers:

@@ -224,9 +224,8 @@ class CompiledFlow:
         `process` of its own stands between them: the rank of a unit counts the borders before it.
         """
         fingertips, _ = trace_fingertips(flow)
-        types, ranks = dict[Node, RowType](), dict[Node, int]()
-        fused = dict[tuple[int, tuple[int, ...]], dict[Node, Steps]]()
-        singles = list[tuple[int, _Single]]()
+        types, ranks, fused = dict[Node, RowType](), dict[Node, int](), dict[Node, Steps]()
+        units = list[tuple[int, _Fused | _Single]]()
         for node in flow.nodes:  # each after its inputs
             if isinstance(node.part, Source):
                 cells = fingertips[node].cells if node in fingertips else BAROMETERS
@@ -235,37 +234,29 @@ class CompiledFlow:
                 continue
             given = [types[parent] for parent in node.inputs]
             try:
-                operator = node.part.reset_copy()
-                steps = operator.steps(*given) if fuses(type(operator)) else None
-                types[node] = operator.row_type(*given)
-                if steps is None:
-                    operators = [
-                        operator,
-                        *(node.part.reset_copy() for _ in node.fingers[1:]),
-                    ]
-                    for each in operators:
-                        each.prepare()
+                operators = [node.part.reset_copy() for _ in node.fingers]
+                steps = operators[0].steps(*given) if fuses(type(operators[0])) else None
+                types[node] = operators[0].row_type(*given)
+                for operator in operators if steps is None else ():
+                    operator.prepare()
             except SlipflowError:
                 raise
             except Exception as error:
                 raise self._failure(node, error) from error
             if steps is None:
                 ranks[node] = 1 + max(ranks[parent] for parent in node.inputs)
-                pairs = zip(operators, node.fingers, strict=True)
-                singles += [(ranks[node], _Single(node, each, finger)) for each, finger in pairs]
+                singles = zip(operators, node.fingers, strict=True)
+                units += [(ranks[node], _Single(node, operator, finger)) for operator, finger in singles]
                 continue
-            inside = {node for nodes in fused.values() for node in nodes}
+            fused[node] = steps
             ranks[node] = max(
-                ranks[parent] + (parent not in inside or parent.fingers != node.fingers)
+                ranks[parent] + (parent not in fused or parent.fingers != node.fingers)
                 for parent in node.inputs
             )
-            fused.setdefault((ranks[node], node.fingers), {})[node] = steps
-        outside = {parent for _, unit in singles for parent in unit.entrances} | self._read
-        segments = list[tuple[int, _Fused]]()
-        for (rank, _), nodes in fused.items():
-            others = {p for key, each in fused.items() if each is not nodes for n in each for p in n.inputs}
-            segments.append((rank, _Fused(nodes, types, outside | others)))
-        units: list[tuple[int, _Fused | _Single]] = [*segments, *singles]
+        for rank, fingers in dict.fromkeys((ranks[node], node.fingers) for node in fused):
+            inside = {n: steps for n, steps in fused.items() if (ranks[n], n.fingers) == (rank, fingers)}
+            read = {parent for node in flow.nodes if node not in inside for parent in node.inputs}
+            units.append((rank, _Fused(inside, types, read)))
         return [unit for _, unit in sorted(units, key=lambda each: each[0])]
 
     def _reached(self, reached: set[Node]) -> list[_Fused | _Single]:
