@@ -60,9 +60,12 @@ class Replay(Source[Given], Generic[Given]):
         Raises:
             InputError: if the recording has no such stream.
         """
-        recorded = self._recording.fingers(self._kind)
-        if not recorded and self._kind not in ANNOTATIONS:
-            raise InputError(self._recording.name, f"has no {self._kind.__name__} stream")
+        recorded, kind = self._recording.fingers(self._kind), self._kind
+        for finger in self._chosen or recorded or (() if kind in ANNOTATIONS else (None,)):
+            if finger not in recorded:
+                which = "" if finger is None else f" of finger {finger}"
+                others = f"; its fingers are {', '.join(map(str, recorded))}" if recorded else ""
+                raise InputError(self._recording.name, f"has no {kind.__name__} stream{which}{others}")
         return self._chosen or recorded
 
     @cached_property

@@ -170,7 +170,9 @@ class Join(AnyOperator, Generic[Left, Right, Out]):
         empty = output_type(type(self)).empty()
         if not (left.time.size or right.time.size):
             return cast("Out", empty)
-        if fuses(type(self)):
+        if fuses(type(self)) and self._start(
+            (RowType(type(left), left.cells), RowType(type(right), right.cells))
+        ):
             return Join.process(self, left, right)
         left, right = self._late_filters[0].filter(left), self._late_filters[1].filter(right)
         return self.process(left, right) if left.time.size or right.time.size else cast("Out", empty)

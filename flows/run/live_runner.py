@@ -199,7 +199,7 @@ class LiveRunner:
         waiting: list[tuple[SinkQueue, Batch]] | None,
         status: SourceStatus,
     ) -> bool:
-        """Queue what a full queue left, then let the sinks and other sources run; return False at the end.
+        """Queue what a full queue left, or let others run; return False at the end of the run.
 
         Without a list of what waits, the batch was not pushed yet: it is, when it is its turn.
         """
@@ -216,7 +216,8 @@ class LiveRunner:
             return False
         if self.clock.now() - status.newest > LAGGING:
             await self._wait_for_older_rows(status)
-        await asyncio.sleep(0)
+        if status.rows % YIELD_EVERY < len(batch):
+            await asyncio.sleep(0)  # let the sinks run
         return True
 
     def _enqueue(self, deliveries: Sequence[Delivery]) -> list[tuple[SinkQueue, Batch]]:

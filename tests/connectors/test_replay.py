@@ -84,6 +84,8 @@ def test_a_missing_stream_cannot_be_replayed() -> None:
     recording: Recording = Recorded({0: [0]})
     with pytest.raises(InputError, match=r"^recorded: has no Motion stream$"):
         _ = Replay(recording, Motion).fingers
+    with pytest.raises(InputError, match=r"^recorded: has no Scores stream of finger 3; its fingers are 0$"):
+        _ = Replay(recording, Scores, (0, 3)).fingers
 
 
 def test_the_source_names_its_recording() -> None:
