@@ -24,7 +24,7 @@ from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestSource
-from flows.learn.labelled_recordings import TURNS
+from flows.learn.labelled_recordings import TURNS, scene_seed
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
@@ -87,9 +87,8 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     for number, (scene, group, split) in enumerate(zip(scenes, groups, _splits(groups, seed), strict=True)):
         counts[group] += 1
         session = f"{group}-{counts[group]:02d}"
-        own_seed = int(np.random.SeedSequence([first, number]).generate_state(1)[0])
         start = _start(seed, number, len(scenes))
-        planned.append(PlannedRecording(session, scene, own_seed, start, split))
+        planned.append(PlannedRecording(session, scene, scene_seed(first, number), start, split))
     return planned
 
 

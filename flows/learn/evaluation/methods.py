@@ -19,7 +19,7 @@ from operators.detectors import Detector, Psd, Tcn
 from operators.errors import InputError
 from operators.extras import require_extra
 from storage import load_debounce, load_detector
-from storage.models import load_card, shipped_names, shipped_path
+from storage.models import load_card, shipped, shipped_names
 
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests, 100 Hz
 SHORT: Final = Recipe(steps=400, augmentation=REAL_TOUCH)
@@ -163,5 +163,5 @@ def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
 
 
 def _loaded(name: str, model: str) -> Method:
-    path = shipped_path(model) if model in shipped_names() else Path(model)
-    return Method(name, load_detector(model), load_debounce(path), card=load_card(path))
+    card = load_card(shipped(model) or Path(model))
+    return Method(name, load_detector(model), load_debounce(model), card=card)
