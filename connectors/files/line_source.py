@@ -226,6 +226,7 @@ class LineSource(Source[Touch]):
                         yield data
                     await asyncio.sleep(0 if data else POLL)
             decoder.start_again()
+            self._read = (0, 0)  # the next file is read from its start, even if it is longer by then
 
     def _is_replaced(self) -> bool:
         """Return True if the path has another file now, or the file has become shorter."""
