@@ -40,7 +40,7 @@ class _Numbers(Document, frozen=True, rename={"first": "from", "last": "to"}):
         return msgspec.json.encode(self)
 
 
-class GapRequest(_Numbers, frozen=True, rename={"first": "from", "last": "to"}):
+class GapRequest(_Numbers, frozen=True):
     """Request for events `first` to `last` of an epoch, to be sent to the topic `reply_to`."""
 
     reply_to: str
@@ -61,7 +61,7 @@ class GapRequest(_Numbers, frozen=True, rename={"first": "from", "last": "to"}):
         return request
 
 
-class GapAnswer(_Numbers, frozen=True, rename={"first": "from", "last": "to"}):
+class GapAnswer(_Numbers, frozen=True):
     """Closing answer: events `first` to `last` were sent, except `missing`, which are no longer kept.
 
     `last` may be less than requested; the client requests the rest again.
