@@ -307,7 +307,6 @@ class HealthReports:
             }
         self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
         return {
-            "session": run.session,
             "time_ns": now,
             "sources": sources,
             "sinks": {
