@@ -195,6 +195,7 @@ class ColumnMap:
     def toml(self) -> str:
         """Return the text of a TOML file with this map, which `load` reads."""
         values = {name: each[0] if len(each) == 1 else each for name, each in self.values().items()}
+        values |= {f"labels.{name}": [*texts] for name, texts in self.labels.items()}  # may have commas
         stated = {**self.columns, **values}.items()
         # strings of JSON are strings of TOML
         return "".join(f"{name} = {json.dumps(each, ensure_ascii=False)}\n" for name, each in stated)

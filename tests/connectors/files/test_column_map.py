@@ -1,6 +1,7 @@
 """Map of the columns of a recording."""
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,9 @@ def test_a_text_and_a_file_have_the_same_keys(tmp_path: Path) -> None:
         rate=100,
         zeroed=True,
     )
+    found = replace(found, labels={"slip": ("a,b",)})
+    (tmp_path / "pad.toml").write_text(found.toml())
+    assert ColumnMap.load(str(tmp_path / "pad.toml")) == found
 
 
 @pytest.mark.parametrize(
