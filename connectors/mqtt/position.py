@@ -198,8 +198,8 @@ class Position:
         epoch = rig.epochs[answer.epoch]
         requested, rig.request = rig.request[1:], ("", 0, 0)
         if answer.missing and answer.epoch not in rig.announced:
-            first_time = rig.denied.setdefault(answer.epoch, now)
-            if now < first_time + RETURN_WITHIN:
+            rig.request = (answer.epoch, 0, 0)  # the next request is about another epoch, if there is one
+            if now < rig.denied.setdefault(answer.epoch, now) + RETURN_WITHIN:
                 return []
         lost = list[Range]()
         for first, last in answer.missing:

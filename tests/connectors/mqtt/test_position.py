@@ -98,9 +98,10 @@ def test_an_epoch_that_is_not_announced_is_lost_unless_it_returns_within_30_s(re
     position = Position()
     position.announce(UR10, {"ab": 5})
     position.announce(UR10, {"ab": 7})
-    position.announce(UR10, {"cd": 0})  # of an empty outbox, or of another rig of this name
+    position.announce(UR10, {"cd": 1})  # of a new outbox, or of another rig of this name
     answer = GapAnswer("ab", 6, 7, ((6, 7),))
     assert not settle(position, answer, 100.0)
+    assert position.request(UR10, 103.0) == ("cd", 1, 1), "which does not wait for the other epoch"
     if returns == "head":
         position.announce(UR10, {"ab": 7})
         position.announce(UR10, {"cd": 0})
