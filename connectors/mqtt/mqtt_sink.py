@@ -70,8 +70,9 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
         self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
         try:
-            self._model = msgspec.convert({"id": "unknown", **self.model}, Model)
-        except msgspec.ValidationError:
+            stated = Model(**{"id": "unknown", **self.model})  # which has no other keys
+            self._model = msgspec.convert(stated.values(), Model)
+        except (TypeError, ValueError):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be) from None
         if self.threshold is not None:

@@ -235,6 +235,7 @@ def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None
         ("url", "localhost"),
         ("site", ""),
         *((level, part) for level in ("site", "rig") for part in TOPIC_LEVELS),
+        ("model", {"id": "tcn", "version": "1"}),
         ("model", {"sha256": "0f"}),
         ("model", {"sha256": "G" * 64}),
         ("model", {"id": "a\nb"}),
