@@ -82,9 +82,12 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 
 
 def dataset_digest(dataset: Path) -> str:
-    """Return the sha256 of a dataset: of its sessions' manifests, which contain the sha256 of every part."""
-    digest = hashlib.sha256()
-    for manifest in sorted((dataset / SESSIONS).glob(f"*/{MANIFEST}")):
+    """Return the sha256 of a dataset, or of one of its sessions, for the card of a model.
+
+    It is that of the sessions' manifests, which contain the sha256 of every part.
+    """
+    digest, folder = hashlib.sha256(), dataset.resolve()
+    for manifest in sorted([*folder.glob(MANIFEST), *(folder / SESSIONS).glob(f"*/{MANIFEST}")]):
         digest.update(manifest.parent.name.encode() + b"\0" + manifest.read_bytes())
     return digest.hexdigest()
 
@@ -94,13 +97,12 @@ def learned_from(card: Mapping[str, Any], path: Path) -> bool:
 
     Args:
         card: Content of the card.
-        path: Folder of the dataset, or of one of its sessions.
+        path: Folder of the dataset, or of one of its sessions, which the card may also state by itself.
     """
-    dataset = path.resolve()
-    if dataset.parent.name == SESSIONS:
-        dataset = dataset.parent.parent
+    folder = path.resolve()
+    folders = [folder, folder.parent.parent] if folder.parent.name == SESSIONS else [folder]
     stated = {each.get("sha256") for each in card.get("data", ())}
-    return dataset_digest(dataset) in stated
+    return any(dataset_digest(each) in stated for each in folders)
 
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import pytest
 from flows.graph.loading import load as load_flow
 from flows.learn.alarm_calibration import TooLittleDataError, calibrate_model
 from flows.learn.labelled_recordings import load
-from flows.learn.training.trained_model import provenance
+from flows.learn.training.trained_model import learned_from, provenance
 from operators import Debounce, minute
 from operators.errors import InputError, ParameterError
 from storage import load_debounce, load_detector
@@ -74,6 +74,14 @@ def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp
     assert f"left out {len(learned)} recordings of {tiny}: {path} has learned from them" in notes
     with pytest.raises(InputError, match="no recordings are left"):
         calibrate_model(str(path), [tiny / "sessions" / learned[0].name], 40.0, 0.8)
+
+
+def test_a_session_that_the_model_has_learned_from_is_known_and_no_other_is(
+    tiny: Path, tmp_path: Path
+) -> None:
+    one, other = sorted((tiny / "sessions").iterdir())[:2]
+    card, copied = {"data": [provenance(one, [])]}, shutil.copytree(other, tmp_path / "copy")
+    assert [learned_from(card, each) for each in (one, other, copied)] == [True, False, False]
 
 
 def test_repeated_recordings_are_refused(tiny: Path, tmp_path: Path) -> None:
