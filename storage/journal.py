@@ -29,13 +29,7 @@ from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
 from storage import files
 from storage.append_log import AppendLog, LogReader
-from storage.layout import (
-    JOURNAL,
-    SEGMENTS,
-    TABLE_OF,
-    file_name,
-    files_of,
-)
+from storage.layout import JOURNAL, SEGMENTS, TABLE_OF, file_name, files_of
 
 VERSION: Final = 7  # of identity and records; other versions refuse the segment
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once

@@ -9,16 +9,7 @@ import polars as pl
 
 from flows.learn.event_metrics import DECISION, EventMetrics, Slips, match_onsets, onsets
 from flows.learn.labelled_recordings import LabelledRecording, Sampling
-from flows.report.results import (
-    Statistic,
-    area,
-    joined,
-    median,
-    of_sums,
-    ratio,
-    result_rows,
-    share,
-)
+from flows.report.results import Statistic, area, joined, median, of_sums, ratio, result_rows, share
 from operators import Debounce, ms
 from operators.batch import UNKNOWN, Codes, Flags, Reals, Times
 

@@ -5,12 +5,7 @@ from pathlib import Path
 import pytest
 
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
-from storage.layout import (
-    check_links,
-    new_session_folder,
-    session_folder,
-    session_folders,
-)
+from storage.layout import check_links, new_session_folder, session_folder, session_folders
 from tests.storage.made import session_names
 
 OUTSIDE = ["", ".", "..", "../x", "a/b", "/etc", "a\0b"]

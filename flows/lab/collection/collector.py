@@ -21,19 +21,7 @@ from flows.lab.collection.arm_path import Line, Step, Turn
 from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
-from operators import (
-    Align,
-    DeviceClock,
-    Label,
-    MaskLifted,
-    Motion,
-    Source,
-    Touch,
-    WatchClock,
-    Zero,
-    ms,
-    s,
-)
+from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, WatchClock, Zero, ms, s
 from operators.batch import Episodes, Reals
 from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Description, Run, Sink

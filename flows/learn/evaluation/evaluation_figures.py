@@ -8,18 +8,7 @@ import polars as pl
 
 from flows.learn.evaluation.published import TABLE_1
 from flows.learn.evaluation.stress_study import FIELDS, condition_name
-from flows.report.figures import (
-    FAINT,
-    GROUND,
-    INK,
-    MAIN,
-    MORE,
-    SOFT,
-    WIDTH,
-    Figure,
-    grid,
-    name_points,
-)
+from flows.report.figures import FAINT, GROUND, INK, MAIN, MORE, SOFT, WIDTH, Figure, grid, name_points
 
 _COLUMNS: Final = 4  # panels in a row
 _MARKS: Final = "osD^vP*X"

@@ -14,12 +14,7 @@ from flows.learn.evaluation.detector_speed import speed_results
 from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
 from flows.learn.evaluation.methods import Candidate, Method, baselines, hold_out_methods, trained_methods
 from flows.learn.event_metrics import DECISION, PAUSE
-from flows.learn.labelled_recordings import (
-    LabelledRecording,
-    common_fingertip,
-    hand_label_summary,
-    load,
-)
+from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, hand_label_summary, load
 from flows.learn.measures import SHARES, judged
 from flows.learn.training.trained_model import learned_from
 from flows.report.results import estimates, joined

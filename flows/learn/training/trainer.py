@@ -18,14 +18,7 @@ from flows.learn.labelled_recordings import (
     load,
 )
 from flows.learn.training.recipe import PaperRecipe, Recipe
-from flows.learn.training.trained_model import (
-    Arrays,
-    Model,
-    Progress,
-    label_scores,
-    provenance,
-    write_model,
-)
+from flows.learn.training.trained_model import Arrays, Model, Progress, label_scores, provenance, write_model
 from operators.batch import SLIP, UNKNOWN, Flags, Reals, s
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip

@@ -12,13 +12,7 @@ import pytest
 from connectors import Console
 from flows.cli.live_view import print_json
 from flows.cli.main import main
-from flows.cli.terminal import (
-    Format,
-    PipeHandler,
-    begin_log,
-    logged,
-    note,
-)
+from flows.cli.terminal import Format, PipeHandler, begin_log, logged, note
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems

@@ -17,12 +17,7 @@ from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
-from flows.lab.importing import (
-    AttachLabels,
-    TraceImport,
-    import_files,
-    import_frame,
-)
+from flows.lab.importing import AttachLabels, TraceImport, import_files, import_frame
 from flows.learn.labelled_recordings import load
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of

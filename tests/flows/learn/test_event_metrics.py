@@ -3,16 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.learn.event_metrics import (
-    BRIEF,
-    PAUSE,
-    EventMetrics,
-    Slips,
-    match_onsets,
-    onsets,
-    runs,
-    tuned,
-)
+from flows.learn.event_metrics import BRIEF, PAUSE, EventMetrics, Slips, match_onsets, onsets, runs, tuned
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, Sampling
 from operators import Debounce, ms
 from operators.batch import Codes, Flags, Reals

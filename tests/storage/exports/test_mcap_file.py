@@ -9,19 +9,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from operators.batch import (
-    Batch,
-    Clocks,
-    Episodes,
-    Faults,
-    Labelled,
-    Motion,
-    Slips,
-    Touch,
-    Truth,
-    ms,
-    s,
-)
+from operators.batch import Batch, Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, ms, s
 from operators.errors import EndpointError, InputError
 from storage.exports.mcap_file import export, messages, topic
 from storage.hand_labels import LabelSpan

@@ -22,13 +22,7 @@ from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import run_virtually
 from flows.lab.collection.arm_path import Surface
 from flows.lab.collection.collector import LEAST_CHANGE, Collector, ContactMonitor, virtual_arm
-from flows.lab.collection.stroke_plan import (
-    CollectionPlan,
-    Limits,
-    PathSettings,
-    PlannedPath,
-    StrokeSeries,
-)
+from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, PlannedPath, StrokeSeries
 from flows.run.clocks import LoopClock
 from operators import (
     EVERY,

@@ -8,11 +8,7 @@ import pytest
 from connectors.ur.ur_state import Pose, offset_pose
 from flows.lab.collection.arm_path import Extent, Line, Surface, Turn
 from flows.lab.collection.plan_file import load_plan
-from flows.lab.collection.stroke_plan import (
-    CollectionPlan,
-    PlannedPath,
-    StrokeSeries,
-)
+from flows.lab.collection.stroke_plan import CollectionPlan, PlannedPath, StrokeSeries
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 
