@@ -131,7 +131,7 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     check_size(where, 0, most + 1)
     lines = lines[: max(_FEW, _FIELDS // (most + 1))]
     candidates = [stated] if stated else [said[1]] if said and said[1] in _NAMES else list(_NAMES)
-    begin = 1 if said else 0
+    begin = 1 if said and lines[1:] else 0
     found = {sign: _rows(lines, sign, begin) for sign in candidates}
     sign = max(found, key=lambda each: _merit(lines, each, begin, *found[each]))
     width, rows = found[sign]

@@ -144,9 +144,8 @@ class Reader:
     async def _run(self) -> None:
         while True:
             try:
-                async with aclosing(
-                    cast("AsyncGenerator[Touch]", self.source.batches(LoopClock()))
-                ) as batches:
+                batches = cast("AsyncGenerator[Touch]", self.source.batches(LoopClock()))
+                async with aclosing(batches):
                     async for batch in batches:
                         self.batches.append(batch)
             except EndpointError as error:

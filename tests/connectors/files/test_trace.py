@@ -237,15 +237,16 @@ def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
 def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
         _ = Trace(tmp_path / "absent.csv").touch
-    with pytest.raises(
-        InputError, match=r"cannot be read: Is a directory; a folder exists where a file is needed$"
-    ):
+    folder = "cannot be read: Is a directory; a folder exists where a file is needed$"
+    with pytest.raises(InputError, match=folder):
         _ = Trace(tmp_path).touch
     (tmp_path / "empty.csv").touch()
     with pytest.raises(InputError, match=r"empty.csv: is empty: its first line must name the columns$"):
         _ = Trace(tmp_path / "empty.csv").touch
-    with pytest.raises(InputError, match=r"trace.csv: has no rows below line 1$"):
-        _ = Trace(write(HEADER)).touch
+    (tmp_path / "sep.csv").write_text("sep=;")
+    for path in write(HEADER), tmp_path / "sep.csv":
+        with pytest.raises(InputError, match=rf"{path.name}: has no rows below line 1$"):
+            _ = Trace(path).touch
     (tmp_path / "binary.csv").write_bytes(b"t,s1\n\xff\0\xfe,1\n")
     with pytest.raises(
         InputError, match=r"binary.csv: is not a CSV file: it has bytes of zero, so it is no text$"
