@@ -201,7 +201,7 @@ class LiveRunner:
     ) -> bool:
         """Queue what a full queue left, or let others run; return False at the end of the run.
 
-        Without a list of what waits, the batch was not pushed yet: it is, when it is its turn.
+        If `waiting` is None, the batch was not pushed yet; it is, after those that wait for full queues.
         """
         if waiting != []:
             self._pending += 1
