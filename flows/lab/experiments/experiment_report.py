@@ -53,9 +53,9 @@ EVENTS: Final[Mapping[str, Statistic]] = {
     **{f"missed {size} %": share(f"missed {size}", f"blows {size}", 100) for size in SIZES},
 }
 _NOTES: Final = (
-    "Paper's: success by the paper's words. Firm lift: share with a false slip. Medians over trials: lead "
-    "from the registered slip to the onset of sliding; slide; force of the last second and highest force, "
-    "relative to the least that holds."
+    "Paper's: success by the paper's definition. Firm lift: share with a false slip. Medians over trials: "
+    "lead from the registered slip to the onset of sliding; slide; force of the last second and highest "
+    "force, relative to the least that holds."
 )
 _EVENTS_NOTE: Final = (
     "False slips per 100 firm lifts in each phase; soft blows with a false slip; blows whose slip is not "
@@ -105,9 +105,9 @@ def experiment_report(
 
 
 def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> list[Table]:
-    """Return the success of each method with each object, strictly and by the paper's words."""
+    """Return the success of each method with each object, strictly and by the paper's definition."""
     tables = list[Table]()
-    for name, caption in ((SUCCESS, "Strict"), (BY_PAPER, "By the paper's words")):
+    for name, caption in ((SUCCESS, "Strict"), (BY_PAPER, "By the paper's definition")):
         found = estimates(nominal, {name: RATES[name]}, by=("method", "fold"), draws=0)
         decimals = dict.fromkeys(trials.objects, 0)
         tables.append(estimate_table(found, decimals, columns="fold", caption=caption))

@@ -7,8 +7,9 @@ lift and the hold move nothing: a slip registered there fails the trial.
 Lift: an object is gripped too weakly and lifted; more force must catch it. The same grasp is also lifted
 firmly. A slip registered there, or before anything slides, fails the trial.
 
-Success is judged strictly, as above, and by the paper's words, which ask less: both blows are registered and
-static again after the object has stopped; a slip is registered, and the object is held at the end.
+Success is judged strictly, as above, and by the paper's definition, which asks less: both blows are
+registered and static again after the object has stopped; a slip is registered, and the object is held at the
+end.
 """
 
 import math
@@ -51,7 +52,7 @@ class _Blow(NamedTuple):
     slide: float  # mm, of the pad
     still: bool  # no finger slipped
     lead: float  # ms from the registered slip to the onset of sliding; NaN: not registered
-    paper: bool  # success by the paper's words
+    paper: bool  # success by the paper's definition
 
 
 def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:

@@ -31,7 +31,7 @@ def test_an_object_that_is_up_and_rests_is_held(make_trace: MakeTrace, during: D
     assert outcome.metrics["force"] == pytest.approx(1 / 0.9)
 
 
-def test_the_papers_words_ask_for_a_registered_slip_and_a_held_object(
+def test_the_papers_definition_asks_for_a_registered_slip_and_a_held_object(
     make_trace: MakeTrace, during: During
 ) -> None:
     early = make_trace(**UP, probability=during((2.6, 2.8)), speed=during((2.9, 3.0)))

@@ -59,7 +59,7 @@ def test_two_registered_blows_and_nothing_else_are_a_success(hit: Callable[..., 
         ((*GOOD, (SECOND + 0.8, SECOND + 0.9)), "not back to static", False),
     ],
 )
-def test_each_failure_has_its_ending_and_the_papers_words_forgive_false_slips(
+def test_each_failure_has_its_ending_and_the_papers_definition_forgives_false_slips(
     hit: Callable[..., Trace], slip: tuple[tuple[float, float], ...], ending: str, *, paper: bool
 ) -> None:
     outcome = judge_tap(hit(*slip), RULE)
