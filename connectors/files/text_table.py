@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -240,10 +241,14 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     if len(last) < min(shape.width, len(shape.names)):
         reason = f"the last line has fewer fields than line {shape.first + 1}: it is cut off, delete it"
         raise InputError(where, reason)
-    frame, names = _frame(body, where, sign, shape.first, max(len(shape.names), shape.width) + 1), shape.names
+    width, names = max(len(shape.names), shape.width) + 1, shape.names
+    frame, ragged = _frame(body, where, sign, shape.first, width)
     filled = frame.select(pl.all().fill_null("") != "")
-    beyond = filled[:, len(names) :].select(pl.any_horizontal(pl.all())).to_series().arg_true()
-    if len(beyond):
+    beyond = filled[:, len(names) :].select(pl.any_horizontal(pl.all())).to_series().arg_true().to_list()
+    if not beyond and ragged:  # an empty field may hide a filled one
+        lines = body.decode("utf-8", "replace").split("\n")
+        beyond = [row for row, line in enumerate(lines) if any(split_line(line, sign)[len(names) :])]
+    if beyond:
         than = f"line {shape.named_by} has names" if shape.named_by else f"line {shape.first + 1}"
         reason = f"has more fields than {than}; a {_NAMES[sign]} in a value needs quotes"
         raise InputError(f"{where}, line {beyond[0] + shape.first + 1}", reason)
@@ -261,26 +266,24 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     return RawTable(columns, where, "line", numbers, units, _NAMES[sign], left_out, sha256, notes)
 
 
-def _frame(body: bytes, where: str, separator: str, above: int, width: int) -> pl.DataFrame:
-    """Parse the columns of a file as text.
+def _frame(body: bytes, where: str, separator: str, above: int, width: int) -> tuple[pl.DataFrame, bool]:
+    """Parse the first columns of a file as text; return also whether a line has more.
 
     Raises:
         InputError: if a quotation mark is not closed.
     """
     schema = {f"{number}": pl.String for number in range(width)}
-    widest = separator * (width - 1) + "\n"
+    text = (separator * (width - 1) + "\n").encode() + body  # the first line is the widest
+    read = partial(pl.read_csv, text, has_header=False, schema=schema, separator=separator)
     try:
-        frame = pl.read_csv(
-            widest.encode() + body,
-            has_header=False,
-            schema=schema,
-            separator=separator,
-            truncate_ragged_lines=True,
-        )[1:]
-    except pl.exceptions.PolarsError as error:
-        raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
+        frame, ragged = read()[1:], False
+    except pl.exceptions.PolarsError:
+        try:
+            frame, ragged = read(truncate_ragged_lines=True)[1:], True
+        except pl.exceptions.PolarsError as error:
+            raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
     torn = [column.str.contains("\n", literal=True).arg_true()[:1] for column in frame]
     if rows := [row for each in torn for row in each]:  # an unpaired quotation mark
         reason = "has a quoted field that spans lines: close its quotation mark"
         raise InputError(f"{where}, line {min(rows) + above + 1}", reason)
-    return frame.select(pl.all().str.strip_chars())
+    return frame.select(pl.all().str.strip_chars()), ragged

@@ -38,6 +38,7 @@ SILENCE: Final = 20.0  # s without a request of a browser until its connection i
 _MESSAGE_MAX: Final = 1024  # bytes of a request
 EVENTS_KEPT: Final = 100
 KEPT: Final = 30 * s  # ns of each stream
+BATCHES_KEPT: Final = 100_000  # also if stamps are wrong
 STEP: Final = 5 * ms  # ns; more than two rows per step are reduced to their extremes
 
 
@@ -213,7 +214,7 @@ class Frames:
 
     def __init__(self, run: Run, *, zeroed: bool) -> None:
         self._run, self._zeroed, self.count = run, zeroed, 0
-        self._rows = deque[Rows]()
+        self._rows: deque[Rows] = deque(maxlen=BATCHES_KEPT)
         self._scores: dict[str, float] = {}  # newest probability by fingertip
         self._slipping: set[str] = set()
         self._faults: dict[str, set[Fault]] = {}  # active, by fingertip

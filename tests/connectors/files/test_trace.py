@@ -170,6 +170,7 @@ NUMBER = "must be a number or empty"
             "1,1,2,3,4,5,6,0,9",
             "line 3: has more fields than line 1 has names; a comma in a value needs quotes",
         ),
+        ("1,1,2,3,4,5,6,0,,9", "line 3: has more fields than line 1 has names"),
     ],
 )
 def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, complaint: str) -> None:
