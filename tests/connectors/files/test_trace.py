@@ -141,6 +141,7 @@ def test_quoted_fields_are_read(write: Write) -> None:
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
 LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
+MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
 AGAIN = "no less than in the line before; if the logger started again, --split makes 2 sessions (1, 2 rows)"
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
 TRY = "try --map time=column1,counts=column2..column4"
@@ -166,11 +167,8 @@ NUMBER = "must be a number or empty"
             "0.4,1,2,3,4,5,6,0",
             f"line 3, column t: is '0.4', must be {AGAIN}",
         ),
-        (
-            "1,1,2,3,4,5,6,0,9",
-            "line 3: has more fields than line 1 has names; a comma in a value needs quotes",
-        ),
-        ("1,1,2,3,4,5,6,0,,9", "line 3: has more fields than line 1 has names"),
+        ("1,1,2,3,4,5,6,0,9", f"line 3: {MORE_FIELDS}"),
+        ("1,1,2,3,4,5,6,0,,9", f"line 3: {MORE_FIELDS}"),
     ],
 )
 def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, complaint: str) -> None:
