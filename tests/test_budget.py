@@ -13,15 +13,15 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_280,
-    "connectors": 11_570,
+    "connectors": 11_510,
     "storage": 4_020,
     "flows": 12_730,
-    "product": 33_590,
+    "product": 33_470,
     "product files": 218,
-    "tests": 35_610,
+    "tests": 35_560,
     "commands": 16,
     "options": 84,
-    "words": 38_510,
+    "words": 38_500,
 }
 
 

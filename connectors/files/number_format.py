@@ -1,9 +1,8 @@
-"""Format of the numbers of a file as a whole: the sign of decimals, and that of thousands."""
+"""Format of the numbers of a file as a whole: the sign of decimals."""
 
 import re
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import cache
 from typing import Final
 
 import numpy as np
@@ -13,51 +12,35 @@ from connectors.files.column_map import DATE, LABEL, ColumnMap, is_air
 from connectors.files.raw_table import RawTable
 
 MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
-FEW: Final = 1000  # texts, up to which Python is faster than an expression of Polars
-_BLANKS: Final = "'\u2019\u00a0\u202f "  # between thousands
+FEW: Final = 1000  # texts, as of the newest lines of a logger, up to which Python is faster than Polars
+_USUAL: Final = {sign: re.compile(rf"[+-]?\d+(?:[{sign}]\d+)?(?:[eE][+-]?\d\d?)?", re.ASCII) for sign in ".,"}
+_NUMBER: Final = r"^[+-]?[\d.,]*(?:\d[{0}]|[{0}]\d)[\d.,]*(?:[eE][+-]?\d+)?$"  # with a sign
+_DECIMAL: Final = r"^[+-]?(?:\d+[{0}]\d*|[{0}]\d+)(?:[eE][+-]?\d+)?$"  # with no other sign
+_DOUBT: Final = r"^[+-]?[1-9]\d{0,2}[.,]\d{3}$"  # may have decimals or thousands
 
 
 def plain(column: pl.Series, decimal: str) -> pl.Series:
-    """Return the texts of a column as Python writes numbers; null for those in another format.
-
-    The sign of decimals is `decimal`, ``.`` or ``,``. The other one, blanks and apostrophes divide thousands.
-    """
+    """Return the texts of a column with a decimal point; null for those with another sign of decimals."""
     if column.dtype != pl.String:
         return column
-    simple = _simple(column, decimal)
-    return column.to_frame().select(_plain(decimal)).to_series() if simple is None else simple
+    texts = column.to_list() if len(column) <= FEW else [""]
+    if all(text and _USUAL[decimal].fullmatch(text) for text in texts):
+        return pl.Series(column.name, [text.replace(decimal, ".") for text in texts], pl.String)
+    text = column.str.strip_chars().str.replace("\u2212", "-", literal=True)
+    if decimal == ".":
+        return text
+    return text.str.replace(".", "no number", literal=True).str.replace(",", ".", literal=True)
 
 
 def reals(column: pl.Series, decimal: str) -> pl.Series:
     """Return the numbers of a column; NaN for a missing value, null for what is no finite number."""
-    text = column.dtype == pl.String
-    if text and (simple := _simple(column, decimal)) is not None:
-        return simple.cast(pl.Float64)
-    value = (_plain(decimal) if text else pl.first()).cast(pl.Float64, strict=False)
-    missing = pl.first().is_null() | value.is_nan()
-    if text:
-        missing = pl.first().str.to_lowercase().str.strip_chars().is_in(MISSING).fill_null(value=True)
-    found = column.to_frame().select(value.alias("value"), missing.alias("missing"))
-    number = pl.when("missing").then(np.nan).when(pl.col("value").is_finite()).then("value")
-    return found.select(number).to_series()
-
-
-def _simple(column: pl.Series, decimal: str) -> pl.Series | None:
-    """Return a few texts, as of the newest line of a logger, as by `_plain`, if all have a usual form."""
-    usual = re.compile(rf"[+-]?\d{{1,18}}(?:{re.escape(decimal)}\d{{1,18}})?(?:[eE][+-]?\d\d?)?", re.ASCII)
-    if len(column) > FEW or not all(text and usual.fullmatch(text) for text in column.to_list()):
-        return None
-    return pl.Series(column.name, [text.replace(decimal, ".") for text in column.to_list()], pl.String)
-
-
-@cache
-def _plain(decimal: str) -> pl.Expr:
-    sign, other = re.escape(decimal), re.escape("," if decimal == "." else ".")
-    groups = "|".join(rf"\d{{1,3}}(?:{each}\d{{3}})+" for each in (other, f"[{_BLANKS}]"))
-    text = pl.first().str.strip_chars().str.replace("\u2212", "-", literal=True)
-    bare = text.str.replace_all(rf"[{other}{_BLANKS}]", "").str.replace(decimal, ".", literal=True)
-    number = text.str.contains(rf"^[+-]?(?:\d*|{groups})(?:{sign}\d*)?(?:[eE][+-]?\d+)?$")
-    return pl.when(number).then(bare)
+    value = plain(column, decimal).cast(pl.Float64, strict=False)
+    if len(column) <= FEW and value.is_finite().all(ignore_nulls=False):
+        return value
+    missing = column.is_null() | value.is_nan().fill_null(value=False)
+    if column.dtype == pl.String:
+        missing |= column.str.strip_chars().str.to_lowercase().is_in(MISSING).fill_null(value=False)
+    return value.set(value.is_infinite(), None).set(missing, np.nan)
 
 
 def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
@@ -65,45 +48,31 @@ def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
 
     101.325 may be a thousand times as much, but not as air pressure in kPa.
     """
-    used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
-    texts = [name for name in used if table.columns[name].dtype == pl.String]
-    proof = {sign: _example(table, texts, _decimals(sign)) for sign in ".,"}
-    doubt = {sign: _example(table, texts, rf"^[+-]?[1-9]\d{{0,2}}[{sign}]\d{{3}}$") for sign in ".,"}
-    if not any(proof.values()) and any(doubt.values()):  # other columns may tell
-        others = [name for name, column in table.columns.items() if column.dtype == pl.String]
-        proof = {sign: _example(table, others, _decimals(sign)) for sign in ".,"}
-    comma = bool(proof[","])
-    if columns.decimal is not None:
-        comma = columns.decimal == "comma"
-    elif all(proof.values()):
-        both = " and ".join(proof.values())
-        reason = f"decimals have both point and comma ({both}); state decimal=point or decimal=comma"
-        table.add_problem(reason, fix="decimal=point")
-    elif any(doubt.values()) and not any(proof.values()) and (table.separator != "comma" or doubt[","]):
-        sign = "," if doubt[","] else "."
-        number = float(doubt[sign].split()[-1].replace(",", "."))
-        decimal, thousands = (is_air(number * each, columns.unit) for each in (1, 1000))
-        comma = (sign == ",") == decimal
-        if decimal == thousands or all(doubt.values()):
-            reason = f"{doubt[sign]} may have decimals or thousands; state decimal=point or decimal=comma"
-            table.add_problem(reason, fix=f"decimal={'comma' if sign == ',' else 'point'}")
-    table.notes += ["decimal comma"] if comma else []
-    return replace(columns, decimal="comma" if comma else "point")
+    if columns.decimal is None:
+        used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
+        signs = {sign: _example(table, used, _NUMBER.format(sign)) for sign in ".,"}
+        comma = bool(signs[","])
+        sign, decimal = (",", "comma") if comma else (".", "point")
+        if all(signs.values()):
+            both = " and ".join(signs.values())
+            remedy = "remove signs of thousands (in polars: str.replace_all), or state decimal=point or comma"
+            table.add_problem(f"numbers have both point and comma ({both}): {remedy}")
+            table.stop()
+        elif signs[sign] and (comma or table.separator != "comma"):
+            proof = (_example(table, names, _DECIMAL.format(sign), _DOUBT) for names in (used, table.columns))
+            value = signs[sign].split()[-1].replace(",", ".")
+            if not any(proof) and not (value.count(".") == 1 and is_air(float(value), columns.unit)):
+                text = f"{signs[sign]} may have decimals or thousands; state decimal={decimal}"
+                table.add_problem(f"{text}, or remove the sign of thousands", fix=f"decimal={decimal}")
+        columns = replace(columns, decimal=decimal)
+    table.notes += ["decimal comma"] if columns.decimal == "comma" else []
+    return columns
 
 
-def _example(table: RawTable, names: Iterable[str], pattern: str) -> str:
-    """Return a value that matches, with its column; empty if there is none."""
+def _example(table: RawTable, names: Iterable[str], pattern: str, other: str = "^$") -> str:
+    """Return a text that matches one pattern and not the other, with its column; empty: there is none."""
     for name in names:
-        column = table.columns[name]
-        for value in column.filter(column.str.contains(pattern)).head(1):
-            return f"column {name}: {value}"
+        if (column := table.columns[name]).dtype == pl.String:
+            for value in column.filter(column.str.contains(pattern) & ~column.str.contains(other)).head(1):
+                return f"column {name}: {value}"
     return ""
-
-
-def _decimals(sign: str) -> str:
-    """Return the pattern of numbers in which a sign can only be that of decimals."""
-    point, other = re.escape(sign), re.escape("," if sign == "." else ".")
-    mixed = rf"\d{{1,3}}(?:[{other}{_BLANKS}]\d{{3}})+{point}\d+"
-    several = rf"\d{{1,3}}{other}\d{{3}}(?:{other}\d{{3}})+"
-    plain = rf"\d*{point}(?:\d{{0,2}}|\d{{4,}})|(?:0\d*|\d{{4,}}|){point}\d{{3}}"
-    return rf"^[+-]?(?:{mixed}|{several}|{plain}|\d*{point}\d+[eE][+-]?\d+)(?:[eE][+-]?\d+)?$"

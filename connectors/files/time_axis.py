@@ -1,11 +1,10 @@
 """Times of a recording: format, unit, resolution, clocks that wrap or start again, and parts."""
 
 import re
-from calendar import month_abbr
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache, lru_cache
-from itertools import pairwise
+from functools import lru_cache
+from itertools import pairwise, product
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -34,25 +33,22 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     65_536_000_000: "16-bit clock of milliseconds",
     86_400_000_000_000: "time of day",
 }
-_MONTH, _MINUTES, _CENTURY = 12, 60, 100
-_YEARS: Final = (1970, 2261)  # of times in ns
+_MONTH: Final = 12
 _LIMIT: Final = float(1 << 63)  # ns
 _ORIGINS: Final = {25_569: 80_000, 719_529: 800_000}  # days before 1970, and until a day after 2100
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
-_MONTHS: Final = {name.lower(): number for number, name in enumerate(month_abbr) if name}
 _CLOCK: Final = r"\d{1,2}:\d{2}"
-_DAY: Final = (
-    r"(?P<y>\d{4})[-/.](?P<m>\d{1,2})[-/.](?P<d>\d{1,2})|(?P<yy>\d{4})(?P<mm>\d{2})(?P<dd>\d{2})"
-    r"|(?P<a>\d{1,2})[-/. ](?P<b>\d{1,2}|[A-Za-z]{3})[-/. ](?P<c>\d{4}|\d{2})|(?P<days>\d{1,5}) days?"
-)
-_TEXT: Final = (
-    rf"^(?:(?:{_DAY})[T_,; ]+)?"
-    r"(?:(?P<H>\d{1,2}):(?P<M>\d{2})(?::(?P<S>\d{2})(?:(?:[.,]|:(?P<ms>\d{3}$))(?P<f>\d*))?)?"
-    r"|(?P<MM>\d{1,2}):(?P<SS>\d{2})[.,](?P<ff>\d+))"
-    r" ?(?P<p>[AaPp][Mm])? ?(?:Z|UTC|GMT|(?P<sign>[+-])(?P<zh>\d{2}):?(?P<zm>\d{2}))?$"
-)
+_FORMS: Final = {  # that texts of times are brought into before they are parsed
+    r"^(\d{1,4})[-/. ](\d{1,2}|[A-Za-z]{3})[-/. ](\d{1,4})[T_,; ]+": "${1}-${2}-${3} ",
+    rf"^({_CLOCK}(?::|$| ))": "1970-01-01 ${1}",
+    r"(:\d{2}),(\d)": "${1}.${2}",
+    r" ?(?:Z|UTC|GMT)$": "+00:00",
+}
+_ORDERS: Final = {"ymd": "%Y-%m-%d", "dmy": "%d-%m-%Y", "mdy": "%m-%d-%Y"}
+_CLOCKS: Final = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
 _SECONDS: Final = re.compile(r"([^:]*\d:\d\d:)([0-5]\d|60)(?:[.,](\d*))?((?:[^\d:.,].*)?)", re.ASCII)
+_YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d)[- ]"  # of times in ns
 
 
 def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[ColumnMap, Times, Parts]:
@@ -180,22 +176,17 @@ def is_text_of_time(column: pl.Series) -> bool:
 def date_order(table: RawTable, name: str) -> str:
     """Conclude the order of day, month and year in the dates of a column: ``ymd``, ``dmy`` or ``mdy``."""
     texts = table.columns[name].unique()
-    parts = texts.str.extract_groups(
-        r"^(\d{1,2})([-/. ])(\d{1,2}|[A-Za-z]{3})[-/. ](\d{4}|\d{2})(?:\D|$)"
-    ).struct.unnest()
+    parts = texts.str.extract_groups(r"^(\d{1,2})([-/. ])(\d{1,2}|[A-Za-z]{3})[-/. ]\d{4}").struct.unnest()
     parts = parts.drop_nulls()
-    if parts.is_empty():
-        return "ymd"
     first, second = (parts[each].cast(pl.Int64, strict=False) for each in ("1", "3"))
-    short = (parts["4"].str.len_chars() < len("2025")).any() and (parts["2"] != ".").any()
-    if second.null_count() or (parts["2"] == ".").all() or (not short and (first > _MONTH).any()):
+    if second.null_count() or (parts["2"] == ".").any() or (first > _MONTH).any():
         return "dmy"
-    if not short and (second > _MONTH).any():
+    if (second > _MONTH).any():
         return "mdy"
-    if short or (first != second).any():
+    if (first != second).any():
         doubt = f"column {name}: {texts.drop_nulls()[0]!r:.40} may begin with the day or the month"
         table.add_problem(f"{doubt}; state dates=dmy or dates=mdy", fix="dates=dmy")
-    return "dmy"
+    return "ymd" if parts.is_empty() else "dmy"
 
 
 def of_numbers(column: pl.Series, columns: ColumnMap) -> pl.Series:
@@ -249,40 +240,14 @@ def _minutes(texts: tuple[str, ...], order: str) -> dict[str, int | None]:
 
 
 def _converted(column: pl.Series, order: str) -> pl.Series:
-    """Return the times of `of_texts` by an expression of Polars, which takes some ms also for one row."""
-    parts = column.str.strip_chars().str.extract_groups(_TEXT).struct.unnest()
-    return parts.lazy().select(_moment(order)).collect().to_series()
-
-
-@cache
-def _moment(order: str) -> pl.Expr:
-    """Return the expression of the time in ns of the groups of `_TEXT`; null for none."""
-
-    def number(*names: str) -> pl.Expr:
-        """Return the numbers of groups of which one at most is filled; 0: none is."""
-        return pl.sum_horizontal(pl.col(names).cast(pl.Int64, strict=False).fill_null(0))
-
-    def word(name: str, values: Mapping[str, int], other: int) -> pl.Expr:
-        lower = pl.col(name).str.to_lowercase()
-        return lower.replace_strict(values, default=other, return_dtype=pl.Int64).fill_null(other)
-
-    month = word("b", _MONTHS, 0)
-    first, second = number("a"), number("b") + month
-    swapped = (month == 0) & (order == "mdy")
-    year = number("y", "yy", "c") + 2000 * (number("c").is_between(1, _CENTURY - 1)).cast(pl.Int64)
-    months = number("m", "mm") + pl.when(swapped).then(first).otherwise(second)
-    days = number("d", "dd") + pl.when(swapped).then(second).otherwise(first)
-    padded = (each.cast(pl.String).str.zfill(2) for each in (year, months, days))
-    date = pl.format("{}-{}-{}", *padded).str.to_date("%Y-%m-%d", strict=False).to_physical()
-    half = word("p", {"am": 0, "pm": 12}, -1)
-    hours = pl.when(half < 0).then(number("H")).otherwise(number("H") % 12 + half)
-    digits = pl.concat_str("f", "ff", "ms", ignore_nulls=True)
-    fraction = digits.str.slice(0, 9).str.pad_end(9, "0").cast(pl.Int64)
-    east = (number("zh") * 60 + number("zm")) * pl.when(pl.col("sign") == "-").then(-1).otherwise(1)  # min
-    minutes, seconds = number("M", "MM"), number("S", "SS")
-    hours += 24 * pl.when(year > 0).then(date.fill_null(0)).otherwise(number("days"))
-    total = ((hours * 60 + minutes - east) * 60 + seconds) * s + fraction
-    good = pl.any_horizontal(pl.col("M", "MM").is_not_null()) & (minutes < _MINUTES) & (seconds <= _MINUTES)
-    good &= number("H") <= pl.when(half < 0).then(23).otherwise(12)
-    good &= (date.is_not_null() & year.is_between(*_YEARS)) | (year == 0)
-    return pl.when(good).then(total)
+    """Return the times of `of_texts` by Polars, which takes some ms also for one row."""
+    text = column.str.strip_chars()
+    for pattern, form in _FORMS.items():
+        text = text.str.replace(pattern, form)
+    found = pl.Series([None], dtype=pl.Int64).new_from_index(0, len(text))
+    for day, clock, zone in product(("%Y-%m-%d", _ORDERS[order], "%d-%b-%Y"), _CLOCKS, ("", "%z")):
+        if found.null_count():
+            utc = "UTC" if zone else None
+            time = text.str.to_datetime(f"{day} {clock}{zone}", time_unit="ns", time_zone=utc, strict=False)
+            found = found.fill_null(time.to_physical())
+    return found.set(~text.str.contains(_YEAR), None)

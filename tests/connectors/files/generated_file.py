@@ -185,7 +185,7 @@ def _text(
     """Write a text file."""
     separator = draw.choice(SEPARATORS)
     comma = separator != "," and draw.random() < 0.4
-    thousands = draw.choice(("", "", "", "." if comma else ",", "'"))
+    thousands = draw.choice(("", "", "", "", "." if comma else ",", "'"))
     thousands = "" if separator in (thousands, " ") else thousands
 
     def number(value: float, digits: int) -> str:
@@ -234,7 +234,7 @@ def _text(
     grouped = any("," in each or "." in each for each in values) and not any(
         _is_plain(each, "," if comma else ".") for each in values
     )
-    file.refusable |= grouped or (thousands != "" and _mixed(values))
+    file.refusable |= grouped or thousands != ""
     if draw.random() < 0.15:
         file.content, file.name = gzip.compress(file.content), "trace.csv.gz"
 
@@ -243,11 +243,6 @@ def _is_plain(text: str, sign: str) -> bool:
     """Return True if a number proves its sign of decimals."""
     whole, found, rest = text.partition(sign)
     return bool(found) and (len(rest) != 3 or whole in ("0", "-0", "") or len(whole) > 3)
-
-
-def _mixed(values: list[str]) -> bool:
-    """Return True if no number has both signs of thousands and of decimals."""
-    return not any("," in each and "." in each for each in values)
 
 
 def _damaged(draw: random.Random, file: GeneratedFile) -> None:

@@ -145,7 +145,7 @@ MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs q
 AGAIN = "no less than in the line before; if the logger started again, --split makes 2 sessions (1, 2 rows)"
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
 TRY = "try --map time=column1,counts=column2..column4"
-NUMBER = "must be a number or empty"
+NUMBER = "must be a number, without signs of thousands, or empty"
 
 
 @pytest.mark.parametrize(
