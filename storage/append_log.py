@@ -59,9 +59,6 @@ class Damage:
 class LogReader:
     """Reader of a log as it was when the reader was made; it may be written further.
 
-    Args:
-        path: The file.
-
     Attributes:
         path: The file.
         identity: Identity that the writer gave the log; empty if the header is damaged.
@@ -89,11 +86,7 @@ class LogReader:
         self._seed = self._crc = self._read_header()
 
     def records(self, offset: int | None = None) -> Iterator[Record]:
-        """Yield the records up to the end or the first damage.
-
-        Args:
-            offset: Offset to begin at, as a reader or `append` returned it; default: the first record.
-        """
+        """Yield the records from an offset (default: the first record) up to the end or the first damage."""
         if self._start < 0:
             return
         self.damage, self.end = None, self._start if offset is None else offset
@@ -145,12 +138,7 @@ class LogReader:
 
 
 class AppendLog:
-    """New log, created durably with its first records, for appending; nobody continues an existing one.
-
-    Args:
-        path: The file, which is replaced if it exists.
-        identity: Identity of the log.
-        records: First records.
+    """New log, created durably with its first records, for appending; it replaces an existing file.
 
     Attributes:
         path: The file.

@@ -82,11 +82,7 @@ class Dataset(Sink[Recordable]):
         return Dataset(path, part_span=span, part_rows=rows, host=host)
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
-        """Check the free space of the disk and the time of an fsync.
-
-        Raises:
-            EndpointError: if the folder cannot be written.
-        """
+        """Check the free space of the disk and the time of an fsync."""
         for finding in await asyncio.to_thread(check_disk, self._root):
             yield finding
 
@@ -110,11 +106,7 @@ class Dataset(Sink[Recordable]):
             )
 
     def take(self, batch: Recordable) -> bool:
-        """Buffer one batch, or return False if that has to wait for the disk.
-
-        Raises:
-            SlipflowError: as `write`.
-        """
+        """Buffer one batch, or return False if that has to wait for the disk."""
         writer = self._writer
         assert writer, "open comes first"
         if (writer.full(batch) and not self._commit_meanwhile(writer, batch)) or not writer.add(batch):

@@ -32,7 +32,6 @@ def describe_dataset(root: Path) -> None:
 
     Raises:
         InputError: if it has another version, or the folder has other files and is not a dataset.
-        OSError: if it cannot be written.
     """
     path = root / DATASET
     if not path.exists():
@@ -45,11 +44,7 @@ def describe_dataset(root: Path) -> None:
 
 
 def read_dataset(root: Path) -> Description:
-    """Return the content of dataset.json.
-
-    Raises:
-        InputError: if it cannot be read, or has another version.
-    """
+    """Return the content of dataset.json."""
     about = files.read_json(root / DATASET)
     _check_version(root / DATASET, about)
     return about
@@ -69,7 +64,6 @@ def describe_session(
 
     Raises:
         InputError: if the description of a source is not JSON.
-        OSError: if it cannot be written.
     """
     kinds, fingertips = run.sink_types.get(destination, {}), run.fingertips.get(destination, {})
     about: dict[str, Any] = {
@@ -117,11 +111,7 @@ def describe_session(
 def describe_recovery(
     folder: Path, about: Description, recovered: Mapping[str, Any], *, newest: int | None
 ) -> None:
-    """Record a recovery in session.json; the time (ns) of the newest row ends a session that was not closed.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Record a recovery in session.json; `newest` (ns) ends a session that was not closed."""
     content: dict[str, Any] = dict(about)
     content["complete"] = about.get("complete") is True and not recovered["lost"]
     content["recovered"] = recovered

@@ -42,7 +42,6 @@ def open_file(path: Path, *, follow: bool = False) -> int:
 
     Raises:
         InputError: if it is not a regular file, or is a link and `follow` is not set.
-        OSError: if it cannot be opened.
     """
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK
     try:
@@ -68,11 +67,8 @@ def write_at(descriptor: int, data: bytes, offset: int) -> None:
 def put(path: Path, data: bytes, *, durable: bool = True) -> None:
     """Write a file by renaming a temporary one, so that readers find its old or its new content.
 
-    Args:
-        path: The file.
-        data: Its new content.
-        durable: So does a power cut. Without it, a power cut may leave the file old, new, missing or with any
-            content until it is synced.
+    So does a power cut if it is `durable`; else a power cut may leave the file old, new, missing or with any
+    content until it is synced.
 
     Raises:
         OSError: the file has its old or its new content.
@@ -95,6 +91,19 @@ def put(path: Path, data: bytes, *, durable: bool = True) -> None:
         raise
     if durable:
         sync(path.parent)
+
+
+@contextmanager
+def write_errors(path: Path) -> Generator[None]:
+    """Convert an error of the operating system in a block that writes to `path`.
+
+    Raises:
+        EndpointError: instead of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 
 
 def put_json(path: Path, content: Mapping[str, Any], *, durable: bool = True) -> None:
@@ -224,9 +233,7 @@ def sync_tree(path: Path) -> None:
 def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Generator[Path]:
     """Make a folder `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it.
 
-    Args:
-        path: Folder, or a file if `make` is `Path.touch`.
-        make: Makes it.
+    If `make` is `Path.touch`, it is a file.
 
     Raises:
         EndpointError: if `path` is a file or a folder with files, `<path>.partial` exists, or it cannot be
@@ -236,7 +243,7 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
         raise EndpointError(str(path), "exists already: give another name, or remove it")
     path = path.resolve() if path.is_symlink() else path  # a folder cannot be renamed to a link
     scratch = path.with_name(path.name + PARTIAL)
-    try:
+    with write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             make(scratch, exist_ok=False)
@@ -253,26 +260,16 @@ def partial_output(path: Path, make: Callable[..., None] = Path.mkdir) -> Genera
             with suppress(OSError):
                 scratch.unlink(missing_ok=True)
             raise
-    except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 
 
 def lock(folder: Path) -> int | None:
-    """Lock a folder; return the descriptor that holds the lock until it is closed, None if another has it.
-
-    Raises:
-        OSError: if the folder cannot be locked.
-    """
+    """Lock a folder; return the descriptor that holds the lock until it is closed, None if another has it."""
     return _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=False)
 
 
 @contextmanager
 def exclusive(folder: Path) -> Generator[None]:
-    """Wait for the lock of a folder, and hold it.
-
-    Raises:
-        OSError: if the folder cannot be locked.
-    """
+    """Wait for the lock of a folder, and hold it."""
     held = _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=True)
     assert held is not None, "waited for it"
     try:
@@ -285,9 +282,6 @@ def lock_file(path: Path) -> int | None:
     """Lock a file through ``<path>.lock``, which is never deleted; the file may be missing or be replaced.
 
     Return a descriptor or None as `lock` does.
-
-    Raises:
-        OSError: if the lock file cannot be created.
     """
     return _flock(os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600), wait=False)
 
@@ -310,10 +304,8 @@ def check_disk(folder: Path) -> list[Finding]:
         EndpointError: if it cannot be written.
     """
     existing = next(path for path in (folder, *folder.parents) if path.exists())
-    try:
+    with write_errors(folder):
         free, times = disk_usage(existing).free, _sync_times(existing)
-    except OSError as error:
-        raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from None
     space = f"{free / 1e9:,.1f} GB free"
     sync = f"fsync {median(times) * 1e3:.1f} ms, longest of {_SYNCS} {max(times) * 1e3:.1f} ms"
     return [

@@ -16,7 +16,7 @@ import numpy as np
 
 from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Times
 from operators.checks import check_between, check_choice
-from operators.errors import EndpointError, InputError, ParameterError, os_error_reason
+from operators.errors import InputError, ParameterError
 from operators.ports import Description
 from storage import files
 from storage.description import check_identity, identity
@@ -82,7 +82,6 @@ def read_hand_labels(folder: Path, about: Description, version: int | None = Non
 
     Raises:
         InputError: if its file is damaged or belongs to another session.
-        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     versions = numbered_files(folder, LABEL_FILES)
     number = max(versions, default=0) if version is None else version
@@ -112,7 +111,7 @@ def write_hand_labels(
         EndpointError: if the file cannot be written; nothing is changed then.
     """
     ordered = _ordered(spans)
-    try:
+    with files.write_errors(folder / LABELS):
         files.make_folder(folder / LABELS)
         with files.exclusive(folder / LABELS):
             newest = max(numbered_files(folder, LABEL_FILES), default=0)
@@ -122,8 +121,6 @@ def write_hand_labels(
             content = {"format": FORMAT, "version": newest + 1, **identity(about)}
             content["spans"] = [asdict(each) for each in ordered]
             files.put_checked(folder / file_name(LABEL_FILES, newest + 1), content)
-    except OSError as error:
-        raise EndpointError(str(folder / LABELS), f"cannot be written: {os_error_reason(error)}") from error
     return HandLabels(newest + 1, ordered)
 
 

@@ -114,13 +114,6 @@ class Journal:
 
     `add` may run in a different thread from the rest. `append`, `sync` and a commit, which ends with
     `rotate`, may run at the same time, each once.
-
-    Args:
-        folder: Folder of the session.
-        session: Name of the session.
-
-    Raises:
-        OSError: if it cannot be written.
     """
 
     def __init__(self, folder: Path, session: str) -> None:
@@ -194,10 +187,8 @@ class Journal:
     def rotate(self, single: Iterable[NumberedRows]) -> None:
         """Begin the next segment, and delete those whose rows of multi-part tables are committed now.
 
-        The segment before it stays: rows may have been added to it since `begin_commit`.
-
-        Args:
-            single: All rows of single-file tables at `begin_commit`.
+        The segment before it stays: rows may have been added to it since `begin_commit`. `single` has all
+        rows of single-file tables at that time.
 
         Raises:
             OSError: it may be called again.
@@ -226,11 +217,7 @@ class Journal:
 
 
 def delete_journal(folder: Path) -> None:
-    """Delete the journal of a session: all its rows are in parts.
-
-    Raises:
-        OSError: some of it is left.
-    """
+    """Delete the journal of a session: all its rows are in parts."""
     for path in (*files_of(folder, SEGMENTS), *files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")):
         path.unlink(missing_ok=True)
     (folder / JOURNAL).rmdir()

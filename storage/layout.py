@@ -167,7 +167,6 @@ def new_session_folder(root: Path, session: str) -> Path:
 
     Raises:
         ParameterError: if it is not.
-        InputError: as `session_folder`.
     """
     if not _NAME.fullmatch(session):
         must_be = "a file name of at most 128 letters, digits, '.', '_' or '-', first a letter or digit"
@@ -184,7 +183,6 @@ def session_folders(path: Path, *, lost: bool = False) -> list[Path]:
 
     Raises:
         InputError: if the path is neither, or may not be read.
-        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     if may_exist(path / SESSION) or may_exist(path / MANIFEST):
         return [path]
@@ -238,7 +236,6 @@ def check_links(folder: Path) -> None:
 
     Raises:
         InputError: if it does, or may not be read.
-        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     sessions = folder.absolute().parent
     if sessions.name == SESSIONS:

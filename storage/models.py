@@ -88,11 +88,7 @@ def save_weights(
 
 
 def save_card(path: Path, card: Mapping[str, Any]) -> None:
-    """Write the card of a model, a .json of the same name, with a checksum.
-
-    Raises:
-        OSError: if it cannot be written.
-    """
+    """Write the card of a model, a .json of the same name, with a checksum."""
     files.put_checked(path.with_suffix(".json"), card)
 
 
@@ -136,9 +132,6 @@ def identify_detector(name: str | Path) -> dict[str, str]:
 
     >>> identify_detector("psd")
     {'id': 'psd'}
-
-    Raises:
-        InputError: if the file of its weights cannot be read.
     """
     path = shipped(str(name)) or Path(name)
     if str(name) in DETECTORS or path.suffix != _SUFFIX:
@@ -167,11 +160,7 @@ def shipped_path(name: str) -> Path:
 
 
 def load_card(path: Path) -> dict[str, Any]:
-    """Return the content of a model's card, a .json of the same name; empty if there is none.
-
-    Raises:
-        InputError: if it is damaged.
-    """
+    """Return the content of a model's card, a .json of the same name; empty if there is none."""
     card = path.with_suffix(".json")
     return files.read_checked(card) if card.exists() else {}
 

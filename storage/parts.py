@@ -116,9 +116,6 @@ def write_parts(
     """Write rows as files of a table, from a number on, each of at most `limit` rows; see `write_part`.
 
     A single-file table gets one file, also without rows.
-
-    Raises:
-        OSError: if one cannot be written; each is then missing or complete.
     """
     size = limit if table.parted else max(len(rows), 1)
     if table.parted:

@@ -46,9 +46,6 @@ def recover(folder: str | Path) -> "Recovery":
     the journal is deleted. A session that needs no repair is not changed; a recovery that was killed can be
     run again.
 
-    Args:
-        folder: Folder of the session.
-
     Raises:
         InputError: if it is not a session, its manifest is damaged, its journal has another version, or it
             contains a link; nothing is changed then.
@@ -89,9 +86,6 @@ class Recovery:
         lost: A line for each loss that no earlier recovery has recorded.
         cut: Those of `lost` at the end, where the recorder was killed.
         done: A line for each other repair.
-
-    Raises:
-        InputError: if the manifest is damaged, or the journal has another version.
     """
 
     def __init__(self, folder: Path, about: Description) -> None:

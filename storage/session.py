@@ -39,23 +39,15 @@ PARTS_IN_MEMORY: Final = 8  # of all sessions: one of each table
 log = logging.getLogger("slipflow")
 
 
-@dataclass(frozen=True)
-class _Part:
-    """Rows of one part."""
-
-    kind: type[Batch]
-    by_finger: Mapping[int, Batch]
-
-
 @lru_cache(maxsize=PARTS_IN_MEMORY)
-def _read_part(folder: Path, part: Part) -> _Part:
-    """Read and verify a part; fingertips that are read in parallel share it."""
+def _read_part(folder: Path, part: Part) -> dict[int, Batch]:
+    """Read and verify a part by fingertip; fingertips that are read in parallel share it."""
     rows, table = read_part(folder, part), cast("Table", table_of(part.path))
     stored = schema.batch_type(rows)
     if stored is None or not issubclass(stored, table.kind):
         reason = 'its metadata "batch" is no type of its table; restore a copy'
         raise InputError(str(folder / part.path), reason)
-    return _Part(stored, schema.from_arrow(table, stored, rows))
+    return schema.from_arrow(table, stored, rows)
 
 
 @dataclass(frozen=True)
@@ -130,13 +122,9 @@ class Session:
         """Return the fingertips that have rows of `kind`.
 
         The first call for a table verifies all its files.
-
-        Raises:
-            InputError: as `read`.
         """
         if kind not in self._fingers:
-            found = frozenset[int]().union(*(part.by_finger for part in self._parts(kind)))
-            self._fingers[kind] = tuple(sorted(found))
+            self._fingers[kind] = tuple(sorted(set[int]().union(*self._parts(kind))))
         return self._fingers[kind]
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
@@ -151,9 +139,9 @@ class Session:
         """
         check_at_least("Session.read", "rows", rows, 1)
         for part in self._parts(kind):
-            batch = part.by_finger.get(finger, kind.empty())
+            batch = part.get(finger, kind.empty())
             for start in range(0, len(batch), rows):
-                yield cast("SomeBatch", batch[start : start + rows])
+                yield batch[start : start + rows]
 
     def frame(self, table: str) -> "pl.DataFrame":
         """Return one table as a polars DataFrame, after verifying its files.
@@ -186,11 +174,12 @@ class Session:
         """Return the content of session.json."""
         return self.about
 
-    def _parts(self, kind: type[Batch]) -> Iterator[_Part]:
-        """Yield the parts with rows of `kind`; all parts of a table have rows of one type."""
+    def _parts(self, kind: type[SomeBatch]) -> Iterator[dict[int, SomeBatch]]:
+        """Yield the rows of `kind` of each part, by fingertip."""
         table = TABLE_OF.get(kind)
-        parts = (_read_part(self.folder, listed) for listed in (self._listed(table) if table else ()))
-        return (part for part in parts if issubclass(part.kind, kind))
+        for listed in self._listed(table) if table else ():
+            part = _read_part(self.folder, listed)
+            yield {finger: batch for finger, batch in part.items() if isinstance(batch, kind)}
 
     def _listed(self, table: Table) -> list[Part]:
         """Return the parts of a table in order."""

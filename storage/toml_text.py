@@ -29,11 +29,7 @@ def read_text(path: Path) -> str:
 
 
 def parse_toml(text: str, where: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
-
-    Args:
-        text: TOML text.
-        where: Name of the file, for errors.
+    """Return the tables of a TOML text; `where` names its file in errors.
 
     Raises:
         InputError: if it is not TOML, nests more than `DEPTH` levels, or has a number of more than `DIGITS`

@@ -78,11 +78,7 @@ class Verified:
 def verify(path: str | Path, progress: Progress = lambda _done, _total, _session: None) -> Verified:
     """Read and check all files of a dataset, or of one session; nothing is changed.
 
-    A session that is being recorded is checked up to its last commit.
-
-    Args:
-        path: Folder of the dataset or session.
-        progress: Called after each file.
+    A session that is being recorded is checked up to its last commit. `progress` is called after each file.
 
     Raises:
         InputError: if `path` is neither, cannot be read, or it or one of its sessions has another version.
@@ -111,21 +107,13 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
 
 
 class _SessionCheck:
-    """Check of one session.
-
-    Attributes:
-        folder: Folder of the session.
-        name: Name of the folder.
-        findings: Findings so far.
-        read: Rows of each file that could be read so far.
-        listed: Parts in the manifest, by path.
-        about: Content of session.json; empty if it cannot be read.
-    """
+    """Check of one session."""
 
     def __init__(self, root: Path, folder: Path) -> None:
         self.folder, self.name = folder, (folder.resolve() if folder == root else folder).name
-        self.findings, self.read = list[SessionFinding](), list[int]()
-        self.about: Description = {}
+        self.findings = list[SessionFinding]()
+        self.read = list[int]()  # rows of each file that could be read
+        self.about: Description = {}  # if session.json cannot be read
         self.listed: Mapping[str, Part] = {}
         self._extents = list[tuple[int, int, set[object]]]()  # first and last time, fingertips of touch parts
         self._has_links = self._has_manifest = True

@@ -12,11 +12,11 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_280,
-    "connectors": 11_510,
-    "storage": 4_020,
-    "flows": 12_730,
-    "product": 33_470,
+    "operators": 5_270,
+    "connectors": 11_430,
+    "storage": 3_900,
+    "flows": 12_590,
+    "product": 33_180,
     "product files": 218,
     "tests": 35_560,
     "commands": 16,

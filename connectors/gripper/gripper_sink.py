@@ -242,11 +242,7 @@ class Gripper(Sink[Commands]):
                     self._failure = ""
 
     async def _step(self) -> None:
-        """Read the status or send the target if due, else wait until one of them is due.
-
-        Raises:
-            EndpointError: if the gripper fails.
-        """
+        """Read the status or send the target if due, else wait until one of them is due."""
         loop = asyncio.get_running_loop()
         now = loop.time()
         if now >= self._due:
@@ -276,12 +272,7 @@ class Gripper(Sink[Commands]):
             await self._send(Request(active=True))
 
     async def _read_status(self) -> Status:
-        """Read the status.
-
-        Raises:
-            EndpointError: if the gripper cannot be reached, refuses, does not answer or sends an invalid
-                status.
-        """
+        """Read the status."""
         answer = await self._exchange("read_input_registers", count=STATUS)
         try:
             return Status.decode(answer.registers)

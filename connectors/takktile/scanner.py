@@ -179,11 +179,7 @@ class Scanner:
         return None
 
     def _read(self, address: int, register: int, length: int) -> bytes | None:
-        """Read from one cell, while all others are disconnected; return None if it does not answer.
-
-        Raises:
-            OSError: on any other error.
-        """
+        """Read from one cell, while all others are disconnected; return None if it does not answer."""
         try:
             self._connect(address)
             try:
@@ -234,12 +230,7 @@ class Scanner:
 
 
 class ScanThread:
-    """Thread that scans until the sensor is lost, for the running event loop.
-
-    Args:
-        schedule: Schedule of the scans.
-        now: Clock of the samples, ns.
-    """
+    """Thread that scans until the sensor is lost, for the running event loop; arguments as of `Scanner`."""
 
     def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
         self._schedule, self._now, self._path = schedule, now, schedule.path
@@ -291,11 +282,7 @@ class ScanThread:
                 scanner.close()
 
     def _scan(self, scanner: Scanner) -> None:
-        """Scan on schedule.
-
-        Raises:
-            OSError: if the sensor is lost.
-        """
+        """Scan on schedule."""
         period, counted = self._schedule.period, self._schedule.counted
         sampled, answered = self._now(), False
         due = sampled

@@ -184,11 +184,8 @@ def _row_fault(
 ) -> str:
     """Return what is wrong with the fingertip of a declared row; empty if nothing is.
 
-    Args:
-        known: Coefficients of its cells.
-        index: Number of the fingertip in the scans.
-        scans: Some scans.
-        others: All rows that answer; None: not searched.
+    `known` are the coefficients of its cells, `index` is its number in the scans, and `others` are all rows
+    that answer (None: not searched).
     """
     unknown = [cell for cell, coefficients in enumerate(known) if coefficients is None]
     shares = np.mean([scan.valid[index] for scan in scans] or np.zeros((1, BAROMETERS)), axis=0)  # (6,)

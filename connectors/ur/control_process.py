@@ -124,11 +124,7 @@ class _Commander:
         self._velocity = _STANDSTILL  # newest command in velocity mode
 
     def run(self, pipe: Connection, watchdog: float) -> None:
-        """Execute commands until `END`; write to the controller at least three times per watchdog period.
-
-        Raises:
-            RuntimeError: if the controller rejects a command, or no command arrives.
-        """
+        """Execute commands until `END`; write to the controller at least three times per watchdog period."""
         silence, period = max(SILENCE, 1 / watchdog), min(REPEAT, 1 / watchdog / 3)  # s
         received = monotonic()
         written, replied = received, received - _HEARTBEAT

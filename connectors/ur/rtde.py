@@ -74,9 +74,7 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
 def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     r"""Return the number of the recipe that a controller's answer grants.
 
-    Args:
-        asked: Types of the requested variables, by name.
-        payload: The answer.
+    `asked` has the types of the requested variables, by name.
 
     Raises:
         RtdeError: if the controller refuses, or sends other types, naming the fields.
@@ -112,11 +110,7 @@ class Version(NamedTuple):
 
     @classmethod
     def read(cls, payload: bytes) -> Self:
-        """Parse the version in a controller's answer.
-
-        Raises:
-            RtdeError: if the answer has another size.
-        """
+        """Parse the version in a controller's answer."""
         if len(payload) != _VERSION.size:
             raise RtdeError(f"the controller's version has {len(payload)} bytes, must have {_VERSION.size}")
         return cls(*_VERSION.unpack(payload))

@@ -35,6 +35,8 @@ _REST: Final[Pose] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 class UrArm:
     """Arm that can be moved while its context is open; leaving the context stops it.
 
+    Every method that moves it or waits raises an EndpointError if it had to be stopped.
+
     Args:
         host: Address of the controller.
         bounds: Workspace and force limit.
@@ -103,9 +105,6 @@ class UrArm:
         """Move along straight lines through poses, and stop at the last; `seconds` is the planned duration.
 
         Through several poses it moves at constant speed and orientation.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
         """
         for pose in poses:
             if reason := self.bounds.violation(ArmState(pose, _REST)):
@@ -125,11 +124,7 @@ class UrArm:
             raise
 
     async def turn(self, spin: float, seconds: float, acceleration: float) -> None:
-        """Rotate about the TCP's own z (rad/s) for a time (s), then come to rest.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
-        """
+        """Rotate about the TCP's own z (rad/s) for a time (s), then come to rest."""
         self._check()
         velocity = rotate((0.0, 0.0, spin), quaternion(self.state.pose[3:]))
         async with self._velocity_control(abs(spin), acceleration):
@@ -157,11 +152,7 @@ class UrArm:
                 await self.wait(_STEERING)
 
     async def wait(self, seconds: float) -> None:
-        """Wait while the arm continues its motion.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
-        """
+        """Wait while the arm continues its motion."""
         with suppress(TimeoutError):
             async with asyncio.timeout(seconds):
                 await self._until(lambda: False, inf, "")
@@ -194,9 +185,6 @@ class UrArm:
         """Run a block that commands velocities (at most `speed`, m/s or rad/s), then bring the arm to rest.
 
         Until then, `guard` checks every state, and returns why the arm must be stopped, or an empty text.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
         """
         self._guard = guard
         try:
@@ -233,11 +221,7 @@ class UrArm:
             raise EndpointError(self._endpoint, self.fault)
 
     async def _until(self, done: Callable[[], bool], seconds: float, purpose: str) -> None:
-        """Wait for a condition, checked at every state; stop the arm if it takes too long.
-
-        Raises:
-            EndpointError: if the arm had to be stopped.
-        """
+        """Wait for a condition, checked at every state; stop the arm if it takes too long."""
         loop = asyncio.get_running_loop()
         end = loop.time() + seconds
         while True:

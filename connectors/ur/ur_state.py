@@ -119,11 +119,7 @@ def state_client(clock: Clock, host: str) -> RtdeClient:
 
 
 async def receive_states(client: RtdeClient) -> list[ArmState]:
-    """Return the states received since the last call; wait if there are none.
-
-    Raises:
-        EndpointError: if the controller sends no state.
-    """
+    """Return the states received since the last call; wait if there are none."""
     _, rows = await client.receive()
     force = rows["actual_TCP_force"][:, :3]  # (n, 3)
     names = "actual_TCP_pose", "actual_TCP_speed", "robot_mode", "safety_mode"
@@ -136,11 +132,7 @@ async def receive_states(client: RtdeClient) -> list[ArmState]:
 
 
 async def read_state(clock: Clock, host: str) -> ArmState:
-    """Return the newest state of an arm.
-
-    Raises:
-        EndpointError: if its controller sends no state.
-    """
+    """Return the newest state of an arm."""
     client = state_client(clock, host)
     try:
         await client.connect()

@@ -65,13 +65,8 @@ def event_json(
 ) -> dict[str, Json]:
     """Return a slip event as JSON, with its time since `origin` (ns).
 
-    Args:
-        number: Number of the event.
-        finger: Name of the fingertip.
-        slip: Event.
-        origin: Start of the run, ns.
-        latency: ns from the deciding sample to the arrival of the event; None: unknown.
-        faults: Faults of the fingertip at the time of the event.
+    `latency` (ns) is the time from the deciding sample to the arrival of the event, None: unknown; `faults`
+    are those of the fingertip at the time of the event.
     """
     return {
         "id": number,

@@ -202,18 +202,11 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
 
 class Frames:
-    """Collector of the rows and events of a run, with bounded memory.
-
-    Args:
-        run: Run.
-        zeroed: Ignore touch that is not zeroed.
-
-    Attributes:
-        count: Number of batches so far.
-    """
+    """Collector of the rows and events of a run, with bounded memory."""
 
     def __init__(self, run: Run, *, zeroed: bool) -> None:
-        self._run, self._zeroed, self.count = run, zeroed, 0
+        self._run, self._zeroed = run, zeroed  # True: touch that is not zeroed is ignored
+        self.count = 0  # of batches
         self._rows: deque[Rows] = deque(maxlen=BATCHES_KEPT)
         self._scores: dict[str, float] = {}  # newest probability by fingertip
         self._slipping: set[str] = set()

@@ -277,11 +277,7 @@ def _handler(document: Callable[[web.Request, bytes], Json]) -> Handler:
 
 
 def _number(request: web.Request, name: str) -> float:
-    """Return a number of a query.
-
-    Raises:
-        InputError: if it is missing or too large.
-    """
+    """Return a number of a query."""
     with suppress(KeyError, ValueError):
         value = float(request.query[name])
         if abs(value) <= _TIME_MAX:  # also for NaN

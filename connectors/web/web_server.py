@@ -157,11 +157,7 @@ PAGE_FILES: Final = (web.get("/", _index), web.static("/", STATIC))
 
 
 def page_server(host: str, port: int | None) -> WebServer:
-    """Return a server of a page, whose `open` gets `PAGE_FILES` too.
-
-    Raises:
-        ParameterError: if the token is malformed, or missing although other machines can reach `host`.
-    """
+    """Return a server of a page, whose `open` gets `PAGE_FILES` too."""
     return WebServer("the page", host, port, required_token("Page", host))
 
 

@@ -150,15 +150,14 @@ def import_(
 
 def _write_flow(path: Path, source: Path, columns: "ColumnMap") -> Path:
     """Write a flow file that follows `source` by default and, next to it, the map; return its path."""
-    from operators.errors import EndpointError, ParameterError, os_error_reason
+    from operators.errors import ParameterError
+    from storage.files import write_errors
 
     if path.suffix != ".py" or not path.stem.isidentifier():
         raise ParameterError("import", "--flow", str(path), "a new Python file such as own.py")
     toml = path.with_suffix(".toml")
-    try:
+    with write_errors(path):
         for file, text in ((path, _FLOW.substitute(name=path.stem, source=source)), (toml, columns.toml())):
             with file.open("x", encoding="utf-8") as opened:
                 opened.write(text)
-    except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
     return toml

@@ -18,15 +18,8 @@ if TYPE_CHECKING:
 def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -> None:
     """Add a sink to a flow that shows it on the live page, with the threshold of its first `Debounce`.
 
-    A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells.
-
-    Args:
-        flow: Flow to change.
-        listen: Address as ``[HOST:]PORT``.
-        browse: Open a browser if a person uses this terminal.
-
-    Raises:
-        ParameterError: if the page cannot be served at this address.
+    A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells. `listen` is the
+    address as ``[HOST:]PORT``; `browse` opens a browser if a person uses this terminal.
     """
     from connectors import Page
     from operators import Debounce, Faults, Motion, Scores, Slips, Touch, Zeroed

@@ -84,12 +84,7 @@ def parse_rows(rows: str) -> tuple[int, ...]:
 
 
 def load_flow(target: str, settings: list[str] | None) -> "Flow":
-    """Build the flow that `target` names.
-
-    Raises:
-        InputError: if there is no such flow.
-        ParameterError: if a setting is invalid.
-    """
+    """Build the flow that `target` names."""
     from flows.graph.loading import load
 
     return load(target).flow(parse_settings(settings))

@@ -128,17 +128,7 @@ def run(
 async def execute(
     flow: "Flow", *, limit: int | None = None, recording: "Recording | None" = None, pace: float = 1.0
 ) -> "Run":
-    """Run a flow in real time: live, or over a recording.
-
-    Args:
-        flow: Flow to run.
-        limit: Longest duration, ns.
-        recording: Recording to replay; None: run live.
-        pace: Speed of the replay as a multiple of real time.
-
-    Raises:
-        SlipflowError: if the run cannot start.
-    """
+    """Run a flow for `limit` ns at most: live, or over a recording at `pace` times real time."""
     from datetime import UTC, datetime
 
     from flows.run.clocks import LoopClock

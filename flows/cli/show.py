@@ -95,11 +95,7 @@ def _fitting(session: "Session") -> str:
 
 
 async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
-    """Load the data of a session that the page shows.
-
-    Args:
-        session: Session.
-        detector: Name of a detector or of a file with its weights; ``none``: no scores.
+    """Load the data of a session that the page shows; the detector ``none`` gives no scores.
 
     Raises:
         InputError: if the session has no touch, is damaged or too long, or the detector is unknown.

@@ -151,11 +151,7 @@ def command_line() -> str:
 
 
 def prepare_report(folder: Path) -> None:
-    """Check the folder of a report before a long measurement; note that figures need matplotlib.
-
-    Raises:
-        EndpointError: if the report cannot be written there.
-    """
+    """Check the folder of a report before a long measurement; note that figures need matplotlib."""
     from flows.report.figures import missing_matplotlib
     from flows.report.report_page import check_output_folder
 

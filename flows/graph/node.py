@@ -77,11 +77,7 @@ class Node:
 
 
 def check_extras(nodes: Iterable[Node]) -> None:
-    """Require the extras that sources and sinks need.
-
-    Raises:
-        InputError: if a package is missing; the message contains the command that installs it.
-    """
+    """Require the extras that sources and sinks need."""
     for node in nodes:
         if isinstance(node.part, Source | Sink) and node.part.extra:
             require_extra(node.part.extra, node.name)

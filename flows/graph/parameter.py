@@ -35,11 +35,7 @@ class Parameter:
         """Parse text as the annotated type.
 
         Numbers without a unit are in SI units; times and rates always need a unit. Empty text is valid
-        only if it is the default.
-
-        Args:
-            owner: Flow, for the error.
-            text: Text to parse.
+        only if it is the default. `owner` is the flow, for the error.
 
         Raises:
             ParameterError: if the text does not have the annotated type.

@@ -59,12 +59,7 @@ def parse_quantity(owner: str, name: str, text: str, unit: str, *, signed: bool 
     Traceback (most recent call last):
     operators.errors.ParameterError: run: --for is '5', must be a time with its unit: 500ms, 30s, 1h or 30d
 
-    Args:
-        owner: Command or flow, for the error.
-        name: Option or parameter, for the error.
-        text: Text to parse.
-        unit: Base unit, a key of `KINDS`.
-        signed: Accept negative values.
+    `unit` is a key of `KINDS`. The error names `owner`, a command or flow, and its parameter `name`.
 
     Raises:
         ParameterError: if the text is not a quantity of this unit.
@@ -86,9 +81,6 @@ def parse_time(owner: str, name: str, text: str) -> int:
 
     >>> parse_time("run", "--for", "1.5s")
     1500000000
-
-    Raises:
-        ParameterError: if the text is not a time.
     """
     return int(parse_quantity(owner, name, text, "ns"))
 

@@ -25,9 +25,7 @@ _CHAIN: Final[tuple[type[Operator[Any, Any]], ...]] = (Zero, Score, Debounce)
 def validate(flow: Flow, *, fingertips: bool = True) -> None:
     """Raise the first problem of a flow, if there is one.
 
-    Args:
-        flow: Flow to check.
-        fingertips: Check that the fingertips of the sources fit; a replay replaces the sources.
+    `fingertips` checks that those of the sources fit; a replay replaces the sources.
 
     Raises:
         FlowError: naming the edge, the mistake and the fix.

@@ -147,9 +147,6 @@ class LocalProcesses(Executor):
     """Executor of local processes, which end with this process.
 
     A process that dies breaks all tasks in progress and waiting: `map_tasks` repeats them.
-
-    Args:
-        count: Number of processes.
     """
 
     def __init__(self, count: int) -> None:
@@ -213,11 +210,7 @@ def _end_with(lifeline: "Connection[Any, Any]") -> None:
 
 
 class DaskWorkers(Executor):
-    """Executor of a cluster's workers.
-
-    Args:
-        client: Client of `distributed`, connected.
-    """
+    """Executor of the workers of a cluster, given a connected client of `distributed`."""
 
     def __init__(self, client: Any) -> None:
         self._client, self._executor = client, client.get_executor(pure=False)

@@ -24,12 +24,8 @@ from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, Sou
 def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
     """Return a copy of a flow that reads its sources from a recording.
 
-    A source reads the recorded fingertips that it declares, or all if no other source has its type.
-
-    Args:
-        flow: Flow to copy.
-        recording: Recorded streams.
-        paced: Keep the time offsets between the streams, for `LiveRunner`; reads the start of each stream.
+    A source reads the recorded fingertips that it declares, or all if no other source has its type. `paced`
+    keeps the time offsets between the streams, for `LiveRunner`; it reads the start of each stream.
 
     Raises:
         InputError: if the recording lacks the stream of a source.
@@ -88,13 +84,7 @@ class ReplayRunner:
 
     All streams advance together in slices of event time, so that joins see the same rows as in a live run.
     All sinks write a slice before the next one is read. Unlike in a live run, any failure ends the replay: it
-    can be repeated.
-
-    Args:
-        flow: Flow to run.
-        recording: Recorded streams for its sources.
-        session: Identifier of the run.
-        rows: Maximum number of rows per batch.
+    can be repeated. A batch has at most `rows` rows.
 
     Raises:
         FlowError: if the flow is wired wrongly.

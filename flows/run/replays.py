@@ -72,11 +72,7 @@ class FlowSource:
 
     @lru_cache(maxsize=1)  # noqa: B019 - one flow per process: the command's or the worker's
     def flow(self) -> Flow:
-        """Build the flow, once per process.
-
-        Raises:
-            SlipflowError: if it cannot be built.
-        """
+        """Build the flow, once per process."""
         folder = self._unpack() if self.files else ""
         return load(folder + self.target).flow(dict(self.settings))
 
@@ -109,11 +105,7 @@ class Replayed:
 
 
 class Replays:
-    """Replays of one flow over many recordings.
-
-    Args:
-        source: The flow.
-        paths: Sessions, traces, and datasets for all of their sessions.
+    """Replays of one flow over sessions, traces, and all sessions of datasets.
 
     Attributes:
         flow: Flow of this process.
@@ -150,11 +142,7 @@ class Replays:
     ) -> Generator[Replayed]:
         """Replay all recordings and yield the results in order; they do not depend on the executor.
 
-        A recording that fails does not affect the others.
-
-        Args:
-            executor: Executor of `flows.run.executor.workers`; None: this process.
-            progress: Called with the number of finished recordings and of all recordings.
+        A recording that fails does not affect the others. `executor` and `progress` are those of `map_tasks`.
 
         Raises:
             FlowError: if there is an executor and an exclusive sink.

@@ -8,9 +8,9 @@ from shutil import rmtree
 from typing import Final
 from uuid import uuid4
 
-from operators.errors import EndpointError, InputError, os_error_reason
+from operators.errors import InputError
 from storage.description import describe_dataset
-from storage.files import make_folder, sync, sync_tree
+from storage.files import make_folder, sync, sync_tree, write_errors
 from storage.layout import MANIFEST, SESSIONS, session_folder
 
 _PARTIAL: Final = ".partial"  # folder in a dataset: sessions that are being written
@@ -27,7 +27,7 @@ def new_session(root: Path, session: str) -> Generator[Path]:
         EndpointError: if it cannot be written to.
     """
     scratch, target = root / _PARTIAL / session / uuid4().hex, session_folder(root, session)
-    with _write_errors(root):
+    with write_errors(root):
         make_folder(root, parents=True)
         describe_dataset(root)
         make_folder(root / SESSIONS)
@@ -35,7 +35,7 @@ def new_session(root: Path, session: str) -> Generator[Path]:
     try:
         yield scratch
         complete = session_folder(scratch, session)
-        with _write_errors(root):
+        with write_errors(root):
             if not target.exists():
                 sync_tree(complete)
                 os.rename(complete, target)  # noqa: PTH104 - unlike Path.replace, never replaces files
@@ -52,16 +52,3 @@ def remove_partial(root: Path, sessions: Iterable[str]) -> None:
         rmtree(root / _PARTIAL / session, ignore_errors=True)
     with suppress(OSError):
         (root / _PARTIAL).rmdir()
-
-
-@contextmanager
-def _write_errors(root: Path) -> Generator[None]:
-    """Convert errors of the operating system to that of a dataset.
-
-    Raises:
-        EndpointError: if the block raises an OSError.
-    """
-    try:
-        yield
-    except OSError as error:
-        raise EndpointError(str(root), f"cannot be written: {os_error_reason(error)}") from error

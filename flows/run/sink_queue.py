@@ -23,12 +23,8 @@ class SinkQueue:
     A batch that the sink takes at once is not queued, unless others wait before it. A failed write is
     retried with the same batch. While a lossless sink is slow, the sources wait for room; while it fails or
     is stuck, new batches without room are dropped and counted. Other sinks never make sources wait: their
-    oldest batch is dropped.
-
-    Args:
-        name: Name of the sink in the run.
-        sink: Opened sink.
-        on_closed: Called when the sink raises `OutputClosedError`; its further batches are dropped.
+    oldest batch is dropped. When the sink raises `OutputClosedError`, its further batches are dropped, and
+    `on_closed` is called.
     """
 
     def __init__(self, name: str, sink: Sink[Any], on_closed: Callable[[], object] = lambda: None) -> None:

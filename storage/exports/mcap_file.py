@@ -49,11 +49,6 @@ def export(
     order of recording; the file's index sorts them by time. session.json becomes the metadata record
     "session", with JSON text for each key; labels given by hand become "hand_labels", if there are any.
 
-    Args:
-        session: Session to write.
-        path: File to create.
-        progress: Called with the number of rows written so far.
-
     Raises:
         InputError: if the library is not installed, the session is damaged, or a row is from before 1970.
         EndpointError: if the file exists or cannot be written; then nothing is left of it.
