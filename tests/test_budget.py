@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_270,
-    "connectors": 11_430,
+    "connectors": 11_400,
     "storage": 3_900,
     "flows": 12_590,
-    "product": 33_180,
+    "product": 33_150,
     "product files": 218,
-    "tests": 35_560,
+    "tests": 35_500,
     "commands": 16,
     "options": 84,
     "words": 38_500,

@@ -96,11 +96,7 @@ class Trace:
         return (EVERY,) if kind is Motion and len(self.part.motion) else ()
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        """Yield a stream in batches of at most `rows`.
-
-        Raises:
-            InputError: if there is no such stream.
-        """
+        """Yield a stream in batches of at most `rows`; raise InputError if there is no such stream."""
         if finger not in self.fingers(kind):
             raise InputError(self.name, f"has no {kind.__name__} stream of finger {finger}")
         stream = cast(

@@ -13,14 +13,7 @@ from connectors.events import Event, Fault, Model, encode, faults, finger_name, 
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
-from connectors.mqtt.rig_names import (
-    SUFFIX,
-    host_rig,
-    name_in_run,
-    outbox_path,
-    replay_name,
-    rig_topic,
-)
+from connectors.mqtt.rig_names import SUFFIX, host_rig, name_in_run, outbox_path, replay_name, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.checks import check_at_least, check_between
@@ -32,6 +25,7 @@ from storage.files import check_disk
 log = logging.getLogger("slipflow")
 
 _STEPS_MAX: Final = 10  # newest steps of the host clock in a report
+_SINK: Final = ("rows", "queued", "dropped", "failures")  # counters in a report
 
 
 @dataclass(eq=False)
@@ -234,34 +228,30 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def _message(self, name: str, document: dict[str, Json]) -> Message:
         return Message(f"{self._topic}/{name}", encode(document))
 
-    def _about_run(self, name: str, document: dict[str, Json]) -> Message:
+    def _about_run(self, name: str, **document: Json) -> Message:
         """Return a document with epoch and session."""
         return self._message(name, {"epoch": self._outbox.epoch, "session": self._run.session, **document})
 
     def _status(self, state: str, since: int | None) -> Message:
         when = None if since is None else timestamp(since)  # unknown for a will
-        return self._about_run("status", {"state": state, "version": software_version(), "since": when})
+        return self._about_run("status", state=state, version=software_version(), since=when)
 
     def _info(self) -> Message:
         return self._about_run(
             "info",
-            {
-                "flow": self._run.flow,
-                "recording": self._run.recording,
-                "sources": {name: dict(description) for name, description in self._run.describe.items()},
-                "model": self._model.values(),
-                "threshold": self.threshold,
-                "consecutive": self.consecutive,
-                "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
-            },
+            flow=self._run.flow,
+            recording=self._run.recording,
+            sources={name: dict(description) for name, description in self._run.describe.items()},
+            model=self._model.values(),
+            threshold=self.threshold,
+            consecutive=self.consecutive,
+            units={"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
         )
 
     def _head(self) -> Message:
-        heads: list[dict[str, Json]] = [
-            {"epoch": each, "last_seq": last} for each, last in self._outbox.heads()
-        ]
-        before = {"before": heads[:-1]} if heads[:-1] else {}
-        return self._message("head", {**heads[-1], **before})
+        heads = self._outbox.heads()
+        *before, head = [dict[str, Json](epoch=each, last_seq=last) for each, last in heads]
+        return self._message("head", {**head, "before": before} if before else head)
 
     def _report(self) -> Message:
         outbox: dict[str, Json] = {
@@ -272,53 +262,44 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         faults: dict[str, Json] = {
             finger: [each.values() for each in self._degraded(finger)] for finger in self._faults
         }
-        about: dict[str, Json] = {"degraded": faults, "clock": self._clock, "outbox": outbox}
-        return self._about_run("health", {**self._health.next(), **about})
+        reports = self._health.next()
+        return self._about_run("health", **reports, degraded=faults, clock=self._clock, outbox=outbox)
 
 
 class HealthReports:
     """Health reports of one run.
 
-    A rate covers the time since the previous report. A source has no rate in its first report with rows.
+    A rate covers the time since the previous report. A source has no rate in its first report with rows. It
+    is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or ``down``.
     """
 
     def __init__(self, run: Run) -> None:
-        self._run = run
-        self._time, self._rows = run.start, dict.fromkeys(run.sources, 0)
+        self._run, self._time, self._rows = run, run.start, dict.fromkeys(run.sources, 0)
 
     def next(self) -> dict[str, Json]:
-        """Return a report of the current state.
-
-        A source is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or
-        ``down``.
-        """
+        """Return a report of the current state."""
         run, now = self._run, self._run.clock.now()
-        elapsed = (now - self._time) / s
-        sources: dict[str, Json] = {}
-        for name, source in run.sources.items():
-            before = self._rows.get(name, 0)
-            rows, known = source.rows - before, before > 0 and elapsed > 0
-            sources[name] = {
+        elapsed, before = (now - self._time) / s, self._rows
+        self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
+        rates = {
+            name: round((rows - before[name]) / elapsed, 3)
+            for name, rows in self._rows.items()
+            if before.get(name) and elapsed
+        }
+        sources: dict[str, Json] = {
+            name: {
                 "state": "up" if source.up else "stale" if source.stale else "down",
-                "rate_hz": round(rows / elapsed, 3) if known else None,
+                "rate_hz": rates.get(name),
                 "lag_ms": (now - source.newest) / ms if source.newest else None,
                 "rows": source.rows,
                 "late": source.late,
                 "gaps": len(source.gaps),
             }
-        self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
-        return {
-            "time_ns": now,
-            "sources": sources,
-            "sinks": {
-                name: {
-                    "rows": sink.rows,
-                    "queued": sink.queued,
-                    "dropped": sink.dropped,
-                    "failures": sink.failures,
-                    "error": sink.error or None,
-                }
-                for name, sink in run.sinks.items()
-            },
-            "clock_steps": [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]],
+            for name, source in run.sources.items()
         }
+        sinks: dict[str, Json] = {
+            name: {key: getattr(sink, key) for key in _SINK} | {"error": sink.error or None}
+            for name, sink in run.sinks.items()
+        }
+        steps = [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]]
+        return {"time_ns": now, "sources": sources, "sinks": sinks, "clock_steps": steps}

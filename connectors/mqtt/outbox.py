@@ -37,18 +37,20 @@ class Outbox:
     An event is released when it is written, so that it survives a crash of the process. Waiting for the fsync
     would not protect it from a power cut. While the disk fails, and 1 s after it has ceased to respond, all
     events are released and sent from memory, and written later; those not written when the process ends are
-    lost. Memory has the events that are not durable, or not sent.
+    lost. Memory has the events that are not durable, or not sent. If it is full while the disk fails, the
+    oldest sent ones are not kept: they cannot be requested again.
 
     Attributes:
         path: The folder.
         epoch: Name of the epoch of this run.
         error: Reason why the disk cannot be written; empty if it can.
+        not_kept: Number of events that were sent, but not written.
         on_pending: Called when there is an event to send.
     """
 
     def __init__(self, path: Path) -> None:
         """Prepare to use the folder `path`."""
-        self.path, self.epoch, self.error = path, token_hex(6), ""
+        self.path, self.epoch, self.error, self.not_kept = path, token_hex(6), "", 0
         self.on_pending: Callable[[], object] = lambda: None
         self._log = OutboxLog(path, self.epoch)
         self._memory: dict[int, Entry] = {}  # by number
@@ -56,7 +58,8 @@ class Outbox:
         self._rewrite = False  # a write or fsync has failed: what is not durable is written again
         self._released: dict[str, int] = {}  # number by epoch, oldest epoch first
         self._sent: dict[str, int] = {}  # the same
-        self._sent_written: dict[str, int] = {}  # the same, as the log has it
+        self._sent_unwritten: dict[str, int] = {}  # the same, of which the log does not know yet
+        self._reported = 0  # of the events that are not kept
         self._closing_until = inf  # loop time, s
         self._write_due, self._sync_due, self._progress = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
@@ -90,9 +93,8 @@ class Outbox:
                 reason = f"cannot be used: {os_error_reason(error)}"
                 raise EndpointError(str(self.path), reason) from error
             raise
-        self._sent_written = dict(self._sent)
         self._released = {epoch: self._log.span(epoch)[1] for epoch in self._sent}
-        self._released[self.epoch] = self._sent[self.epoch] = self._sent_written[self.epoch] = 0
+        self._released[self.epoch] = self._sent[self.epoch] = 0
         where = str(self.path)
         self._writing = BackgroundTask(where, "the writing of events", self._keep_writing(), self._fail)
         self._syncing = BackgroundTask(where, "the fsync of events", self._keep_syncing())
@@ -150,7 +152,7 @@ class Outbox:
         """Mark the oldest unsent entries as received by the broker."""
         for entry in entries:
             self._skip_to(entry.epoch, entry.seq)
-            self._sent[entry.epoch] = entry.seq
+            self._sent[entry.epoch] = self._sent_unwritten[entry.epoch] = entry.seq
         self._forget()
         asyncio.get_running_loop().call_later(ACKNOWLEDGE_EVERY, self._write_due.set)
 
@@ -170,6 +172,9 @@ class Outbox:
             await self._syncing.end()
             if self.unstored:
                 log.error("%s: %s; %d events are lost", self.path, self.error or "not written", self.unstored)
+            stored = self._log.span(self.epoch)[1]
+            self.not_kept += sum(stored < each <= self._sent[self.epoch] for each in self._memory)
+            self._report_not_kept()
         with suppress(OSError):
             await asyncio.to_thread(self._log.sync)
         await asyncio.to_thread(self._log.close)
@@ -177,11 +182,7 @@ class Outbox:
         self._syncing.check()
 
     async def _load(self, epoch: str, numbers: Sequence[int]) -> list[Entry]:
-        """Return the entries that are in memory, or stored and intact, in order.
-
-        Raises:
-            OSError: if the disk cannot be read.
-        """
+        """Return the entries that are in memory, or stored and intact, in order."""
         memory = self._memory if epoch == self.epoch else {}
         found = {number: memory[number] for number in numbers if number in memory}
         if others := [number for number in numbers if number not in found]:
@@ -193,7 +194,7 @@ class Outbox:
         """Count the unsent events before a number as sent, because they cannot be read."""
         for seq in range(self._sent[epoch] + 1, number):
             log.error("%s: event %d of epoch %s is damaged and lost", self.path, seq, epoch)
-        self._sent[epoch] = number - 1
+        self._sent[epoch] = self._sent_unwritten[epoch] = number - 1
 
     def _release(self, number: int) -> None:
         """Let the events up to a number be sent."""
@@ -211,12 +212,19 @@ class Outbox:
                 reason = f"{self.error}, and memory is full with {self.waiting} unsent events"
                 raise EndpointError(str(self.path), reason)
             del self._memory[int(oldest)]
+            self.not_kept += oldest > self._log.span(self.epoch)[1]
 
     def _forget(self) -> None:
         """Forget the events that are durable and sent."""
         last = min(self._durable, self._sent[self.epoch])
         while self._memory and (oldest := next(iter(self._memory))) <= last:
             del self._memory[oldest]
+
+    def _report_not_kept(self) -> None:
+        if self.not_kept > self._reported:
+            text = "%s: %d events that the broker has received are not kept"
+            log.error(text, self.path, self.not_kept - self._reported)
+        self._reported = self.not_kept
 
     def _fail(self, reason: str) -> None:
         """Send from memory until the disk can be written again."""
@@ -227,18 +235,22 @@ class Outbox:
 
     async def _keep_writing(self) -> None:
         retry, loop = BackOff(), asyncio.get_running_loop()
-        while self._closing_until == inf or self._is_unfinished():
+        while (
+            self._closing_until == inf
+            or self._newest > self._written
+            or self._rewrite
+            or self._sent_unwritten
+        ):
             await self._write_due.wait()
             self._write_due.clear()
             if self._rewrite:
                 self._written, self._rewrite = self._durable, False
-            newest, sent = self._newest, dict(self._sent)
+            newest, sent, self._sent_unwritten = self._newest, self._sent_unwritten, {}
             entries = [entry for entry in self._memory.values() if entry.seq > self._written]
-            changed = {each: last for each, last in sent.items() if last != self._sent_written[each]}
             try:
-                await asyncio.to_thread(self._store, entries, changed)
+                await asyncio.to_thread(self._store, entries, sent)
             except Exception as error:  # noqa: BLE001 - retried after any error, and reported
-                self._rewrite = True
+                self._rewrite, self._sent_unwritten = True, sent | self._sent_unwritten
                 self._fail(_reason(error))
                 if loop.time() > self._closing_until:
                     return
@@ -249,12 +261,10 @@ class Outbox:
             if self.error:
                 self.error = ""
                 log.warning("%s: can be written again; the events kept in memory are in it", self.path)
-            self._written, self._sent_written = newest, sent
+                self._report_not_kept()
+            self._written = newest
             self._release(newest)
             self._sync_due.set()
-
-    def _is_unfinished(self) -> bool:
-        return self._newest > self._written or self._rewrite or self._sent != self._sent_written
 
     def _store(self, entries: Sequence[Entry], sent: dict[str, int]) -> None:
         self._log.append(entries, sent)

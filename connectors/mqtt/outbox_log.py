@@ -120,11 +120,7 @@ class OutboxLog:
         self._segments[-1].offsets.extend(offsets[: len(entries)])
 
     def sync(self) -> None:
-        """Make the appended records durable.
-
-        Raises:
-            OSError: if they may be lost; the log is then `suspect`.
-        """
+        """Make the appended records durable; raise OSError if they may be lost; the log is then `suspect`."""
         if newest := self._log:  # `append` may replace it in another thread
             newest.sync()
 

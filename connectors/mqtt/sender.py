@@ -46,16 +46,13 @@ class Sender:
         documents: Callable[[Iterable[Entry]], Iterable[Message]],
         health: Callable[[], Message],
     ) -> None:
-        """Prepare to publish below `topic`.
-
-        `documents` returns the retained documents after a send; `health` is published every 5 s.
-        """
+        """Prepare to publish below `topic`, with the `documents` after a send, and `health` every 5 s."""
         self._broker, self._topic, self._outbox = broker, topic, outbox
         self._documents, self._health = documents, health
         self._replies = GapReplies(outbox, topic)
         self._retained: dict[str, Message] = {}  # by topic
         self._changed: dict[str, Message] = {}  # retained documents to publish, by topic
-        self._refused: dict[str, bool] = {}  # topics; True: skipped until the next attempt
+        self._refused = set[str]()  # topics, skipped until the next health report
         self._health_due = 0.0  # loop time, s
         self._link: Link | None = None
         self._wake, self._closing = asyncio.Event(), False
@@ -92,11 +89,7 @@ class Sender:
         self._sending = BackgroundTask(str(self._broker), "the sending of events", self._keep_sending())
 
     async def close(self, offline: Message) -> None:
-        """Send pending messages within 3 s, publish `offline`, and disconnect.
-
-        Raises:
-            EndpointError: if the sending has failed, other than by a failure of the broker.
-        """
+        """Send pending messages within 3 s, publish `offline`, disconnect; raise a failure of the task."""
         self._closing = True
         self._wake.set()
         if self._sending:
@@ -135,11 +128,10 @@ class Sender:
 
         self._link = link = await connect(self._broker, self._identifier, self._will, self._wake)
         self._replies.clear()
-        self._changed, self._refused = dict(self._retained), dict.fromkeys(self._refused, False)
+        self._changed, self._refused = dict(self._retained), set()
         requests = f"{self._topic}/replay/request"
         try:
             await link.listen(requests)
-            self._refused.pop(requests, None)
         except EndpointError as error:
             if not link.alive:
                 raise
@@ -147,22 +139,17 @@ class Sender:
         return link
 
     async def _send_pending(self, link: "Link") -> bool:
-        """Send one window of everything pending; if there is nothing, wait and return False.
-
-        Raises:
-            EndpointError: if the connection is lost.
-        """
+        """Send one window of everything pending; if there is nothing, wait and return False."""
         self._wake.clear()
         while received := link.next_received():
             self._replies.request(received[1])
-        now = asyncio.get_running_loop().time()
+        now, skipped = asyncio.get_running_loop().time(), self._refused
         if now >= self._health_due:
-            self._health_due = now + HEALTH_EVERY
+            self._health_due, skipped = now + HEALTH_EVERY, set()
             self._retain(self._health())
-            self._refused = dict.fromkeys(self._refused, False)
-        events_refused = any(skipped for topic, skipped in self._refused.items() if topic.endswith("/event"))
+        events_refused = any(topic.endswith("/event") for topic in skipped)
         entries = [] if events_refused else await self._outbox.next(WINDOW)
-        documents = [each for each in self._changed.values() if not self._refused.get(each.topic)]
+        documents = [each for each in self._changed.values() if each.topic not in skipped]
         replies = await self._replies.next(now)
         outgoing = [*documents, *map(self._event, entries), *replies]
         refusals = await link.send_all(outgoing)
@@ -193,13 +180,14 @@ class Sender:
     def _accept(self, message: Message) -> None:
         if self._changed.get(message.topic) is message:
             del self._changed[message.topic]
-        if self._refused.pop(message.topic, None) is not None:
+        if message.topic in self._refused:
+            self._refused.remove(message.topic)
             log.warning("%s: accepts %s again", self._broker, message.topic)
 
     def _refuse(self, topic: str, text: str) -> None:
         if topic not in self._refused:
             log.warning("%s", text)
-        self._refused[topic] = True
+        self._refused.add(topic)
 
     async def _disconnect(self) -> None:
         if self._link:

@@ -8,7 +8,6 @@ from tests.faults.search import replay, search
 
 
 def main() -> None:
-    """Simulate schedules and report violations."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
     parser.add_argument("--seed", type=int, help="simulate this seed only, print its faults, and shrink them")
     parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
 
-from connectors.events import Event
 from connectors.mqtt import consumer, gap_replay, outbox, outbox_log, position
 from connectors.mqtt.broker import Message
 from storage import append_log, dataset, files, journal, writer
@@ -26,7 +25,6 @@ class Bug:
 
 
 def _set(owner: Any, name: str, value: Any) -> Plant:
-    """Return a plant that replaces one attribute."""
     return lambda stack: stack.enter_context(patch.object(owner, name, value))
 
 
@@ -35,7 +33,6 @@ def _all(*plants: Plant) -> Plant:
 
 
 def _put_without_fsync(path: Path, data: bytes, *, durable: bool = True) -> None:
-    del durable
     _PUT(path, data, durable=False)
     files.sync(path.parent)
 
@@ -46,15 +43,6 @@ def _delete_journal_first(self: Any, **options: Any) -> None:
     _COMMIT_SELECTED(self, **options)
 
 
-def _do_nothing(path: Path) -> None:
-    del path
-
-
-def _accept(self: position.Position, event: Event) -> bool:
-    del self, event
-    return False
-
-
 def _forget_failure(self: append_log.AppendLog) -> None:
     with suppress(OSError):
         _SYNC(self)
@@ -62,7 +50,6 @@ def _forget_failure(self: append_log.AppendLog) -> None:
 
 
 def _prune_unsent(self: Any, sent: object) -> None:
-    del sent
     with patch.object(outbox_log, "SEGMENTS", 1):
         _PRUNE(self, defaultdict(lambda: 10**9))
 
@@ -75,13 +62,7 @@ def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:
     return rig, event
 
 
-def _never_request(self: Any, link: object, rig: object) -> bool:
-    del self, link, rig
-    return False
-
-
 async def _answer_missing(self: Any, now: float) -> list[Message]:
-    del now
     messages = list[Message]()
     for request in self._pending:
         first, last = request.first, request.last
@@ -89,10 +70,6 @@ async def _answer_missing(self: Any, now: float) -> list[Message]:
         messages.append(Message(request.reply_to, answer.encode(), retain=False))
     self.clear()
     return messages
-
-
-def _refuse_nothing(self: outbox.Outbox, count: int) -> None:
-    del self, count
 
 
 _PUT = files.put
@@ -106,7 +83,7 @@ KILLS = ("kill rig", "kill rig at disk operation")
 
 PLANTED: Final[dict[str, Bug]] = {
     "parts are not synced before they are listed": Bug(_set(files, "put", _put_without_fsync), POWER),
-    "names are not synced": Bug(_set(files, "sync", _do_nothing), POWER),
+    "names are not synced": Bug(_set(files, "sync", lambda path: None), POWER),
     "the journal is deleted before its rows are in parts": Bug(
         _set(writer.SessionWriter, "_commit_selected", _delete_journal_first),
         ("disk full", "kill rig at disk operation"),
@@ -127,10 +104,11 @@ PLANTED: Final[dict[str, Bug]] = {
         _set(outbox, "token_hex", lambda size: "same" * size), ("kill rig", "power loss")
     ),
     "the consumer does not remove duplicates": Bug(
-        _set(position.Position, "has", _accept), ("connections cut",)
+        _set(position.Position, "has", lambda self, event: False), ("connections cut",)
     ),
     "the consumer does not request missed events": Bug(
-        _set(consumer.Consumer, "_request_missed", _never_request), ("broker restart without memory",)
+        _set(consumer.Consumer, "_request_missed", lambda self, link, rig: False),
+        ("broker restart without memory",),
     ),
     "the consumer saves its position before an event is processed": Bug(
         _set(consumer.Consumer, "_process", _save_before_processing), ("kill consumer",)
@@ -139,6 +117,6 @@ PLANTED: Final[dict[str, Bug]] = {
         _set(gap_replay.GapReplies, "next", _answer_missing), ("broker restart without memory",)
     ),
     "events fill the memory while the disk fails": Bug(
-        _set(outbox.Outbox, "_make_room", _refuse_nothing), ("disk full", "disk error")
+        _set(outbox.Outbox, "_make_room", lambda self, count: None), ("disk full", "disk error")
     ),
 }

@@ -51,9 +51,8 @@ class SimulatedBroker:
         will: Message | None = None,
         changed: asyncio.Event | None = None,
     ) -> "SimulatedLink":
-        """Connect as `broker_link.connect` does."""
         process = current()
-        await asyncio.sleep(self._latency())
+        await asyncio.sleep(self.latency())
         current()
         if not self.up:
             raise EndpointError(str(broker), "cannot connect: Connection refused")
@@ -80,11 +79,9 @@ class SimulatedBroker:
             self._retained.clear()
 
     def start(self) -> None:
-        """Start the broker."""
         self.up = True
 
     def cut_all(self, reason: str = "connection reset") -> None:
-        """Cut all connections."""
         for session in list(self._sessions.values()):
             if session.link:
                 session.link.cut(reason)
@@ -126,12 +123,8 @@ class SimulatedBroker:
         if session.link:
             session.link.deliver(message)
 
-    def _latency(self) -> float:
-        return self._random.expovariate(1 / self.delay)
-
     def latency(self) -> float:
-        """Return the time (s) that the next packet takes."""
-        return self._latency()
+        return self._random.expovariate(1 / self.delay)
 
 
 class SimulatedLink:
@@ -149,17 +142,14 @@ class SimulatedLink:
 
     @property
     def alive(self) -> bool:
-        """False after the connection was lost."""
         return not self._lost
 
     def publish(self, message: Message) -> None:
-        """Publish a message without waiting for its acknowledgement."""
         current()
         if not self._lost:
             self._publish(message)
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
-        """Publish messages in order, then wait for all acknowledgements."""
         current()
         if self._lost:
             raise EndpointError(self._url, f"connection lost ({self._lost})")
@@ -174,7 +164,6 @@ class SimulatedLink:
             raise EndpointError(self._url, f"connection lost ({self._lost})") from None
 
     async def listen(self, *topics: str) -> None:
-        """Subscribe to topic filters."""
         current()
         await asyncio.sleep(self._broker.latency())
         current()
@@ -183,14 +172,12 @@ class SimulatedLink:
         self._broker.subscribe(self._session, topics)
 
     async def receive(self) -> tuple[str, bytes]:
-        """Return topic and payload of the next message."""
         while (message := self.next_received()) is None:
             self._changed.clear()
             await self._changed.wait()
         return message
 
     def next_received(self) -> tuple[str, bytes] | None:
-        """Return topic and payload of the next message; None if there is none yet."""
         current()
         if self._inbox:
             message = self._inbox.popleft()
@@ -200,16 +187,10 @@ class SimulatedLink:
         return None
 
     async def disconnect(self) -> None:
-        """Disconnect; the broker discards the will."""
-        self._close("disconnected", with_will=False)
+        self.cut("disconnected", with_will=False)
 
     def abort(self) -> None:
-        """Close the socket."""
         self.cut("aborted")
-
-    def cut(self, reason: str) -> None:
-        """Lose the connection."""
-        self._close(reason, with_will=True)
 
     def deliver(self, message: Message) -> None:
         """Deliver a message after the latency of the network, in order within its topic."""
@@ -249,7 +230,7 @@ class SimulatedLink:
         self._loop.call_at(when, arrive)
         return answer
 
-    def _close(self, reason: str, *, with_will: bool) -> None:
+    def cut(self, reason: str, *, with_will: bool = True) -> None:
         if self._lost:
             return
         self._lost = reason

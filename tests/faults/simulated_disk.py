@@ -107,7 +107,6 @@ class SimulatedDisk:
             fcntl.flock(descriptor, fcntl.LOCK_UN)
 
     def close_files(self) -> None:
-        """Close the files that killed processes left open."""
         for descriptor in list(self._open_files):
             self._close(descriptor)
 
@@ -263,19 +262,15 @@ class ArrowInsteadOfParquet:
 
     @staticmethod
     def write_table(rows: pa.Table, sink: Any, **_: object) -> None:
-        """Write rows."""
         with pa.ipc.new_stream(sink, rows.schema) as writer:
             writer.write_table(rows)
 
     class ParquetFile:
-        """File of rows."""
-
         def __init__(self, source: Any, **_: object) -> None:
             self._rows = pa.ipc.open_stream(source).read_all()
             self.schema_arrow, self.metadata = self._rows.schema, SimpleNamespace(num_rows=len(self._rows))
 
         def read(self, names: list[str], **_: object) -> pa.Table:
-            """Return some columns."""
             return self._rows.select(names)
 
 

@@ -93,7 +93,6 @@ class SimulatedLoop(VirtualLoop):
 
     def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> "asyncio.Future[T]":  # type: ignore[override]
         """Run a function later in the loop; cancelling the future does not stop it, as with a thread."""
-        del executor
         future: asyncio.Future[T] = self.create_future()
         latency = self.latency()
         start = self._random.random() * latency

@@ -29,7 +29,6 @@ class SimulatedProcess:
         return asyncio.get_running_loop().create_task(main, context=self._context)
 
     def run(self, call: Callable[[], object]) -> None:
-        """Call a function as this process."""
         self._context.run(call)
 
     def kill(self) -> None:

@@ -15,6 +15,7 @@ from operators.batch import Batch, Clocks, Faults, ms
 from operators.ports import Clock, Source
 from storage.dataset import Dataset, Recordable
 from tests.faults.simulated_process import current
+from tests.inside import inside
 
 FINGERS = (0, 1)
 EVENT_EVERY = 5  # rows
@@ -39,6 +40,7 @@ class RigRun:
     )  # accepted by the sink: loop time, s
     error: str = ""
     dropped: int = 0  # rows that were not recorded, as reported
+    not_kept: int = 0  # events that the broker received, as counted by the outbox
 
 
 class Device(Source[Touch]):
@@ -51,12 +53,10 @@ class Device(Source[Touch]):
 
     @property
     def kind(self) -> type[Touch]:
-        """Type of the batches."""
         return Touch
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The fingertip."""
         return (self._finger,)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
@@ -89,7 +89,6 @@ class EveryFifth(Operator[Touch, Slips]):
     """Slip event at each fifth row, alternately onset and end."""
 
     def process(self, batch: Touch) -> Slips:
-        """Return the events of a batch."""
         number = batch.counts[:, 0]
         chosen = number % EVENT_EVERY == 0
         time, number = batch.time[chosen], number[chosen]
@@ -104,14 +103,12 @@ class WatchedDataset(Dataset):
     _noted = 0  # batches
 
     def take(self, batch: Recordable) -> bool:
-        """Take and note a batch."""
         taken = super().take(batch)
         if taken:
             self._note(batch)
         return taken
 
     async def write(self, batch: Recordable) -> None:
-        """Write and note a batch."""
         noted = self._noted
         await super().write(batch)
         current()
@@ -131,10 +128,12 @@ class WatchedMqtt(Mqtt):
     rig_run: RigRun
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Write and note a batch."""
         new = [(self.rig_run.session, str(batch.finger), time) for time in batch.time.tolist()]
         self.rig_run.started_events |= set(new)
-        await super().write(batch)
+        try:
+            await super().write(batch)
+        finally:
+            self.rig_run.not_kept = inside(self, "_outbox").not_kept
         current()
         self.rig_run.events |= dict.fromkeys(new, asyncio.get_running_loop().time())
 

@@ -59,7 +59,6 @@ class Outcome:
 
     violations: list[str]
     digest: str  # of everything that was observed; the same for the same schedule
-    operations: int  # of the rig on its disk
     events: int
     rows: int
 
@@ -94,10 +93,9 @@ class World:
         self.healed = self.finished = False
         self.slow = 0.0  # s, largest latency of the slow disk
         self._step = 0  # ns, of the host's clock
-        self._ends = list[tuple[float, Callable[[World], None]]]()  # loop time (s) and end of the effects
+        self._ends = list[tuple[float, Callable[[World], object]]]()  # loop time (s) and end of the effects
 
     def host_time(self) -> int:
-        """Return the simulated host's time, ns."""
         return START + round(self.loop.time() * 1e9) + self._step
 
     async def main(self) -> None:
@@ -235,7 +233,6 @@ class World:
         return noting
 
     def _unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        del loop
         if not isinstance(context.get("exception"), Killed):
             self.errors.append(f"unhandled: {context.get('message')} {context.get('exception')!r}")
 
@@ -250,7 +247,6 @@ class World:
                 self.loop.call_at(fault.start + fault.duration, self._end_effects)
 
     def _end_effects(self) -> None:
-        """End the effects whose time is over."""
         over = [end for time, end in self._ends if time <= self.loop.time()]
         self._ends = [(time, end) for time, end in self._ends if time > self.loop.time()]
         for end in over:
@@ -266,25 +262,16 @@ class World:
             device.failing, device.silent_until = False, 0.0
 
     def kill_rig(self, fault: Fault) -> None:
-        """Kill the rig."""
-        del fault
         if self.rig:
             self.rig.kill()
 
-    def kill_rig_at_operation(self, fault: Fault) -> None:
-        """Kill the rig in one of its next disk operations."""
-        self.disk.kill_in = 1 + int(fault.size * 40 * self.schedule.span)
-
     def kill_consumer(self, fault: Fault) -> None:
-        """Kill the consumer."""
-        del fault
         if self.consumer:
             self.consumer_kills.append(self.loop.time())
             self.consumer.kill()
 
     def lose_power(self, fault: Fault) -> None:
         """Cut the rig's power: its process ends, and its disk keeps durable data and some of the rest."""
-        del fault
         if not self.rig or not self.rig_runs:
             return
         if self.rig.alive and self.rig_runs[-1].end == "running":
@@ -316,22 +303,20 @@ def _set(name: str, value: Callable[[Fault], Any], rest: Any = 0) -> "_Effect":
     return start, end
 
 
-def _device(world: World, fault: Fault) -> Device:
-    return world.devices[int(fault.size * 1e6) % 2]
+def _with_device(name: str, value: Callable[[World, Fault], Any]) -> "_Effect":
+    """Return an effect that sets an attribute of one of the devices."""
+    return lambda world, fault: setattr(
+        world.devices[int(fault.size * 1e6) % 2], name, value(world, fault)
+    ), None
 
 
-def _fail_device(world: World, fault: Fault) -> None:
-    _device(world, fault).failing = True
-
-
-def _silence_device(world: World, fault: Fault) -> None:
-    _device(world, fault).silent_until = world.loop.time() + fault.duration
-
-
-_Effect = tuple[Callable[[World, Fault], None], Callable[[World], None] | None]
+_Effect = tuple[Callable[[World, Fault], object], Callable[[World], object] | None]
 _EFFECTS: Final[dict[str, _Effect]] = {
     "kill rig": (World.kill_rig, None),
-    "kill rig at disk operation": (World.kill_rig_at_operation, None),
+    "kill rig at disk operation": (
+        lambda world, fault: setattr(world.disk, "kill_in", 1 + int(fault.size * 40 * world.schedule.span)),
+        None,
+    ),
     "kill consumer": (World.kill_consumer, None),
     "power loss": (World.lose_power, None),
     "disk full": _set("disk.error", lambda _: errno.ENOSPC),
@@ -348,8 +333,8 @@ _EFFECTS: Final[dict[str, _Effect]] = {
     "publish refused": _set(
         "broker.refused", lambda fault: {"event" if fault.size < 0.5 else "head"}, set[str]()
     ),
-    "source fails": (_fail_device, None),
-    "source silent": (_silence_device, None),
+    "source fails": _with_device("failing", lambda *_: True),
+    "source silent": _with_device("silent_until", lambda world, fault: world.loop.time() + fault.duration),
     "loop stalls": (World.stall, None),
     "clock steps": (World.step_clock, None),
 }
@@ -365,8 +350,6 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
     folder = Path(mkdtemp(prefix="faults-", dir=MEMORY if MEMORY.is_dir() else None))
     try:
         (folder / "consumer").mkdir()
-        rig = folder / "rig"
-        rig.mkdir()
         world = World(schedule, folder)
         with _simulated(world) as stack:
             prepare(stack)
@@ -380,7 +363,6 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
         return Outcome(
             [each.replace(str(folder), "") for each in found],
             hashlib.sha256(observed.encode()).hexdigest(),
-            world.disk.operations,
             sum(len(rig_run.events) for rig_run in world.rig_runs),
             sum(len(rows) for rig_run in world.rig_runs for rows in rig_run.rows.values()),
         )
@@ -433,7 +415,6 @@ def _finalize_at_end(
     finalizers: list[Callable[[], object]], owner: object, call: Callable[..., object], *args: object
 ) -> Callable[[], object]:
     """Replace `weakref.finalize`: the result runs once, when it is called or at the end of the simulation."""
-    del owner
     finalizer = cache(partial(call, *args))
     finalizers.append(finalizer)
     return finalizer

@@ -106,14 +106,17 @@ async def test_a_failing_disk_stops_no_event_and_gets_them_all_later_from_a_boun
             await box.append([EVENT])
         assert box.error.startswith("cannot be written: No space left on device; free")
         assert (box.unstored, len(await send(box, 10))) == (3, 10)
-        assert box.unstored == 1  # the others need no disk
+        assert (box.unstored, box.not_kept) == (1, 0)  # the others need no disk
+        await box.append([EVENT])
+        assert (box.unstored, box.not_kept) == (2, 1)
         disk.write_error = None
         await until(lambda: not box.error)
-        assert (box.unstored, await send(box)) == (0, names(box.epoch, [11]))
+        assert (box.unstored, await send(box)) == (0, names(box.epoch, [11, 12]))
         epoch = box.epoch
     async with opened(Outbox(tmp_path / "outbox")) as box:
-        assert await kept(box, epoch) == list(range(1, 12))
-    assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
+        assert await kept(box, epoch) == [*range(1, 9), *range(10, 13)]
+    assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING", "ERROR"]
+    assert caplog.messages[-1].endswith("outbox: 1 events that the broker has received are not kept")
 
 
 async def test_a_hanging_disk_delays_no_event_for_long(
@@ -221,8 +224,8 @@ async def test_losses_of_a_failing_disk_are_exact(
     box.acknowledge((await box.next(8))[:6])
     await box.append([EVENT] * 3)
     await box.close()
-    assert box.unstored == 9
-    assert caplog.messages[-1].endswith("9 events are lost")
+    assert (box.unstored, box.not_kept) == (9, 1)
+    assert caplog.messages[-2].endswith("9 events are lost")
     reader = LogReader(segments(tmp_path / "outbox")[0])
     events = [record for record in reader.records() if b"specversion" in record.data]
     assert len(events) == 5
@@ -233,7 +236,6 @@ async def test_events_are_sent_from_memory_after_the_task_that_writes_them_has_f
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def fail(box: Outbox) -> None:
-        del box
         await asyncio.sleep(0.5)
         raise KeyError("planted")
 
