@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_270,
-    "connectors": 11_400,
+    "connectors": 11_380,
     "storage": 3_900,
     "flows": 12_590,
-    "product": 33_150,
+    "product": 33_130,
     "product files": 218,
     "tests": 35_500,
     "commands": 16,

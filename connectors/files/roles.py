@@ -54,23 +54,25 @@ _WORDS: Final = {  # usual values of labels
     }.items()
 }
 _SHOWN: Final = 20  # columns in an error
-_OTHER_NAMES: Final = {  # in lower case
-    name: unit
-    for unit, names in {
-        "s": "sec secs second seconds sek sekunden",
-        "ms": "msec millis millisecond milliseconds",
-        "us": "usec micros microsecond microseconds",
-        "ns": "nsec nanos nanosecond nanoseconds",
-        "min": "minute minutes",
-        "h": "hour hours",
-        "d": "day days",
-        "count": "counts raw lsb digit digits adc a.u. -",
-        "N": "newton",
-        "V": "volt volts",
-        "ohm": "\u03c9",
-        "kohm": "k\u03c9",
-    }.items()
-    for name in names.split()
+_SYNONYMS: Final = {  # of units, in lower case
+    "s": "sec secs second seconds sek sekunden",
+    "ms": "msec millis millisecond milliseconds",
+    "us": "usec micros microsecond microseconds",
+    "ns": "nsec nanos nanosecond nanoseconds",
+    "min": "minute minutes",
+    "h": "hour hours",
+    "d": "day days",
+    "count": "counts raw lsb digit digits adc a.u. -",
+    "N": "newton",
+    "V": "volt volts",
+    "ohm": "\u03c9",
+    "kohm": "k\u03c9",
+}
+_ALL_UNITS: Final = [unit for units in UNITS.values() for unit in units]
+_UNITS: Final = {  # by text; in lower case unless m would become M, or one letter another unit
+    **{each.lower(): each for each in _ALL_UNITS if each[0] not in "mM" and len(each) > 1},
+    **{name: unit for unit, names in _SYNONYMS.items() for name in names.split()},
+    **{each: each for each in _ALL_UNITS},
 }
 _TEMPERATURE: Final = re.compile(r"°.*|deg(rees)? ?[ckf]|celsius|kelvin|temp.*|[ckt]", re.IGNORECASE)
 _BRACKETS: Final = re.compile(r"(.+?)[ _]*[\[({<]\s*([^\])}>]*?)\s*[\])}>]")
@@ -147,14 +149,8 @@ def unit_in(text: str, quantities: tuple[str, ...] = (TIME, COUNTS, SPEED, VELOC
     ('kPa', 'mPa', '', 'us', 's')
     """
     text = text.strip().replace("\u00b5", "u").replace("\u03bc", "u")
-    known = dict.fromkeys(unit for quantity in quantities for unit in UNITS.get(quantity, ()))
-    if text in known:
-        return text
-    other = _OTHER_NAMES.get(text.lower(), "")
-    folded = [unit for unit in known if unit.casefold() == text.casefold()]
-    if other not in known and len(folded) == 1 and _same_prefix(folded[0], text):
-        return folded[0]
-    return other if other in known else ""
+    unit = _UNITS.get(text) or _UNITS.get(text.lower(), "")
+    return unit if any(unit in UNITS.get(quantity, ()) for quantity in quantities) else ""
 
 
 def split_unit(quantity: str, name: str) -> tuple[str, str]:
@@ -184,11 +180,6 @@ def split_unit(quantity: str, name: str) -> tuple[str, str]:
 def is_temperature(text: str) -> bool:
     """Return True for a unit, or the ending of a name, of a temperature, such as ``degC`` or ``T``."""
     return bool(_TEMPERATURE.fullmatch(text))
-
-
-def _same_prefix(unit: str, text: str) -> bool:
-    """Return True if case does not change the meaning: m is not M, and one letter stands for itself."""
-    return unit in UNITS[TIME] or (len(unit) > 1 and (unit[0] not in "mM" or text[0] == unit[0]))
 
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:

@@ -100,13 +100,10 @@ def named(fields: Sequence[str]) -> list[str]:
 
 def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
     """Return text of any usual encoding as UTF-8 with lines that end with a line feed."""
-    zeros = content[0:200:2].count(0), content[1:200:2].count(0)
-    wide = "utf-16" if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else ""
-    if not wide and max(zeros) > 4 * min(zeros) and max(zeros) > len(content[:200]) // 8:
-        wide = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
+    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
         if wide:
-            content = content.decode(wide).encode()
+            content = content.decode("utf-16").encode()
             notes.append("UTF-16")
         elif not content.isascii():
             content.decode()
@@ -116,7 +113,8 @@ def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
         content = content.decode("cp1252", "replace").encode()
         notes.append("Windows-1252")
     if b"\0" in content:
-        raise InputError(where, "is not a CSV file: it has bytes of zero, so it is no text")
+        reason = "is not a CSV file: it has bytes of zero; save it as text in UTF-8"
+        raise InputError(where, reason)
     content = content.removeprefix(codecs.BOM_UTF8)
     return content.replace(b"\r", b"\n") if b"\n" not in content else content
 
@@ -229,7 +227,7 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     Raises:
         InputError: if a row has more fields than there are names, or the last line is cut off.
     """
-    sign, body = shape.separator, content
+    sign, names, body = shape.separator, shape.names, content
     for _ in range(shape.first):
         body = body.partition(b"\n")[2]
     if not body.strip():
@@ -238,21 +236,11 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
         body = b"\n".join(b" ".join(line.split()) for line in body.split(b"\n"))
     check_size(where, body.count(sign.encode()) + body.count(b"\n") + 1)
     last = split_line(body.rstrip(b"\r\n ").rpartition(b"\n")[2].decode("utf-8", "replace"), sign)
-    if len(last) < min(shape.width, len(shape.names)):
+    if len(last) < min(shape.width, len(names)):
         reason = f"the last line has fewer fields than line {shape.first + 1}: it is cut off, delete it"
         raise InputError(where, reason)
-    width, names = max(len(shape.names), shape.width) + 1, shape.names
-    frame, ragged = _frame(body, where, sign, shape.first, width)
+    frame = _frame(body, where, shape)
     filled = frame.select(pl.all().fill_null("") != "")
-    beyond = filled[:, len(names) :].select(pl.any_horizontal(pl.all())).to_series().arg_true().to_list()
-    if not beyond and ragged:  # an empty field may hide a filled one
-        lines = body.decode("utf-8", "replace").split("\n")
-        beyond = [row for row, line in enumerate(lines) if any(split_line(line, sign)[len(names) :])]
-    if beyond:
-        than = f"line {shape.named_by} has names" if shape.named_by else f"line {shape.first + 1}"
-        reason = f"has more fields than {than}; a {_NAMES[sign]} in a value needs quotes"
-        raise InputError(f"{where}, line {beyond[0] + shape.first + 1}", reason)
-    frame, filled = frame[:, : len(names)], filled[:, : len(names)]  # a separator may end each row
     again = [pl.col(column) == name for column, name in zip(frame.columns, names, strict=True)]
     named_again = pl.all_horizontal(again).fill_null(value=False)  # by a logger that started again
     keep = filled.select(pl.any_horizontal(pl.all())).to_series() & ~frame.select(named_again).to_series()
@@ -266,24 +254,26 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     return RawTable(columns, where, "line", numbers, units, _NAMES[sign], left_out, sha256, notes)
 
 
-def _frame(body: bytes, where: str, separator: str, above: int, width: int) -> tuple[pl.DataFrame, bool]:
-    """Parse the first columns of a file as text; return also whether a line has more.
-
-    Raises:
-        InputError: if a quotation mark is not closed.
-    """
+def _frame(body: bytes, where: str, shape: _Shape) -> pl.DataFrame:
+    """Parse the columns that have names as text; a separator may end each row."""
+    sign, width = shape.separator, len(shape.names)
     schema = {f"{number}": pl.String for number in range(width)}
-    text = (separator * (width - 1) + "\n").encode() + body  # the first line is the widest
-    read = partial(pl.read_csv, text, has_header=False, schema=schema, separator=separator)
+    text = (sign * (width - 1) + "\n").encode() + body  # the first line is the widest
+    read = partial(pl.read_csv, text, has_header=False, schema=schema, separator=sign)
     try:
-        frame, ragged = read()[1:], False
+        frame = read()[1:]
     except pl.exceptions.PolarsError:
+        for number, line in enumerate(body.decode("utf-8", "replace").split("\n"), shape.first + 1):
+            if any(split_line(line, sign)[width:]):
+                than = f"line {shape.named_by} has names" if shape.named_by else f"line {shape.first + 1}"
+                reason = f"has more fields than {than}; a {_NAMES[sign]} in a value needs quotes"
+                raise InputError(f"{where}, line {number}", reason) from None
         try:
-            frame, ragged = read(truncate_ragged_lines=True)[1:], True
+            frame = read(truncate_ragged_lines=True)[1:]
         except pl.exceptions.PolarsError as error:
             raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
     torn = [column.str.contains("\n", literal=True).arg_true()[:1] for column in frame]
     if rows := [row for each in torn for row in each]:  # an unpaired quotation mark
         reason = "has a quoted field that spans lines: close its quotation mark"
-        raise InputError(f"{where}, line {min(rows) + above + 1}", reason)
-    return frame.select(pl.all().str.strip_chars()), ragged
+        raise InputError(f"{where}, line {min(rows) + shape.first + 1}", reason)
+    return frame.select(pl.all().str.strip_chars())

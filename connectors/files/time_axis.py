@@ -48,7 +48,7 @@ _FORMS: Final = {  # that texts of times are brought into before they are parsed
 _ORDERS: Final = {"ymd": "%Y-%m-%d", "dmy": "%d-%m-%Y", "mdy": "%m-%d-%Y"}
 _CLOCKS: Final = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
 _SECONDS: Final = re.compile(r"([^:]*\d:\d\d:)([0-5]\d|60)(?:[.,](\d*))?((?:[^\d:.,].*)?)", re.ASCII)
-_YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d)[- ]"  # of times in ns
+_YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d|226[01])[- ]"  # of times in ns
 
 
 def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[ColumnMap, Times, Parts]:

@@ -227,7 +227,7 @@ def _text(
     ]
     text = above + "\n".join([separator.join(header) + draw.choice(("", end)), *rows, ""])
     text = text.replace("\n", draw.choice(("\n", "\n", "\r\n", "\r")))
-    encoding = draw.choice(("utf-8", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "cp1252"))
+    encoding = draw.choice(("utf-8", "utf-8", "utf-8-sig", "utf-16", "cp1252"))
     file.content = text.encode(encoding)
     file.about += [repr(separator), "comma" if comma else "point", repr(thousands), encoding, repr(above)]
     values = [each for column in columns.values() for each in column]

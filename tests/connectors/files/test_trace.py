@@ -248,7 +248,7 @@ def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write)
             _ = Trace(path).touch
     (tmp_path / "binary.csv").write_bytes(b"t,s1\n\xff\0\xfe,1\n")
     with pytest.raises(
-        InputError, match=r"binary.csv: is not a CSV file: it has bytes of zero, so it is no text$"
+        InputError, match=r"binary.csv: is not a CSV file: it has bytes of zero; save it as text in UTF-8$"
     ):
         _ = Trace(tmp_path / "binary.csv").touch
 
