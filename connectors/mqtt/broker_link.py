@@ -58,7 +58,7 @@ _paho_log.setLevel(logging.CRITICAL)
 
 
 class Link:
-    """A connection for one use: after it is lost, create another.
+    """A connection for one use: after it is lost, all methods raise `EndpointError`; create another.
 
     aiomqtt connects, subscribes, and runs the client of paho-mqtt in the event loop. But it ignores the
     reason for which a broker refuses a message (`on_publish`) and the end of a connection that the broker
@@ -77,10 +77,7 @@ class Link:
         """Prepare to connect as client `identifier`, whose session the broker resumes.
 
         The broker retains `will` if the client disappears. The link sets `changed` when a message arrives or
-        the connection is lost.
-
-        Raises:
-            InputError: if the file with the password or the certificate authorities cannot be read.
+        the connection is lost. An unreadable file of a password or certificates raises `InputError`.
         """
         session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         session.SessionExpiryInterval = SESSION_EXPIRY
@@ -122,11 +119,7 @@ class Link:
         return not self._lost.done()
 
     async def connect(self) -> None:
-        """Connect.
-
-        Raises:
-            EndpointError: if the broker is unreachable, does not respond or refuses the client.
-        """
+        """Connect; raise EndpointError if the broker is unreachable, does not respond or refuses."""
         entering = asyncio.ensure_future(self._client.__aenter__())
         entering.add_done_callback(lambda task: task.cancelled() or task.exception())  # if nobody awaits it
         try:
@@ -148,11 +141,8 @@ class Link:
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
 
-        Returns:
-            The reason for the refusal of each message; empty if the broker accepted it.
-
-        Raises:
-            EndpointError: if the connection is lost; the broker may have received any of the messages.
+        Returns the reason for the refusal of each message; empty if the broker accepted it. If the connection
+        is lost, the broker may have received any of them.
         """
         answers = [self.publish(message) for message in messages]
         unanswered = (await asyncio.wait(answers, timeout=TIMEOUT))[1] if answers else ()
@@ -169,11 +159,7 @@ class Link:
         return refusals
 
     async def listen(self, *topics: str) -> None:
-        """Subscribe to topic filters with QoS 1; `receive` returns their messages.
-
-        Raises:
-            EndpointError: if the connection is lost, or the broker refuses a filter.
-        """
+        """Subscribe to topic filters with QoS 1; raise EndpointError if the broker refuses one."""
         filters = [(topic, SubscribeOptions(qos=1)) for topic in topics]
         try:
             answers = await self._client.subscribe(filters)
@@ -184,22 +170,14 @@ class Link:
                 raise EndpointError(self._url, f"refuses to subscribe to {topic}: {_refusal(answer)}")
 
     async def receive(self) -> tuple[str, bytes]:
-        """Return topic and payload of the next message; cancellation loses no message.
-
-        Raises:
-            EndpointError: if the connection is lost and all messages received before were returned.
-        """
+        """Return topic and payload of the next message, also after a loss; cancellation loses none."""
         while (message := self.next_received()) is None:
             self._changed.clear()
             await self._changed.wait()
         return message
 
     def next_received(self) -> tuple[str, bytes] | None:
-        """Return topic and payload of the next message, None if there is none yet.
-
-        Raises:
-            EndpointError: if the connection is lost and all messages received before were returned.
-        """
+        """Return topic and payload of the next message, None if there is none yet."""
         if self._received:
             return self._received.popleft()
         if not self.alive:
@@ -327,16 +305,10 @@ async def connect(
 
 
 async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGenerator[Finding]:
-    """Yield findings about a broker, which gets one message on `topic`, not retained.
-
-    Raises:
-        EndpointError: if the broker is unreachable or refuses the client or the message.
-        InputError: if a file with credentials cannot be read.
-    """
-    user, password = broker.login()
+    """Yield findings about a broker, which gets one message on `topic`, not retained."""
     link = await connect(broker, f"slipflow-doctor-{token_hex(4)}")
     try:
-        yield _login(broker, user, password)
+        yield _login(broker)
         if broker.scheme == "mqtts":
             yield Finding(str(broker), "TLS with a trusted certificate")
         start = clock.now()
@@ -348,8 +320,9 @@ async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGene
         await link.disconnect()
 
 
-def _login(broker: Broker, user: str | None, password: str | None) -> Finding:
+def _login(broker: Broker) -> Finding:
     """Return how the client logs in, with a note if its password can be read on the network."""
+    user, password = broker.login()
     who = f"user {user}{' with a password' if password else ''}" if user else "any client"
     if broker.scheme == "mqtts" and (own := os.environ.get(CERTIFICATE)):
         return Finding(str(broker), f"admits {who if user else 'this client'} with the certificate {own}")

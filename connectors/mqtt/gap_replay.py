@@ -47,11 +47,7 @@ class GapRequest(_Numbers, frozen=True):
 
     @classmethod
     def decode(cls, payload: bytes, topic: str) -> "GapRequest":
-        """Parse a request to the rig at `topic`; `reply_to` must be below the ``replay`` topic of the rig.
-
-        Raises:
-            InputError: naming the field that is missing or wrong.
-        """
+        """Parse a request to the rig at `topic`; `reply_to` must be below the ``replay`` topic of the rig."""
         request = decode(payload, cls, f"{topic}/replay/request")
         name = request.reply_to.removeprefix(f"{topic}/replay/")
         own = request.reply_to == f"{topic}/replay/{name}" and name not in ("", "request", "event")

@@ -79,12 +79,7 @@ class Outbox:
         return [(epoch, sent) for epoch, sent in self._sent.items() if epoch in kept][-EPOCHS_ANNOUNCED:]
 
     async def open(self) -> None:
-        """Open the folder.
-
-        Raises:
-            EndpointError: if another run uses the folder, or it cannot be read or written.
-            InputError: if the path is not an outbox.
-        """
+        """Open the folder; raise an error if another run uses it, or it cannot be used or is no outbox."""
         try:
             self._sent = await asyncio.to_thread(self._log.open)
         except BaseException as error:
@@ -100,10 +95,9 @@ class Outbox:
         self._syncing = BackgroundTask(where, "the fsync of events", self._keep_syncing())
 
     async def append(self, drafts: Sequence[Event]) -> None:
-        """Store events under new numbers; the epoch and number of the drafts are ignored.
+        """Store events under new numbers, or raise EndpointError: the disk fails and memory is full.
 
-        Raises:
-            EndpointError: if the disk cannot be written and memory is full; then no event is stored.
+        The epoch and number of the drafts are ignored.
         """
         self._make_room(len(drafts))
         for draft in drafts:
@@ -135,11 +129,7 @@ class Outbox:
         return []
 
     async def between(self, epoch: str, first: int, last: int, limit: int) -> tuple[list[Entry], int]:
-        """Return at most `limit` entries `first` to `last` of an epoch, and the last number covered.
-
-        Raises:
-            OSError: if the disk cannot be read.
-        """
+        """Return at most `limit` entries `first` to `last` of an epoch, and the last number covered."""
         oldest, newest = self._log.span(epoch)
         if epoch == self.epoch:
             newest = self._released[epoch]

@@ -105,11 +105,7 @@ class OutboxLog:
         return {epoch: sent.get(epoch, 0) for epoch in self.epochs}
 
     def append(self, entries: Sequence[Entry], sent: Mapping[str, int]) -> None:
-        """Append events with consecutive numbers, and the newest sent numbers of epochs: all or none.
-
-        Raises:
-            OSError: if nothing was stored.
-        """
+        """Append events with consecutive numbers, and the newest sent numbers of epochs: all, or OSError."""
         if self._log is None or self._log.suspect or not self._continues(entries):
             self._start_segment(entries[0].seq if entries else self.span(self.epoch)[1] + 1)
         assert self._log
@@ -125,11 +121,7 @@ class OutboxLog:
             newest.sync()
 
     def read(self, epoch: str, numbers: Sequence[int]) -> list[Entry]:
-        """Return the events of an epoch with these numbers that are stored and intact, in any order.
-
-        Raises:
-            OSError: if a segment cannot be read.
-        """
+        """Return the events of an epoch with these numbers that are stored and intact, in any order."""
         found = dict[int, Entry]()
         for segment in reversed(tuple(self._segments)):  # the newest copy of an event is intact
             span = range(segment.first, segment.last + 1) if segment.epoch == epoch else ()
@@ -145,11 +137,7 @@ class OutboxLog:
         return [*found.values()]
 
     def prune(self, sent: Mapping[str, int]) -> None:
-        """Delete the oldest segments if there are too many, up to the first with an unsent event.
-
-        Raises:
-            OSError: if a file cannot be deleted.
-        """
+        """Delete the oldest segments if there are too many, up to the first with an unsent event."""
         while len(self._segments) > SEGMENTS and self._segments[0].last <= sent[self._segments[0].epoch]:
             self._segments.pop(0).path.unlink(missing_ok=True)
 

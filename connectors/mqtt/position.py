@@ -259,11 +259,7 @@ def read_heads(payload: bytes, where: str) -> dict[str, int]:
 
 
 def lock_position(path: Path) -> int:
-    """Lock a position file for this process; return the descriptor that holds the lock until it is closed.
-
-    Raises:
-        EndpointError: if another consumer holds the lock, or the folder cannot be written.
-    """
+    """Lock a position file for this process; return the descriptor that holds the lock until it is closed."""
     try:
         held = lock_file(path)
     except OSError as error:

@@ -65,17 +65,12 @@ def is_replay(rig: str) -> bool:
 
 
 def name_in_run(run: Run, owner: str, rig: str) -> str:
-    """Return the name under which `rig` publishes in a run, live or replay.
-
-    Raises:
-        ParameterError: naming `owner`, if the run is live and `rig` is the name of a replay.
-    """
+    """Return the name under which `rig` publishes in a run, live or replay."""
     if run.recording is not None:
         return replay_name(rig)
     if is_replay(rig):
-        raise ParameterError(
-            owner, "rig", rig, f"a name that does not end in {SUFFIX}, the suffix of replays"
-        )
+        must_be = f"a name that does not end in {SUFFIX}, the suffix of replays"
+        raise ParameterError(owner, "rig", rig, must_be)
     return rig
 
 

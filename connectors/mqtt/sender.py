@@ -69,9 +69,7 @@ class Sender:
     ) -> None:
         """Connect, publish the retained documents, and start sending in the background.
 
-        Raises:
-            EndpointError: if the broker is unreachable or refuses, unless `connect_required` is False.
-            InputError: if a file with credentials or certificate authorities cannot be read.
+        With `connect_required`, a broker that is unreachable or refuses is an error.
         """
         self._identifier, self._will = identifier, will
         for message in retained:
