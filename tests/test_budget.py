@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_270,
-    "connectors": 11_380,
+    "connectors": 11_320,
     "storage": 3_900,
     "flows": 12_590,
-    "product": 33_130,
+    "product": 33_070,
     "product files": 218,
-    "tests": 35_500,
+    "tests": 35_250,
     "commands": 16,
     "options": 84,
     "words": 38_500,

@@ -91,11 +91,7 @@ moments = st.datetimes(dt.datetime(1971, 1, 1), dt.datetime(2260, 1, 1))  # noqa
 
 
 @given(
-    moments,
-    st.sampled_from(["ymd", "dmy", "mdy"]),
-    st.sampled_from("./-"),
-    st.sampled_from(".,"),
-    st.sampled_from(["", "am or pm"]),
+    moments, st.sampled_from(["ymd", "dmy", "mdy"]), *map(st.sampled_from, ("./-", ".,", ["", "am or pm"]))
 )
 def test_dates_are_read_in_each_order(
     moment: dt.datetime, order: str, sign: str, dot: str, half: str

@@ -10,10 +10,9 @@ from hypothesis.extra import numpy as st_numpy
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.readings import COUNT_LIMIT, offsets, resolution_of
-from operators import FingertipError, Pool
 from operators.batch import Reals, Touch, Zeroed
 from operators.errors import InputError, ParameterError
-from operators.fingertip import TAKKTILE, Fingertip
+from operators.fingertip import Fingertip
 
 
 def columns(unit: str = "count", resolution: float | None = None, *, zeroed: bool | None = None) -> ColumnMap:
@@ -131,10 +130,3 @@ def test_a_range_in_the_unit_of_the_file_becomes_counts() -> None:
     assert found.range is not None
     assert (found.resolution, found.range[1] - found.range[0]) == (1, 1000)
     assert abs(found.range[0]) < 32767
-
-
-def test_rising_counts_of_six_cells_are_refused_by_a_detector_for_falling_ones() -> None:
-    rising = described("range=0:4000", cells=6)
-    with pytest.raises(FingertipError, match=r"needs .*falling as pressure rises; .* Pool\(gain=-1\)"):
-        TAKKTILE.check_fits("tcn", rising)
-    TAKKTILE.check_fits("tcn", Pool(gain=-1).output_fingertip(rising))

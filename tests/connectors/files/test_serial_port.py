@@ -1,7 +1,6 @@
 """Loggers at real serial ports (pseudo-terminals), read through an unmodified pyserial."""
 
 import asyncio
-import logging
 import os
 import pty
 from collections.abc import Callable, Iterator
@@ -11,12 +10,8 @@ from pathlib import Path
 import pytest
 
 from connectors import LineSource
-from flows.graph import Flow
-from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
-from flows.run.live_runner import LiveRunner
-from operators import Zero, Zeroed, s
 from operators.ports import Finding
 from tests.connectors.files.test_line_source import MAP, NAMES, Reader, first_cells, text
 from tests.waiting import PATIENCE
@@ -86,37 +81,6 @@ async def test_a_port_is_used_by_one_program(port: Logger) -> None:
     assert {*reader.errors, *other.errors} == {"is in use: end the other program"}
     reader.task.cancel()
     other.task.cancel()
-
-
-async def test_a_run_records_the_gap_of_an_unplugged_port_and_goes_on(
-    port: Logger, caplog: pytest.LogCaptureFixture
-) -> None:
-    flow, sink, source = Flow("own"), TestSink(), LineSource(port.path, MAP)
-    (flow.source(source, "touch") | Zero(scans=10)).to(sink)
-    runner = LiveRunner(flow, "run", duration=int(PATIENCE) * s)
-    running = asyncio.create_task(runner.execute())
-    rows = iter(range(100_000))
-
-    def send() -> None:
-        port.send(f"{NAMES}\n5000,#\n" + text([next(rows) for _ in range(5)]))
-
-    def received() -> int:
-        return len(sink.rows(Zeroed, 0))
-
-    with caplog.at_level(logging.WARNING):
-        await until(lambda: received() > 50, send)
-        port.unplug()
-        await until(lambda: "unplugged" in caplog.text)
-        port.plug()
-        before = received()
-        await until(lambda: received() > before + 50, send)
-        runner.stop()
-        run = await running
-    [gap] = run.sources["touch"].gaps
-    assert gap.end > gap.start
-    touch = sink.rows(Zeroed, 0)
-    assert (touch.counts.sum(axis=1) == touch.counts[0].sum()).all()
-    assert "1 damaged lines so far; the newest: " in caplog.text
 
 
 async def checked(source: LineSource, send: Callable[[int], object]) -> list[Finding]:

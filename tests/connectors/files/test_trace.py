@@ -56,17 +56,6 @@ def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
     }
 
 
-def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
-    names = [f"cell {i}" for i in range(6)]
-    path = write(",".join(["truth", *reversed(names), "stamp_ns"]), "1,6,5,4,3,2,1,1700000000123456789")
-    columns = ColumnMap({"time": ("stamp_ns",), "counts.3": tuple(names), "label": ("truth",)})
-    trace = Trace(path, columns)
-    assert trace.touch.time.tolist() == [1700000000123456789]
-    assert trace.touch.counts.tolist() == [[1, 2, 3, 4, 5, 6]]
-    assert trace.labels.tolist() == [1]
-    assert trace.touch.finger == 3
-
-
 @pytest.mark.parametrize(
     ("start", "zeroed", "kind"),
     [
@@ -90,13 +79,8 @@ def test_the_range_of_the_cells_and_not_one_reading_decides_whether_they_are_zer
     assert trace.fingers(Zeroed) == ((0,) if kind is Zeroed else ())
     assert trace.fingers(Motion) == ()
     assert int((~trace.touch.valid).sum()) == faulty
-    assert (
-        any(
-            "line 72, column p1 is -999, far from all others: taken as missing" in each
-            for each in trace.warnings
-        )
-        == faulty
-    )
+    doubt = "line 72, column p1 is -999, far from all others: taken as missing"
+    assert any(doubt in each for each in trace.warnings) == faulty
 
 
 @given(st.decimals(-9_000_000_000, 9_000_000_000, allow_nan=False, places=12))
@@ -127,15 +111,9 @@ def test_blank_lines_are_ignored_but_counted(write: Write) -> None:
 
 def test_an_unpaired_quotation_mark_is_refused(write: Write) -> None:
     rows = [f"{i},1,2,3,4,5,6,{note}" for i, note in enumerate(["ok", '"one', "x", 'two"', "ok"])]
-    with pytest.raises(
-        InputError, match=r"line 3: has a quoted field that spans lines: close its quotation mark$"
-    ):
+    torn = r"line 3: has a quoted field that spans lines: close its quotation mark$"
+    with pytest.raises(InputError, match=torn):
         _ = Trace(write(f"{HEADER},note", *rows)).touch
-
-
-def test_quoted_fields_are_read(write: Write) -> None:
-    trace = Trace(write(f"{HEADER},note", '"0.5","1",2,3,4,5,6,"one, two"'))
-    assert (trace.touch.time.item(), trace.touch.counts[0, 0]) == (500_000_000, 1)
 
 
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
@@ -144,7 +122,7 @@ MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
 AGAIN = "no less than in the line before; if the logger started again, --split makes 2 sessions (1, 2 rows)"
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
-TRY = "try --map time=column1,counts=column2..column4"
+COLUMNS = "try --map time=column1,counts=column2,column3"
 NUMBER = "must be a number, without signs of thousands, or empty"
 
 
@@ -153,20 +131,12 @@ NUMBER = "must be a number, without signs of thousands, or empty"
     [
         ("1,1,x,3,4,5,6,0", f"line 3, column s2: is 'x', {NUMBER}"),
         ("1,1,inf,3,4,5,6,0", f"line 3, column s2: is 'inf', {NUMBER}"),
-        ("1,1,-inf,3,4,5,6,0", f"line 3, column s2: is '-inf', {NUMBER}"),
         ("1,1,2.5,3,4,5,6,0", f"line 3, column s2: is '2.5', {WHOLE}"),
-        ("1,1,2,3,4,5,6,2", f"line 3, column label: has '2', {LABEL}; {MAP}2"),
         ("1,1,2,3,4,5,6,maybe", f"line 3, column label: has 'maybe', {LABEL}; {MAP}maybe"),
-        ("soon,1,2,3,4,5,6,0", "line 3, column t: is 'soon', must be a time in s"),
         (",1,2,3,4,5,6,0", "line 3, column t: is '', must be a time in s"),
         ("nan,1,2,3,4,5,6,0", "line 3, column t: is 'nan', must be a time in s"),
-        ("inf,1,2,3,4,5,6,0", "line 3, column t: is 'inf', must be a time in s"),
-        ("1e30,1,2,3,4,5,6,0", "line 3, column t: is '1e30', must be a time in s"),
         ("9e10,1,2,3,4,5,6,0", "line 3, column t: is '9e10', must be a time in s"),
-        (
-            "0.4,1,2,3,4,5,6,0",
-            f"line 3, column t: is '0.4', must be {AGAIN}",
-        ),
+        ("0.4,1,2,3,4,5,6,0", f"line 3, column t: is '0.4', must be {AGAIN}"),
         ("1,1,2,3,4,5,6,0,9", f"line 3: {MORE_FIELDS}"),
         ("1,1,2,3,4,5,6,0,,9", f"line 3: {MORE_FIELDS}"),
     ],
@@ -186,32 +156,25 @@ def test_a_time_in_ns_must_be_a_whole_number(write: Write, time: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("header", "complaint"),
+    ("lines", "complaint"),
     [
         (
-            "t,s1,s2,s3,s5,s6",
-            "no columns are recognised as cells; state counts=...; try --map time=t,counts=s1,s2,s3,s5,s6",
+            ("t,s1,s2,s5", "2,1,1,1"),
+            "no columns are recognised as cells; state counts=...; TRYcounts=s1,s2,s5",
         ),
+        (("s1,s2,s3", "1,1,1"), f"{NO_TIME}; try --map rate=ROWS_PER_SECOND,counts=s1..s3"),
         (
-            "s1,s2,s3,s4,s5,s6",
-            f"{NO_TIME}; try --map rate=ROWS_PER_SECOND,counts=s1..s6",
-        ),
-        (
-            "0,1,2,3",
-            f"has 2 problems: (1) column1..column4 may be the cells; state counts=...; (2) {NO_TIME}; {TRY}",
+            ("0,1,2", "2,1,1", "3,1,1"),
+            f"2 problems: (1) column1..column3 may be the cells; state counts=...; (2) {NO_TIME}; {COLUMNS}",
         ),
     ],
 )
 def test_missing_columns_are_named_with_a_map_of_the_columns(
-    write: Write, header: str, complaint: str
+    write: Write, lines: tuple[str, ...], complaint: str
 ) -> None:
-    path = write(
-        header,
-        *(",".join([f"{row}", *"1" * header.count(",")]) for row in ("2", "2" if "s" in header else "3")),
-    )
     with pytest.raises(InputError) as caught:
-        _ = Trace(path).touch
-    assert str(caught.value) == f"{path}: {complaint}"
+        _ = Trace(write(*lines)).touch
+    assert str(caught.value).endswith(complaint.replace("TRY", "try --map time=t,"))
 
 
 @pytest.mark.parametrize(
@@ -251,20 +214,6 @@ def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write)
         InputError, match=r"binary.csv: is not a CSV file: it has bytes of zero; save it as text in UTF-8$"
     ):
         _ = Trace(tmp_path / "binary.csv").touch
-
-
-@given(st.data())
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_truncated_file_has_its_whole_lines_only(write: Write, data: st.DataObject) -> None:
-    whole = Trace(path := write(HEADER, *(f"{i}.25,{i},-20,30,40,50,60" for i in range(8)))).touch
-    content = path.read_bytes()
-    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
-    try:
-        touch = Trace(path).touch
-    except InputError:
-        return
-    assert touch.time.tolist() == whole.time[: len(touch)].tolist()
-    assert touch.counts[:-1].tolist() == whole.counts[: len(touch) - 1].tolist()
 
 
 def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> None:
@@ -335,13 +284,6 @@ def test_a_stated_rate_must_match_the_times(write: Write) -> None:
     with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: is its time in another unit"):
         _ = Trace(path, ColumnMap(rate=100)).touch
     assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).columns.rate == 95
-
-
-def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("connectors.files.container.LIMIT", 1 << 20)
-    path = write(HEADER, "0,1,2,3,4,5,6", "\n" * (1 << 20))
-    with pytest.raises(InputError, match=r"is larger than 1 MiB, the limit: split it into several files$"):
-        _ = Trace(path).touch
 
 
 def test_the_real_trace_is_read_whole() -> None:
