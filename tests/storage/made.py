@@ -193,3 +193,8 @@ def rows(
 
 def session_names(root: Path) -> list[str]:
     return [folder.name for folder in session_folders(root)]
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    """Return all files below a folder by their paths in it."""
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}

@@ -12,7 +12,7 @@ from operators.batch import SLIP, STATIC, UNKNOWN
 from storage import HandLabels, LabelSpan, Session, recover, verify
 from storage.files import read_json
 from storage.hand_labels import read_hand_labels
-from tests.storage.made import new_samples, record
+from tests.storage.made import contents, new_samples, record
 
 SPANS = (
     LabelSpan(30, 50, 0, "slip", "Ada", "edge", 7),
@@ -26,20 +26,16 @@ def session(tmp_path: Path) -> Session:
     return record(tmp_path, [new_samples(range(0, 100, 10), finger) for finger in (0, 1)])
 
 
-def streams(session: Session) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in session.folder.rglob("*") if path.is_file()}
-
-
 def test_each_version_is_a_new_file_and_nothing_else_changes(session: Session) -> None:
     assert (session.hand_labels().version, session.hand_labels().spans) == (0, ())
-    before = streams(session)
+    before = contents(session.folder)
     session.write_hand_labels(SPANS, based_on=0)
-    first = streams(session)
+    first = contents(session.folder)
     session.write_hand_labels(SPANS[:1], based_on=1)
-    after = streams(session)
+    after = contents(session.folder)
     assert {path: after[path] for path in before} == before
     assert {path: after[path] for path in first} == first
-    assert sorted(Path(path).name for path in set(after) - set(before)) == ["000001.json", "000002.json"]
+    assert sorted(set(after) - set(before)) == ["labels/000001.json", "labels/000002.json"]
     assert session.hand_labels().spans == SPANS[:1]
     oldest = read_hand_labels(session.folder, session.about, 1)
     assert oldest.spans == (SPANS[1], SPANS[0], SPANS[2])  # by fingertip and time

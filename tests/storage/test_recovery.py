@@ -17,7 +17,7 @@ from storage.files import lock
 from storage.journal import identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import leave, new_run, rows, side_by_side
+from tests.storage.made import contents, leave, new_run, rows, side_by_side
 
 BATCHES = side_by_side(5)
 ALL = [25] * 5
@@ -32,10 +32,6 @@ RECOVERED: dict[str, Any] = {
 def left(tmp_path: Path) -> Path:
     """Session of a killed recorder: two parts of each table, and the newest rows in the journal."""
     return leave(tmp_path / "data", new_run(), BATCHES)
-
-
-def contents(folder: Path) -> dict[Path, bytes]:
-    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def recovered(folder: Path) -> Any:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.ur import rtde
-from connectors.ur.rtde import Kind, RtdeClient, RtdeError, Version, pack
+from connectors.ur.rtde import Kind, RtdeClient, pack
 from connectors.ur.ur_motion import OUTPUTS
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
@@ -54,19 +54,6 @@ def fed(pieces: list[bytes]) -> tuple[bytes, str, RtdeClient]:
             return received, error.reason, client
 
     return run_virtually(main())
-
-
-def test_requests_are_the_bytes_that_the_guide_has() -> None:
-    assert pack(Kind.PROTOCOL, b"\0\2").hex() == "0005560002"
-    assert pack(Kind.CONTROLLER).hex() == "000376"
-    assert pack(Kind.START).hex() == "000353"
-
-
-def test_versions_travel_as_four_numbers() -> None:
-    version = Version.read(bytes.fromhex("000000050000000b000000000001a6d9"))
-    assert str(version) == "5.11.0.108249"
-    with pytest.raises(RtdeError, match="12 bytes"):
-        Version.read(bytes(12))
 
 
 @given(st.lists(st.integers(0, 700), max_size=20))

@@ -4,13 +4,13 @@ import json
 import re
 import signal
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from flows.graph.validation import problems
 from tests.command import SLIPFLOW, error, slipflow
+from tests.waiting import PATIENCE, wait_until
 
 SPHERE = """
 speeds = ["50mm/s"]
@@ -71,9 +71,7 @@ def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:
         text=True,
         cwd=tmp_path,
     )
-    while not list(tmp_path.glob("recordings/sessions/*/session.json")):
-        assert process.poll() is None
-        time.sleep(0.05)
+    wait_until(lambda: any(tmp_path.glob("recordings/sessions/*/session.json")), process, within=2 * PATIENCE)
     process.send_signal(signal.SIGINT)
     out, messages = process.communicate(timeout=300)
     assert process.returncode == 130, messages

@@ -6,11 +6,10 @@ import signal
 import subprocess
 from pathlib import Path
 from shutil import copytree
-from time import monotonic, sleep
 
 from tests.command import SLIPFLOW, slipflow
-from tests.storage.made import session_names
-from tests.waiting import PATIENCE
+from tests.storage.made import contents, session_names
+from tests.waiting import PATIENCE, wait_until
 
 WRONG = """
 from connectors import Console, SimulatedRig
@@ -85,11 +84,7 @@ def test_after_ctrl_c_the_same_command_continues(tiny: Path, tmp_path: Path) -> 
         text=True,
         start_new_session=True,
     ) as process:
-        deadline = monotonic() + PATIENCE
-        while not any(out.glob("sessions/*")):  # one is complete
-            assert process.poll() is None
-            assert monotonic() < deadline
-            sleep(0.02)
+        wait_until(lambda: any(out.glob("sessions/*")), process)  # one is complete
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to all of them
         _, errors = process.communicate(timeout=PATIENCE)
     assert process.returncode == 130
@@ -103,7 +98,3 @@ def test_after_ctrl_c_the_same_command_continues(tiny: Path, tmp_path: Path) -> 
     whole = slipflow(*arguments, "--set", f"out={tmp_path / 'whole'}", "--jobs", "1")
     assert whole.returncode == 0
     assert contents(out) == contents(tmp_path / "whole")
-
-
-def contents(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}

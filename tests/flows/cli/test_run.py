@@ -6,12 +6,12 @@ import re
 import signal
 import subprocess
 from pathlib import Path
-from time import monotonic, sleep
 
 import polars as pl
 import pytest
 
 from tests.command import SLIPFLOW, slipflow
+from tests.waiting import PATIENCE, wait_until
 
 HEADER = "t,s1,s2,s3,s4,s5,s6"
 
@@ -38,21 +38,6 @@ def test_a_trace_replayed_through_the_live_flow_gives_slip_events(tmp_path: Path
     [summary] = json.loads(done.stdout)["sessions"]
     assert summary["sources"]["touch"]["rows"] == 300
     assert summary["sinks"]["console"]["rows"] > 0
-
-
-def test_a_trace_of_another_rate_is_refused_with_the_operator_that_converts_it(tmp_path: Path) -> None:
-    fast = tmp_path / "fast.csv"
-    fast.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 200},1,2,3,4,5,{k % 5}\n" for k in range(400)))
-    done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
-    assert done.returncode == 2
-    assert "psd needs 100 Hz; the data has 200 Hz: Resample(rate=100)" in done.stderr
-
-
-def test_a_missing_broker_is_a_one_line_error(tmp_path: Path) -> None:
-    done = slipflow("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
-    note, line = done.stderr.splitlines()
-    assert "the replay is written to" in note
-    assert (done.returncode, line.startswith("error: mqtt://127.0.0.1:1: cannot connect")) == (2, True)
 
 
 def test_a_live_run_prints_one_json_object() -> None:
@@ -90,11 +75,12 @@ def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
         text=True,
         env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
-    deadline = monotonic() + 120
-    while sum(path.stat().st_size for path in out.glob("sessions/*/journal/*.wal")) < 150_000:  # about 3 s
-        assert process.poll() is None
-        assert monotonic() < deadline
-        sleep(0.1)
+    journal = "sessions/*/journal/*.wal"
+    wait_until(
+        lambda: sum(path.stat().st_size for path in out.glob(journal)) > 150_000,  # about 3 s
+        process,
+        within=2 * PATIENCE,
+    )
     process.send_signal(signal.SIGTERM)
     text, _ = process.communicate(timeout=60)
     assert process.returncode == 0

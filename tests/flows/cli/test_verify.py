@@ -1,7 +1,6 @@
 """`slipflow verify` as a process."""
 
 import json
-import os
 from pathlib import Path
 from shutil import copytree
 
@@ -9,7 +8,6 @@ import pytest
 
 from operators import Touch
 from storage import Session
-from storage.files import lock
 from tests.command import slipflow
 from tests.storage.made import leave, new_run, side_by_side, write
 
@@ -47,14 +45,6 @@ def test_a_lost_part_is_reported_as_text_and_json(dataset: Path) -> None:
     done = slipflow("verify", dataset)
     assert done.returncode == 1
     assert "recorded data is lost" in done.stdout.splitlines()[-1]
-
-
-def test_a_session_being_recorded_is_not_repaired(dataset: Path) -> None:
-    held = lock(dataset / "sessions/crashed")
-    assert held is not None
-    done = slipflow("verify", dataset, "--repair")
-    assert (done.returncode, "crashed: is being recorded" in done.stderr) == (0, True)
-    os.close(held)
 
 
 def test_the_other_sessions_are_repaired_if_one_cannot_be(

@@ -6,32 +6,6 @@ from flows.run.clocks import EventClock, LoopClock
 from operators import s
 
 
-def test_virtual_sleep_takes_no_time_but_shows_on_the_clock() -> None:
-    async def main() -> tuple[int, int]:
-        clock = LoopClock(start=5)
-        await clock.sleep_until(5 + 3600 * s)
-        return clock.now(), time.monotonic_ns()
-
-    began = time.monotonic_ns()
-    shown, ended = run_virtually(main())
-    assert shown == 5 + 3600 * s
-    assert ended - began < 60 * s
-
-
-def test_virtual_tasks_wake_in_the_order_of_their_times() -> None:
-    woken: list[int] = []
-
-    async def main() -> None:
-        async def wake(after: int) -> None:
-            await asyncio.sleep(after)
-            woken.append(after)
-
-        await asyncio.gather(*(wake(k) for k in (3, 1, 2)))
-
-    run_virtually(main())
-    assert woken == [1, 2, 3]
-
-
 def test_a_paced_clock_runs_at_its_pace() -> None:
     async def main() -> tuple[float, int]:
         clock = LoopClock(start=0, pace=10)

@@ -3,8 +3,7 @@
 import os
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,8 +12,8 @@ from storage.layout import session_folder
 from tests.command import SLIPFLOW, slipflow
 from tests.dask_cluster import DaskCluster, kill
 from tests.flows.run.recorder import Recorder
-from tests.storage.made import session_names
-from tests.waiting import PATIENCE
+from tests.storage.made import contents, session_names
+from tests.waiting import PATIENCE, wait_until
 
 pytestmark = pytest.mark.cluster
 
@@ -81,20 +80,9 @@ def command(lab: Path, out: Path) -> list[str]:
     return ["run", str(lab / "felt.py"), "--replay", str(lab / "in"), "--set", f"out={out}"]
 
 
-def contents(root: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
-
-
 def lines(printed: str) -> list[str]:
     """Return the printed lines without the last one, which has the wall time."""
     return printed.splitlines()[:-1]
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def children(process: subprocess.Popen[bytes]) -> list[int]:
@@ -109,7 +97,7 @@ def test_a_killed_worker_and_a_later_one_change_nothing(
     out = tmp_path / "out"
     arguments = [*SLIPFLOW, *command(lab, out), "--cluster", cluster.url]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
-        until(lambda: (out / "dataset.json").exists() and len(session_names(out)) > 1)
+        wait_until(lambda: (out / "dataset.json").exists() and len(session_names(out)) > 1)
         for pid in children(cluster.workers[0]):
             os.kill(pid, signal.SIGKILL)
         kill(cluster.workers[1])
@@ -125,7 +113,7 @@ def test_after_a_killed_scheduler_the_same_command_continues(
     out = tmp_path / "out"
     arguments = [*command(lab, out), "--cluster", cluster.url]
     with subprocess.Popen([*SLIPFLOW, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
-        until(lambda: (out / "dataset.json").exists() and len(session_names(out)) > 1)
+        wait_until(lambda: (out / "dataset.json").exists() and len(session_names(out)) > 1)
         kill(cluster.scheduler)
         _, errors = running.communicate(timeout=PATIENCE)
     assert running.returncode == 2

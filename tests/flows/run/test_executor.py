@@ -4,13 +4,13 @@ import subprocess
 import sys
 from concurrent.futures import Executor, Future
 from pathlib import Path
-from time import sleep
 
 import pytest
 
 from flows.run.executor import DaskWorkers, map_tasks, one_thread, workers
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from tests.flows.run.worked import work
+from tests.waiting import wait_until
 
 
 def ended(pid: int) -> bool:
@@ -66,8 +66,7 @@ def test_an_error_in_the_block_ends_the_workers_in_the_middle_of_a_task(tmp_path
 
     def interrupt(done: int, _total: int) -> None:
         if done == 1:
-            while not place.exists():
-                sleep(0.01)
+            wait_until(place.exists)
             raise KeyboardInterrupt  # Ctrl-C
 
     items = ["first", f"wait:{place}", "rest"]
@@ -89,12 +88,9 @@ if __name__ == "__main__":
     with subprocess.Popen(
         [sys.executable, str(tmp_path / "parent.py")], env={**os.environ, "PYTHONPATH": str(Path.cwd())}
     ) as parent:
-        while not place.exists():
-            assert parent.poll() is None
-            sleep(0.01)
+        wait_until(place.exists, parent)
         parent.kill()
-    while not ended(int(place.read_text())):
-        sleep(0.01)
+    wait_until(lambda: ended(int(place.read_text())))
 
 
 def test_jobs_on_a_cluster_are_refused() -> None:

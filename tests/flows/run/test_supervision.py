@@ -15,7 +15,6 @@ from flows.graph.testing import TestSink
 from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd, signals_to
 from operators import Clock, EndpointError, Scores, Source, s
 from tests.flows.run.live import execute, flow_of, scores
-from tests.waiting import PATIENCE
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -51,16 +50,6 @@ def test_signals_are_left_alone_in_another_thread() -> None:
     thread.start()
     thread.join()
     assert signal.getsignal(signal.SIGTERM) is before
-
-
-async def test_a_loop_that_sleeps_wakes_for_a_signal() -> None:
-    received = asyncio.Event()
-    with signals_to(received.set):
-        sending = Thread(target=signal.raise_signal, args=(signal.SIGTERM,))
-        sending.start()
-        async with asyncio.timeout(PATIENCE):
-            await received.wait()
-        sending.join()
 
 
 @pytest.fixture
