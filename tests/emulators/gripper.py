@@ -48,17 +48,11 @@ class Asked(NamedTuple):
 class Mechanism:
     """Fingers, object and pending requests. Instants are in ns and never decrease.
 
-    Args:
-        now: Instant of power-up.
-        contact: Position, 0 to 255, at which the fingers meet an object.
-        activation: Duration of an activation, s.
-
-    Attributes:
-        forces: Grip forces on the object (N), in order; 0 N: it was released.
+    The fingers meet the object at the position `contact`, 0 to 255. An activation takes `activation` s.
     """
 
     def __init__(self, now: int, *, contact: int = 120, activation: float = 2.0) -> None:
-        self.forces = list[float]()
+        self.forces = list[float]()  # N, on the object, in order; 0: it was released
         self._contact, self._activation = contact, round(activation * s)
         self._time, self._position = now, 0.0
         self._pending = deque[tuple[int, Asked]]()  # (time of effect in ns, request)
@@ -127,17 +121,8 @@ class GripperServer:
     """Gripper that serves clients in an `async with` block, and can refuse (`refusing`) or be `silent`.
 
     Clients write the request from register 0 on (function 16) and read the status (function 4); other
-    functions and other units are refused.
-
-    Args:
-        now: Clock of the mechanism (ns since 1970 UTC).
-        host: Address on which to listen.
-        port: Port on which to listen; 0 for any free one.
-        mechanism: Arguments of the mechanism.
-
-    Attributes:
-        port: Actual port inside the block.
-        trace: Called with each packet, and whether it is sent; returns the packet.
+    functions and other units are refused. Inside the block, `port` is the actual one. `trace` is called with
+    each packet, and whether it is sent, and returns the packet.
     """
 
     refusing = silent = False

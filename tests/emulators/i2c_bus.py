@@ -62,21 +62,14 @@ class Defect(Enum):
 class Cell:
     """One MPL115A2: a register file and a pointer; a write sets the pointer, a read starts there.
 
-    Args:
-        coefficients: The 8 coefficient bytes.
-        conversion: Duration of a conversion (ns).
-        sample: Returns raw counts of pressure and temperature at an instant (ns).
-
-    Attributes:
-        defect: Defect; None: it works.
-        overload: Pressure above that of its source, counts.
+    `sample` returns raw counts of pressure and temperature at an instant (ns).
     """
 
     def __init__(
         self, coefficients: bytes, conversion: int, sample: Callable[[int], tuple[int, int]]
     ) -> None:
         self.defect: Defect | None = None
-        self.overload = 0
+        self.overload = 0  # counts, of pressure above that of its source
         self._coefficients, self._conversion, self._sample = coefficients, conversion, sample
         self.power_up()
 
@@ -179,11 +172,7 @@ class Fault:
 class EmulatedI2cBus:
     """An I2C bus with fingertips; any thread may command its faults.
 
-    Args:
-        skin: Source of the counts.
-        rows: Finger of the source for each row (0 to 7).
-        conversion: Duration of a conversion (ns).
-        now: Clock of the source (ns).
+    `rows` has the finger of the source `skin` for each row (0 to 7).
 
     Attributes:
         fingertips: Fingertips by row.

@@ -62,16 +62,7 @@ INPUTS: Final[Mapping[str, str]] = MappingProxyType(
 
 
 class ControlBox:
-    """A control box after power-up, with its arm ready.
-
-    Attributes:
-        version: Version of the software.
-        rate: Cycles per second: 125 for CB3 (version 3), 500 for e-Series.
-        cycles: Cycles since power-up; the clock of the controller is `cycles / rate`.
-        robot_mode, safety_mode, runtime_state: State of the arm, the safety system and the program.
-        registers: Registers that clients read and write.
-        drive: The arm.
-    """
+    """A control box after power-up, with its arm ready."""
 
     def __init__(self, pose: Reals, version: Version) -> None:
         self.version, self.rate = version, 125.0 if version.major <= CB3 else 500.0
@@ -80,7 +71,8 @@ class ControlBox:
 
     def power_up(self) -> None:
         """Reset the clock, the registers and the program; the arm stays as it is."""
-        self.cycles, self.registers = 0, Registers()
+        self.cycles = 0  # since power-up
+        self.registers = Registers()
         self.robot_mode, self.safety_mode = RobotMode.RUNNING, SafetyMode.NORMAL
         self.runtime_state, self._program = RuntimeState.STOPPED, cast("Program | None", None)
 

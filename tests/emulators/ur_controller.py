@@ -105,20 +105,8 @@ def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
 class UrController:
     """A controller that serves clients in an `async with` block.
 
-    Cycles run on the clock `now`. The packages of a late cycle arrive late, as if delayed by the network.
-
-    Args:
-        pose: Initial pose of the arm, (6,) m and rotation vector.
-        host: Address on which to listen.
-        ports: Ports on which to listen.
-        version: Version of the software: 3.x runs at 125 Hz, 5.x at 500 Hz.
-        now: Clock of the host (ns since 1970 UTC).
-        drift: Rate error of the controller's clock, s/s.
-
-    Attributes:
-        box: The control box.
-        ports: Actual ports inside the block.
-        clients: Clients of RTDE.
+    Cycles run on the clock `now` (ns); `drift` (s/s) is the rate error of the controller's own. The packages
+    of a late cycle arrive late, as if delayed by the network. Inside the block, `ports` are the actual ones.
     """
 
     def __init__(
@@ -237,11 +225,7 @@ class UrController:
 
 
 class RtdeConnection:
-    """A client connection on the RTDE port.
-
-    Attributes:
-        stalled: Nothing is sent.
-    """
+    """A client connection on the RTDE port; while it is `stalled`, nothing is sent."""
 
     def __init__(self, box: ControlBox, transport: asyncio.WriteTransport) -> None:
         self.box, self.transport, self.stalled = box, transport, False

@@ -39,22 +39,14 @@ DONE: Final = 2
 
 
 class Drive:
-    """Arm that executes motion tasks; a new task replaces the current one without a step in velocity.
-
-    Args:
-        pose: Initial pose (6,) m and rotation vector, base frame.
-        period: Duration of a cycle (s).
-
-    Attributes:
-        pose: Pose of the TCP.
-        velocity: Velocity (6,) m/s and rad/s, base frame.
-        task: Current task; "none" when it is done.
-    """
+    """Arm that executes motion tasks; a new task replaces the current one without a step in velocity."""
 
     def __init__(self, pose: Reals, period: float) -> None:
-        self.pose, self.velocity = pose.astype(np.float64), np.zeros(6)
+        self.pose = pose.astype(np.float64)  # (6,) m and rotation vector of the TCP, base frame
+        self.velocity = np.zeros(6)  # m/s and rad/s
         self.task: Task = "none"
-        self._period, self._target = period, np.zeros(6)  # pose of a line task, else velocity
+        self._period = period  # s, of a cycle
+        self._target = np.zeros(6)  # pose of a line task, else velocity
         self._speed = self._acceleration = 0.0
 
     @property
@@ -137,13 +129,7 @@ class Registers:
 
 
 class Program:
-    """The running program.
-
-    Args:
-        registers: Registers of the controller.
-        drive: Drive of the arm.
-        period: Duration of a cycle (s).
-    """
+    """The running program; `period` is the duration of a cycle (s)."""
 
     def __init__(self, registers: Registers, drive: Drive, period: float) -> None:
         self._registers, self._drive, self._period = registers, drive, period

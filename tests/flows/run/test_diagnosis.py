@@ -1,28 +1,22 @@
 import asyncio
 import ctypes
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, Callable
 from types import SimpleNamespace
 
 import pytest
 
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import clock_finding, diagnose, host_findings
-from operators import Clock, Finding, InputError, Scores, Source
+from operators import Clock, Finding, InputError
 from operators.extras import install_command
+from operators.ports import Endpoint
 
 
-class Device(Source[Scores]):
-    """Source that finds what it is given; an error is raised, None waits for ever."""
+class Device(Endpoint):
+    """Endpoint that finds what it is given; an error is raised, None waits for ever."""
 
     def __init__(self, *found: Finding | Exception | None) -> None:
         self._found = found
-
-    @property
-    def kind(self) -> type[Scores]:
-        return Scores
-
-    def batches(self, clock: Clock) -> AsyncIterator[Scores]:
-        raise NotImplementedError
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         for found in self._found:

@@ -32,7 +32,6 @@ from operators import (
     Scores,
     SlipflowError,
     Slips,
-    Source,
     Touch,
     Zero,
     ms,
@@ -146,15 +145,11 @@ def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
     assert re.search(message, sink.run.error)
 
 
-class Pausing(Source[Scores]):
+class Pausing(Endless):
     """Scores every 10 ms, with a pause after the first `before`."""
 
     def __init__(self, before: int, pause: float, after: int = 0) -> None:
         self._before, self._pause, self._after = before, pause, after
-
-    @property
-    def kind(self) -> type[Scores]:
-        return Scores
 
     async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
         for count in (self._before, self._after):
@@ -246,15 +241,11 @@ class Numbered(Join[Scores, Scores, Scores]):
         return Scores(np.array([(self._next - 1) * 10 * ms]), (left if len(left) else right).probability)
 
 
-class Following(Source[Scores]):
+class Following(Endless):
     """Source of one score on request."""
 
     def __init__(self, go: asyncio.Event) -> None:
         self._go = go
-
-    @property
-    def kind(self) -> type[Scores]:
-        return Scores
 
     async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
         await self._go.wait()

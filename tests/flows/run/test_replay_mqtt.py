@@ -74,19 +74,12 @@ Way = Callable[[Flow], Coroutine[Any, Any, Run]]
 BOTH = pytest.mark.parametrize("replay", [at_full_speed, at_a_pace])
 
 
-class Fed(Source[Touch]):
+class Fed(TestSource[Touch]):
     """Fingertip that yields a row on request."""
 
     def __init__(self) -> None:
+        super().__init__(Touch, fingers=(0,))
         self._told = asyncio.Queue[bool]()
-
-    @property
-    def kind(self) -> type[Touch]:
-        return Touch
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        return (0,)
 
     def press(self, *, more: bool = True) -> None:
         self._told.put_nowait(more)

@@ -13,8 +13,8 @@ import pytest
 
 from flows.graph.testing import TestSink
 from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd, signals_to
-from operators import Clock, EndpointError, Scores, Source, s
-from tests.flows.run.live import execute, flow_of, scores
+from operators import Clock, EndpointError, Scores, s
+from tests.flows.run.live import Endless, execute, flow_of, scores
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -62,15 +62,11 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.
         yield listener
 
 
-class Device(Source[Scores]):
+class Device(Endless):
     """A source that hangs after one row, or fails."""
 
     def __init__(self, *, fails: bool) -> None:
         self.fails = fails
-
-    @property
-    def kind(self) -> type[Scores]:
-        return Scores
 
     async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
         if self.fails:
