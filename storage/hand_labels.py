@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass
 from itertools import islice, pairwise
 from operator import index
 from pathlib import Path
-from types import MappingProxyType
 from typing import Final
 
 import numpy as np
@@ -23,7 +22,7 @@ from storage.description import check_identity, identity
 from storage.layout import FINGER_MAX, LABEL_FILES, LABELS, file_name, numbered_files
 
 FORMAT: Final = 1
-VALUES: Final = MappingProxyType({"slip": SLIP, "static": STATIC, "unknown": UNKNOWN})
+VALUES: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
 
 SPANS_MAX: Final = 100_000  # of a session
 

@@ -5,7 +5,6 @@ import json
 from collections.abc import Mapping
 from math import isclose
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -27,19 +26,17 @@ LIMIT: Final = 256 * files.MiB  # bytes of a file
 
 
 # not in the cards: a card is written by a training, and not specific to a task
-PURPOSES: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "tcn": "default for a fingertip that slides over a surface; label: arm speed",
-        "tcn_wide": "other fingertips and slower hands than the TakkTile's",
-        "tcn_sliding": "true sliding of the contact, known in simulation only",
-        "paper_tcn": "the paper's TCN, for comparison",
-        "frequency_cnn": "a network on spectra, for comparison",
-        "frequency_cnn_interleaved": "the paper's network on spectra, for comparison",
-        "tcn_grasp": "default for objects that fingers hold, lift or that are hit",
-        "paper_grasp": "the paper's TCN trained on grasps, for comparison",
-        "psd": "power above a frequency, without training; the paper's baseline",
-    }
-)
+PURPOSES: Final = {
+    "tcn": "default for a fingertip that slides over a surface; label: arm speed",
+    "tcn_wide": "other fingertips and slower hands than the TakkTile's",
+    "tcn_sliding": "true sliding of the contact, known in simulation only",
+    "paper_tcn": "the paper's TCN, for comparison",
+    "frequency_cnn": "a network on spectra, for comparison",
+    "frequency_cnn_interleaved": "the paper's network on spectra, for comparison",
+    "tcn_grasp": "default for objects that fingers hold, lift or that are hit",
+    "paper_grasp": "the paper's TCN trained on grasps, for comparison",
+    "psd": "power above a frequency, without training; the paper's baseline",
+}
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

@@ -1,10 +1,8 @@
 """The command `slipflow verify`."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
@@ -16,15 +14,13 @@ from flows.report.table import counted
 if TYPE_CHECKING:
     from storage import Recovery, Verified
 
-_VERDICTS: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "note": "all data is present",
-        "repairable": "repairable, all rows on disk can be recovered: add --repair",
-        "repaired": "repaired, all rows on disk were recovered",
-        "lossy": "rows are known to be missing",
-        "lost": "recorded data is lost",
-    }
-)
+_VERDICTS: Final = {
+    "note": "all data is present",
+    "repairable": "repairable, all rows on disk can be recovered: add --repair",
+    "repaired": "repaired, all rows on disk were recovered",
+    "lossy": "rows are known to be missing",
+    "lost": "recorded data is lost",
+}
 
 
 def verify(

@@ -14,7 +14,6 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import partial
 from pathlib import Path
 from typing import Final, get_type_hints
 
@@ -153,7 +152,7 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
     found: dict[str, Declaration] = {}
     for name, value in vars(module).items():
         if isinstance(value, Flow):
-            found[name] = Declaration(name, file, partial(_identity, value), {})
+            found[name] = Declaration(name, file, lambda flow=value: flow, {})
         elif inspect.isfunction(value) and value.__module__ == module.__name__:
             with _errors_of(file):
                 hints = get_type_hints(value, include_extras=True)
@@ -169,10 +168,6 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
                 }
                 found[name] = Declaration(name, file, value, declared)
     return found
-
-
-def _identity(flow: Flow) -> Flow:
-    return flow
 
 
 @contextmanager

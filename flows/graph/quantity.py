@@ -5,7 +5,6 @@ Flow parameters annotated with one of the types below accept such text, as do op
 
 import re
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Annotated, Final, NamedTuple, TypeAlias
 
 from operators.errors import ParameterError
@@ -26,25 +25,23 @@ class Kind(NamedTuple):
 
 
 # by the base unit
-KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
-    {
-        "ns": Kind(
-            "a time",
-            {"ns": "1", "us": "1000", "ms": "1000000", "s": "1000000000", "min": "60000000000"}
-            | {"h": "3600000000000", "d": "86400000000000"},
-            "500ms, 30s, 1h or 30d",
-        ),
-        "m": Kind("a length", {"mm": "1/1000", "cm": "1/100", "m": "1"}, "1.5mm or 0.0015m"),
-        "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
-        "N": Kind("a force", {"N": "1"}, "2N or 0.5N"),
-        "1/ns": Kind(
-            "a rate",
-            {"/h": "1/3600000000000", "/min": "1/60000000000", "/s": "1/1000000000"},
-            "1/min or 6/h",
-        ),
-        "1": Kind("a share", {"%": "1/100"}, "95%"),
-    }
-)
+KINDS: Final = {
+    "ns": Kind(
+        "a time",
+        {"ns": "1", "us": "1000", "ms": "1000000", "s": "1000000000", "min": "60000000000"}
+        | {"h": "3600000000000", "d": "86400000000000"},
+        "500ms, 30s, 1h or 30d",
+    ),
+    "m": Kind("a length", {"mm": "1/1000", "cm": "1/100", "m": "1"}, "1.5mm or 0.0015m"),
+    "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
+    "N": Kind("a force", {"N": "1"}, "2N or 0.5N"),
+    "1/ns": Kind(
+        "a rate",
+        {"/h": "1/3600000000000", "/min": "1/60000000000", "/s": "1/1000000000"},
+        "1/min or 6/h",
+    ),
+    "1": Kind("a share", {"%": "1/100"}, "95%"),
+}
 
 _EXPONENT: Final = 1e15  # from which the format g writes one, which is not parsed
 _LONGEST: Final = 40  # characters; longer text is not a number

@@ -1,10 +1,10 @@
 """Checks of a flow before it runs, and the fingertips of its streams."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from functools import cache
 from inspect import signature
-from typing import Any, Final, cast
+from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from operators.operator import AnyOperator, Join, Operator, input_types, output_
 from operators.ports import Sink, Source
 from operators.score import Score
 from operators.zero import Zero
+
+Problem: TypeAlias = tuple[str, str]  # edge and reason
 
 _CHAIN: Final[tuple[type[Operator[Any, Any]], ...]] = (Zero, Score, Debounce)
 
@@ -36,20 +38,13 @@ def validate(flow: Flow, *, fingertips: bool = True) -> None:
 
 def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
     """Return all problems of a flow; types and destinations are checked only if the structure is valid."""
-    structure = [
-        *_no_source(flow),
-        *_foreign_nodes(flow),
-        *_unconnected(flow),
-        *_shared_parts(flow),
-        *_shared_state(flow),
-        *_lost_parameters(flow),
-    ]
-    return structure or [
-        *_wrong_types(flow),
-        *_shared_destinations(flow),
-        *_duplicate_streams(flow),
-        *(trace_fingertips(flow)[1] if fingertips else ()),
-    ]
+    structure = _no_source, _foreign_nodes, _unconnected, _shared_parts, _shared_state, _lost_parameters
+    meaning = _wrong_types, _shared_destinations, _duplicate_streams
+
+    def found(checks: Iterable[Callable[[Flow], Iterator[Problem]]]) -> list[FlowError]:
+        return [FlowError(flow.name, *problem) for check in checks for problem in check(flow)]
+
+    return found(structure) or found(meaning) + (trace_fingertips(flow)[1] if fingertips else [])
 
 
 def trace_fingertips(flow: Flow) -> tuple[dict[Node, Fingertip], list[FlowError]]:
@@ -94,65 +89,57 @@ def _edge(parent: Node, node: Node) -> str:
     return f"{parent.name} -> {node.name}"
 
 
-def _no_source(flow: Flow) -> Iterator[FlowError]:
+def _first_edge(node: Node) -> str:
+    return _edge(node.inputs[0], node) if node.inputs else node.name
+
+
+def _no_source(flow: Flow) -> Iterator[Problem]:
     if not flow.sources():
-        yield FlowError(flow.name, "no source", "add one with flow.source(...)")
+        yield "no source", "add one with flow.source(...)"
 
 
-def _foreign_nodes(flow: Flow) -> Iterator[FlowError]:
+def _foreign_nodes(flow: Flow) -> Iterator[Problem]:
     own = set(flow.nodes)
     for node in flow.nodes:
         for parent in node.inputs:
             if parent not in own:
-                yield FlowError(
-                    flow.name,
-                    _edge(parent, node),
-                    f"{parent.name} belongs to another flow: declare it in this one",
-                )
+                yield _edge(parent, node), f"{parent.name} belongs to another flow: declare it in this one"
 
 
-def _unconnected(flow: Flow) -> Iterator[FlowError]:
+def _unconnected(flow: Flow) -> Iterator[Problem]:
     for node, takers in consumers(flow.nodes).items():
         if not takers and not isinstance(node.part, Sink) and node in flow.nodes:
             kind = node.gives.__name__ if node.gives else "nothing"
-            yield FlowError(
-                flow.name,
-                f"{node.name} -> ?",
-                f"its stream of {kind} is unconnected: connect it to a sink with .to(...)",
-            )
+            reason = f"its stream of {kind} is unconnected: connect it to a sink with .to(...)"
+            yield f"{node.name} -> ?", reason
 
 
-def _shared_parts(flow: Flow) -> Iterator[FlowError]:
+def _shared_parts(flow: Flow) -> Iterator[Problem]:
     seen: dict[int, Node] = {}
     for node in flow.nodes:
-        first = seen.setdefault(id(node.part), node)
-        if first is not node:
+        if seen.setdefault(id(node.part), node) is not node:
             kind = "source" if isinstance(node.part, Source) else "operator"
-            where = _edge(node.inputs[0], node) if node.inputs else node.name
-            yield FlowError(
-                flow.name,
-                where,
-                f"the same {kind} object is used twice: share its stream, or create a second one",
-            )
+            reason = f"the same {kind} object is used twice: share its stream, or create a second one"
+            yield _first_edge(node), reason
 
 
-def _shared_state(flow: Flow) -> Iterator[FlowError]:
+def _shared_state(flow: Flow) -> Iterator[Problem]:
     for node in flow.nodes:
         if isinstance(node.part, Operator | Join):
             for f in fields(node.part):
                 if f.init and isinstance(getattr(node.part, f.name), list | dict | set | np.ndarray):
                     reason = f"{f.name} would be shared by all runs: use a tuple, or init=False for state"
-                    yield FlowError(flow.name, node.name, reason)
+                    yield node.name, reason
 
 
-def _lost_parameters(flow: Flow) -> Iterator[FlowError]:
+def _lost_parameters(flow: Flow) -> Iterator[Problem]:
     """Find arguments that a copy of an operator for a run would not get."""
     for node in flow.nodes:
         if isinstance(node.part, Operator | Join) and type(node.part).reset_copy is AnyOperator.reset_copy:
             kept = {f.name for f in fields(node.part) if f.init}
             for lost in _parameters(type(node.part)) - kept:
                 reason = f"{lost} would be lost: make it a field of a @dataclass, which needs no __init__"
-                yield FlowError(flow.name, node.name, reason)
+                yield node.name, reason
 
 
 @cache  # of each class: `signature` takes longer than all other checks
@@ -160,7 +147,7 @@ def _parameters(kind: type[AnyOperator]) -> frozenset[str]:
     return frozenset(signature(kind).parameters)
 
 
-def _wrong_types(flow: Flow) -> Iterator[FlowError]:
+def _wrong_types(flow: Flow) -> Iterator[Problem]:
     for node in flow.nodes:
         wanted = node.takes
         for i, parent in enumerate(node.inputs):
@@ -170,7 +157,7 @@ def _wrong_types(flow: Flow) -> Iterator[FlowError]:
             if not issubclass(given, choice):
                 names = " or ".join(kind.__name__ for kind in choice)
                 reason = f"{node.name} takes {names}, not {given.__name__}{_missing(given, choice)}"
-                yield FlowError(flow.name, _edge(parent, node), reason)
+                yield _edge(parent, node), reason
 
 
 def _missing(given: type[Batch], wanted: tuple[type[Batch], ...]) -> str:
@@ -181,19 +168,17 @@ def _missing(given: type[Batch], wanted: tuple[type[Batch], ...]) -> str:
     return f": insert {' and '.join(names)}" if names else ""
 
 
-def _shared_destinations(flow: Flow) -> Iterator[FlowError]:
+def _shared_destinations(flow: Flow) -> Iterator[Problem]:
     users: dict[str, Node] = {}
     for node, sink in flow.sinks().items():
         first = users.setdefault(sink.destination, node)
         if first is not node:
-            where, other = (
-                _edge(each.inputs[0], each) if each.inputs else each.name for each in (node, first)
-            )
+            other = _first_edge(first)
             reason = f"writes to {sink.destination}, as does {other}: use one sink for both"
-            yield FlowError(flow.name, where, reason)
+            yield _first_edge(node), reason
 
 
-def _duplicate_streams(flow: Flow) -> Iterator[FlowError]:
+def _duplicate_streams(flow: Flow) -> Iterator[Problem]:
     for node in flow.sinks():
         seen: dict[tuple[type[Batch] | None, int], Node] = {}
         kinds = [parent.gives for parent in node.inputs]
@@ -201,8 +186,5 @@ def _duplicate_streams(flow: Flow) -> Iterator[FlowError]:
             for finger in parent.fingers if kinds.count(parent.gives) > 1 else ():  # they may have to be read
                 first = seen.setdefault((parent.gives, finger), parent)
                 if first is not parent and parent.gives:
-                    yield FlowError(
-                        flow.name,
-                        _edge(parent, node),
-                        f"already receives {parent.gives.__name__} (from {first.name}): use another sink",
-                    )
+                    reason = f"already receives {parent.gives.__name__} (from {first.name}): use another sink"
+                    yield _edge(parent, node), reason

@@ -13,7 +13,6 @@ from heapq import merge
 from itertools import islice
 from operator import itemgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -31,10 +30,8 @@ _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
 _BATCH: Final = 5000  # rows between progress updates
 _JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # slow to create
 _INT64: Final = np.dtype(np.int64)
-_TYPES: Final = MappingProxyType({"b": "boolean", "i": "integer", "f": "number"})
-_STAMP: Final[Mapping[str, Any]] = MappingProxyType(
-    {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-)
+_TYPES: Final = {"b": "boolean", "i": "integer", "f": "number"}
+_STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _Message: TypeAlias = tuple[int, str, bytes]  # time (ns), topic, JSON
 
 
