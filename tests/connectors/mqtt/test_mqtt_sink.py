@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator, validate
 from msgspec.structs import replace
 
 from connectors import Event, Mqtt
@@ -17,8 +16,7 @@ from connectors.mqtt.broker_link import Link
 from operators.batch import Clocks, Faults, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
-from operators.ports import Run, SinkStatus, SourceStatus
-from tests.asyncapi import EVENT_SCHEMA
+from operators.ports import Run
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.connectors.mqtt.made import opened, slips
 from tests.inside import inside
@@ -38,10 +36,8 @@ def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
 
 
 def event(listener: TestListener, finger: str = "0") -> Event:
-    """The next event, checked against the schema by an independent validator."""
     received = listener.next(f"{RIG}/{finger}/event")
     assert (received.retained, received.content_type) == (False, CONTENT_TYPE)
-    validate(json.loads(received.payload), EVENT_SCHEMA, Draft202012Validator)
     return Event.decode(received.payload.encode())
 
 
@@ -54,7 +50,7 @@ async def sent(sink: Mqtt) -> None:
     await until(lambda: not inside(sink, "_outbox").waiting)
 
 
-async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: Run) -> None:
+async def test_events_arrive_in_order(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
     async with opened(sink, run):
@@ -93,7 +89,10 @@ async def test_a_regular_end_publishes_offline_with_its_time(
     assert (farewell["state"], farewell["since"]) == ("offline", "1970-01-01T00:01:40.000000000Z")
 
 
-async def test_events_are_degraded_while_a_fault_lasts(broker: TestBroker, run: Run) -> None:
+async def test_events_and_health_tell_which_faults_last(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
@@ -103,9 +102,16 @@ async def test_events_are_degraded_while_a_fault_lasts(broker: TestBroker, run: 
         await sink.write(slips(1, finger=1))
         await sink.write(fault(3, FaultKind.STUCK, begins=False))
         await sink.write(slips(0))
+        offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
+        await sink.write(Clocks(np.array([NOW]), offset, drift, residual))
+        health = broker.listen(f"{RIG}/health")
+        reports = [read(await asyncio.to_thread(health.next)) for _ in range(3)]
     assert event(listener).degraded == (Fault(1, "dead"), Fault(3, "stuck"))
     assert event(listener, "1").degraded == ()
     assert event(listener).degraded == (Fault(1, "dead"),)
+    assert reports[-1]["degraded"] == {"0": [{"barometer": 1, "kind": "dead"}]}
+    clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
+    assert reports[-1]["clock"] == clock
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -141,26 +147,6 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
     assert found[f"{RIG}/health"]["outbox"] == {"error": None, "waiting": 0, "refused": []}
 
 
-async def test_health_is_published_periodically(
-    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
-    run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=NOW - 5 * ms)
-    run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
-    sink = Mqtt(broker.url, rig="rig")
-    async with opened(sink, run):
-        await sink.write(fault(3, FaultKind.STUCK, begins=True))
-        offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
-        await sink.write(Clocks(np.array([NOW]), offset, drift, residual))
-        listener = broker.listen(f"{RIG}/health")
-        reports = [read(await asyncio.to_thread(listener.next)) for _ in range(3)]
-        assert reports[-1]["sources"]["touch"]["rows"] == 1000
-        assert reports[-1]["sinks"]["dataset"]["error"] == "disk full"
-        assert reports[-1]["degraded"] == {"0": [{"barometer": 3, "kind": "stuck"}]}
-        clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
-        assert reports[-1]["clock"] == clock
-
-
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 async def test_a_run_ends_without_error_if_the_broker_is_gone_or_hangs(
     broker: TestBroker, run: Run, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
@@ -172,7 +158,7 @@ async def test_a_run_ends_without_error_if_the_broker_is_gone_or_hangs(
 
 
 async def test_a_killed_run_becomes_offline_unless_it_or_another_run_is_back_soon(
-    broker: TestBroker, run: Run, links: list[Link], monkeypatch: pytest.MonkeyPatch
+    broker: TestBroker, run: Run, links: list[Link], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link, "WILL_DELAY", 1)
     sinks = {rig: Mqtt(broker.url, rig=rig) for rig in ("rig", "taken-over", "lost")}
@@ -183,7 +169,7 @@ async def test_a_killed_run_becomes_offline_unless_it_or_another_run_is_back_soo
         inside(sinks[rig], "_sender", "_sending", "_task").cancel()  # so that it does not come back
     for each in list(links):
         each.abort()
-    again = Mqtt(broker.url, rig="taken-over", outbox=tmp_outbox(broker))
+    again = Mqtt(broker.url, rig="taken-over", outbox=tmp_path / "other.outbox")
     await again.open(Run("again", "live", run.clock, 0))
     await sinks["rig"].write(slips(1))
     seen = list[Received]()
@@ -194,10 +180,6 @@ async def test_a_killed_run_becomes_offline_unless_it_or_another_run_is_back_soo
     assert any(read(each)["session"] == "again" for each in seen)
     for sink in (*sinks.values(), again):
         await sink.close()
-
-
-def tmp_outbox(broker: TestBroker) -> Path:
-    return Path(inside(broker, "_log")).with_name("other.outbox")
 
 
 def test_a_run_that_cannot_connect_does_not_start(broker: TestBroker, run: Run) -> None:
