@@ -25,18 +25,8 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(  # allowed numbe
 )
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "space": " "}
 _SPEEDS: Final = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}
-PRESSURES: Final = dict(  # noqa: C408 - Pa; shorter than a line for each
-    mPa=1e-3,
-    Pa=1.0,
-    hPa=100.0,
-    mbar=100.0,
-    kPa=1e3,
-    MPa=1e6,
-    bar=1e5,
-    psi=6894.76,
-    mmHg=133.322,
-    atm=101325.0,
-)
+_METRIC: Final = {"mPa": 1e-3, "Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6}  # Pa
+PRESSURES: Final = {**_METRIC, "mbar": 100.0, "bar": 1e5, "psi": 6894.76, "mmHg": 133.322, "atm": 101325.0}
 _OTHERS: Final = ("N", "mN", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF")
 UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
@@ -52,6 +42,7 @@ _FINGERS: Final = 32767  # fingertip numbers have 16 bits
 _EXAMPLE: Final = "time=t,counts=p0..p5,units.time=ms, or a file such as pad.toml"
 _RANGE: Final = re.compile(r"(.*?)(\d+)(\D*)\.\.(.*?)(\d+)(\D*)")  # of columns
 _DIGITS: Final = 9  # of a column's number
+_ROWS: Final = "5,4,3/0,1,2 (-1: no cell)"
 _GRID: Final = re.compile(r"(\d{1,3}) *x *(\d{1,3})")  # rows x columns
 
 
@@ -86,7 +77,7 @@ class ColumnMap:
         dates: Order in dates: ``ymd``, ``dmy`` or ``mdy``.
 
     Raises:
-        ParameterError: on an unknown quantity or unit, a wrong number of columns or an invalid value.
+        ParameterError: on an unknown key or unit, a wrong number of columns or an invalid value.
     """
 
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
@@ -126,10 +117,10 @@ class ColumnMap:
         self._check_values()
 
     def _check_values(self) -> None:
-        for name in ("resolution", "rate"):
-            if (value := getattr(self, name)) is not None:
-                check_above(_OWNER, name, value, 0)
+        if self.resolution is not None:
+            check_above(_OWNER, "resolution", self.resolution, 0)
         if self.rate is not None:
+            check_above(_OWNER, "rate", self.rate, 0)
             check_between(_OWNER, "rate", self.rate, 0, s, unit="Hz")
         for finger in self.cells:
             check_between(_OWNER, "finger", finger, 0, _FINGERS)
@@ -139,12 +130,7 @@ class ColumnMap:
 
     @classmethod
     def load(cls, text: str) -> Self:
-        """Return the map of a TOML file, if `text` names one, or of a text as of `parse`.
-
-        Raises:
-            InputError: if the file cannot be read or is not TOML.
-            ParameterError: if the map is invalid.
-        """
+        """Return the map of a TOML file, if `text` names one, or of a text as of `parse`."""
         path = Path(text)
         if path.suffix != ".toml":
             return cls.parse(text)
@@ -160,9 +146,6 @@ class ColumnMap:
 
         ``p0..p15`` is a range of 16 columns, ``taxel*`` all columns that begin so; an empty list declares a
         quantity absent. The keys are those of the TOML file.
-
-        Raises:
-            ParameterError: as for the class, or if the text has another form.
         """
         found: dict[str, list[str]] = {}
         for item in re.split(r",(?=[^,=]*=)", text) if text.strip() else ():
@@ -202,10 +185,8 @@ class ColumnMap:
 
     def values(self) -> dict[str, list[str]]:
         """Return what is stated beside columns, as texts by the key."""
-        usual, found = type(self)(), dict[str, list[str]]()
-        for name in _PARSERS:
-            if (value := getattr(self, name)) != getattr(usual, name):
-                found[name] = _texts(name, value)
+        given = {name: value for name in _PARSERS if (value := getattr(self, name)) is not None}
+        found = {name: _texts(name, value) for name, value in given.items()}
         found |= {f"units.{name}": [unit] for name, unit in self.units.items()}
         return found | {f"labels.{name}": [*texts] for name, texts in self.labels.items()}
 
@@ -251,9 +232,6 @@ def expanded(text: str) -> list[str]:
 
     >>> expanded("cell 6..cell 4"), expanded("b0_P..b1_P")
     (['cell 6', 'cell 5', 'cell 4'], ['b0_P', 'b1_P'])
-
-    Raises:
-        ParameterError: if it has two names or too many columns.
     """
     match = _RANGE.fullmatch(text)
     if match is None:
@@ -295,10 +273,8 @@ def _text(value: object) -> str:
 
 def _texts(name: str, value: Any) -> list[str]:
     """Return the texts of a value, which its parser reads."""
-    if name == "layout":
-        return [layout_text(value)]
-    if name == "range":
-        return [":".join(map(str, value))]
+    if name in ("layout", "range"):
+        return [layout_text(value) if name == "layout" else "{}:{}".format(*value)]
     return [*map(str, value)] if isinstance(value, tuple) else [_text(value)]
 
 
@@ -331,10 +307,7 @@ _CHOICES: Final[Mapping[str, Sequence[str]]] = {
 _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser and what the text must be
     "resolution": (float, "a number"),
     "offset": (_numbers(int), "a whole number for each cell"),
-    "layout": (
-        _layout,
-        f"ROWSxCOLUMNS such as 8x2 ({CELL_LIMIT} cells at most), or rows such as 5,4,3/0,1,2 (-1: no cell)",
-    ),
+    "layout": (_layout, f"ROWSxCOLUMNS such as 8x2 ({CELL_LIMIT} cells at most), or rows such as {_ROWS}"),
     "range": (_range, "LOW:HIGH, the readings at the lowest and at the highest pressure, such as 0:4000"),
     "rate": (float, "a number"),
     "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),

@@ -23,26 +23,26 @@ _PARQUET: Final = b"PAR1"
 _GZIP: Final = b"\x1f\x8b"
 _RATIO: Final = 200  # of a gzip file; recordings have 2 to 50
 _CHUNK: Final = 1 << 24  # bytes
-_SCRIPT: Final = "docs/how-to/import.md"
-_OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and script by the first bytes of other formats
-    rb"\x89MCAP0": ("an MCAP file", "mcap_json.py, or bag.py for ROS messages"),
-    rb"SQLite format 3": ("a ROS 2 bag or another SQLite file", "bag.py"),
-    rb"#ROSBAG": ("a ROS 1 bag", "bag.py"),
+_PYTHON: Final = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/how-to/import.md"
+_OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and remedy by the first bytes of other formats
+    rb"\x89MCAP0": ("an MCAP file", _PYTHON.format("mcap_json.py, or bag.py for ROS messages")),
+    rb"SQLite format 3": ("a ROS 2 bag or another SQLite file", _PYTHON.format("bag.py")),
+    rb"#ROSBAG": ("a ROS 1 bag", _PYTHON.format("bag.py")),
     rb"(?s:(?<=\.xlsx\n)PK|PK\x03\x04.*xl/)": ("an Excel file", "save it as CSV"),
-    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", "npz.py"),
+    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", _PYTHON.format("npz.py")),
     rb"PK\x03\x04": ("a ZIP file", "unpack it"),
     rb"\xd0\xcf\x11\xe0": ("an old Excel file", "save it as CSV"),
-    rb"\x89HDF": ("an HDF5 file", "hdf5.py"),
-    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", "hdf5.py"),
-    rb"MATLAB 5\.0|(?s:[\0-\4]\0\0\0.{12}[\1-\40]\0\0\0[\w]+\0)": ("a MATLAB file", "matlab.py"),
-    rb"\x93NUMPY": ("an array of numpy", "npz.py"),
-    rb"ARROW1|FEA1": ("a Feather or Arrow file", "polars.read_ipc"),
-    rb"\x80[\2-\5]": ("a pickle of Python", "pandas.read_pickle, if you trust its origin"),
-    rb"TDSm": ("a TDMS file of LabVIEW", "save it as CSV"),
-    rb"ULog": ("a PX4 log", "convert it with ulog2csv"),
-    rb"\s*(\{|\[\s*[\[{\"\d-])": ("a JSON file", "polars.read_json"),
-    rb"\s*<": ("an XML or HTML file", "save it as CSV"),
-    rb"%PDF": ("a PDF file", "save the table as CSV"),
+    rb"\x89HDF": ("an HDF5 file", _PYTHON.format("hdf5.py")),
+    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", _PYTHON.format("hdf5.py")),
+    rb"MATLAB 5\.0|(?s:[\0-\4]\0\0\0.{12}[\1-\40]\0\0\0[\w]+\0)": (
+        "a MATLAB file",
+        _PYTHON.format("matlab.py"),
+    ),
+    rb"\x93NUMPY": ("an array of numpy", _PYTHON.format("npz.py")),
+    rb"ARROW1|FEA1": ("a Feather or Arrow file", _PYTHON.format("polars.read_ipc")),
+    rb"\x80[\2-\5]": ("a pickle of Python", _PYTHON.format("pandas.read_pickle, if you trust its origin")),
+    rb"\s*(\{|\[\s*[\[{\"\d-])": ("a JSON file", _PYTHON.format("polars.read_json")),
+    rb"TDSm|\s*<|%PDF|ULog": ("a TDMS, XML, HTML, PDF or PX4 file", "save its table as CSV"),
     rb"\x89PNG|\xff\xd8\xff|GIF8|RIFF": ("a picture, film or sound", "save numbers as CSV"),
     rb"\x28\xb5\x2f\xfd|\x78[\x01\x5e\x9c\xda]|\xfd7zXZ|BZh|7z\xbc\xaf|Rar!": (
         "compressed",
@@ -52,15 +52,7 @@ _OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and script by the first
 
 
 def read_table(path: Path, separator: str | None = None) -> RawTable:
-    """Read a CSV or Parquet file.
-
-    Args:
-        path: The file.
-        separator: Name of the separator of a CSV file (default: detected).
-
-    Raises:
-        InputError: if it cannot be read, is damaged, too large or of another format.
-    """
+    """Read a Parquet file, or a CSV file whose `separator` is detected unless it is named."""
     where, content = str(path), _read(path)
     sha256 = hashlib.sha256(content).hexdigest()
     if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
@@ -71,11 +63,8 @@ def read_table(path: Path, separator: str | None = None) -> RawTable:
             return _read_parquet(where, content, sha256)
     head = path.suffix.lower().encode() + b"\n" + content[: 1 << 12]  # the ending tells apart what is zipped
     for first, (name, remedy) in _OTHERS.items():
-        if re.match(rb"\.?\w*\n" + first, head):
-            if remedy.startswith(("save", "unpack", "convert", "decompress")):
-                raise InputError(where, f"is {name}: {remedy}")
-            how = f"read it in Python ({remedy}) and pass a DataFrame to import_frame, see {_SCRIPT}"
-            raise InputError(where, f"is {name}: {how}")
+        if re.match(rb"\.?\w*\n(?:%b)" % first, head):
+            raise InputError(where, f"is {name}: {remedy}")
     return parse_text(content, where, sha256, separator)
 
 

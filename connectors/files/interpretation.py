@@ -43,8 +43,8 @@ class Part:
 
     @property
     def offset(self) -> Reals:
-        """Counts to add to those of each cell (cells,); a reading is (count + offset) x resolution."""
-        return np.resize(self.columns.offset or (0,), self.touch.cells)
+        """Counts to add to each cell of all fingertips; a reading is (count + offset) x resolution."""
+        return np.resize(self.columns.offset or (0,), len(self.columns.cell_names))
 
     @property
     def resolution(self) -> float:
@@ -56,7 +56,7 @@ class Part:
         """Lowest and highest reading, in the unit of the counts."""
         touch = self.fingertips.values()
         counts, valid = (np.hstack([getattr(each, name) for each in touch]) for name in ("counts", "valid"))
-        readings = (counts + np.array(self.columns.offset or 0))[valid]
+        readings = (counts + self.offset)[valid]
         return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
 
     @property
@@ -86,19 +86,15 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         touch = touch_of(columns, time[rows], counts[rows], valid[rows])
         still = np.full((stop - start, 6), np.nan)
         motion = Motion(time[rows], time[rows], velocity[rows], still, finger=EVERY)[moving[rows]]
-        warnings = [*_doubts(motion), *table.warnings]
+        warnings = [*table.warnings]
+        if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
+            warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
             many = int(np.count_nonzero(~valid[rows]))
             warnings.append(f"missing readings: {many}, in {bad} of {stop - start} rows")
         found = table.file, table.sha256, columns, frozenset(stated.columns), fingertip, tuple(table.notes)
         parts.append(Part(*found, tuple(warnings), touch, motion, labels[rows]))
     return parts
-
-
-def _doubts(motion: Motion) -> list[str]:
-    fastest = float(speeds_of(motion).max(initial=0.0))
-    text = f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?"
-    return [text] if fastest > _MAX_SPEED else []
 
 
 def speeds_of(motion: Motion) -> Reals:

@@ -62,8 +62,7 @@ class LineDecoder:
     def feed(self, data: bytes, arrival: int) -> Iterator[Touch]:
         """Yield the rows that bytes complete, which arrived at an instant (ns).
 
-        Raises:
-            EndpointError: if the bytes are no lines, or if many lines in succession are no rows.
+        Bytes that are no lines, and many lines in succession that are no rows, raise EndpointError.
         """
         data = self._rest + data.replace(b"\r", b"\n")
         end = data.rfind(b"\n") + 1

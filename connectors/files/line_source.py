@@ -177,11 +177,7 @@ class LineSource(Source[Touch]):
             log.warning("%s: %d damaged lines so far; the newest: %s", self.where, damaged, self._damage)
 
     async def _read_port(self) -> AsyncGenerator[bytes]:
-        """Yield what arrives at the serial port.
-
-        Raises:
-            EndpointError: if it cannot be opened, or is unplugged.
-        """
+        """Yield what arrives at the serial port."""
         from serial_asyncio_fast import open_serial_connection
 
         try:
@@ -200,11 +196,7 @@ class LineSource(Source[Touch]):
                 await writer.wait_closed()
 
     async def _follow_file(self, decoder: "LineDecoder") -> AsyncGenerator[bytes]:
-        """Yield what is appended to the file, and all of a file that replaces it.
-
-        Raises:
-            EndpointError: if it cannot be opened or read.
-        """
+        """Yield what is appended to the file, and all of a file that replaces it."""
         while True:
             try:
                 file = FileIO(self.where)

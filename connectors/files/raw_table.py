@@ -76,11 +76,7 @@ class RawTable:
             self.add_problem(f"is {text:.40}, must be {must_be}", self.place_of(row, name))
 
     def stop(self) -> None:
-        """Raise an error, if there are problems.
-
-        Raises:
-            InputError: that lists all problems, and a map that solves them.
-        """
+        """Raise an error that lists all problems, and a map that solves them, if there are problems."""
         solved = {fix.partition("=")[0] for fix in self.fixes}
         items = [each for each in self.suggested if each.partition("=")[0] not in solved]
         items += [fix for fix in self.fixes if fix]
@@ -96,11 +92,7 @@ class RawTable:
 
 
 def check_size(where: str, values: int, columns: int = 0) -> None:
-    """Check the number of values and columns of a table.
-
-    Raises:
-        InputError: if it exceeds `VALUES` or `COLUMN_LIMIT`.
-    """
+    """Require that a table has no more values and columns than `VALUES` and `COLUMN_LIMIT`."""
     if columns > COLUMN_LIMIT:
         raise InputError(where, f"has more than {COLUMN_LIMIT} columns: is it a table with a row per time?")
     if values > VALUES:

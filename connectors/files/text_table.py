@@ -50,14 +50,7 @@ def parse_text(content: bytes, where: str, sha256: str = "", separator: str | No
 
     Lines above the names are skipped. Columns without a name are ``column1``, ``column2``, ....
 
-    Args:
-        content: The content.
-        where: Name of the file.
-        sha256: Checksum of the file, hex.
-        separator: Name of the separator (default: the one that divides the lines into values).
-
-    Raises:
-        InputError: if it is too large or not a table.
+    The default `separator` is the one that divides the lines into values.
     """
     notes = list[str]()
     content = _utf8(content, where, notes)
@@ -120,11 +113,7 @@ def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
 
 
 def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
-    """Return the form of a file by its first lines.
-
-    Raises:
-        InputError: if it has too many columns, or a row per channel.
-    """
+    """Return the form of a file by its first lines."""
     said = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE)
     most = max(line.count(sign) for line in lines for sign in _NAMES)
     check_size(where, 0, most + 1)
@@ -198,11 +187,7 @@ def _merit(lines: Sequence[str], sign: str, begin: int, width: int, rows: Sequen
 
 
 def _check_rows(rows: Sequence[Sequence[str]], where: str) -> None:
-    """Require that rows are times, not channels that begin with their name.
-
-    Raises:
-        InputError: if they are channels.
-    """
+    """Require that rows are times, not channels that begin with their name."""
     words = {row[0] for row in rows if row[0] and not _VALUE.fullmatch(row[0])}
     wide = len(rows[0]) > max(_WIDE, 3 * len(rows))
     if wide and len(words) == len(rows) > 1 and all(_VALUE.fullmatch(each) for each in rows[0][1:]):
@@ -222,11 +207,7 @@ def _are_units(fields: Sequence[str], width: int) -> bool:
 
 
 def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[str]) -> RawTable:
-    """Return the table of a file of known form.
-
-    Raises:
-        InputError: if a row has more fields than there are names, or the last line is cut off.
-    """
+    """Return the table of a file of known form."""
     sign, names, body = shape.separator, shape.names, content
     for _ in range(shape.first):
         body = body.partition(b"\n")[2]

@@ -62,11 +62,7 @@ class Trace:
 
     @cached_property
     def part(self) -> "Part":
-        """All that was read and concluded.
-
-        Raises:
-            InputError: as for the class.
-        """
+        """All that was read and concluded."""
         parts = interpreted(self._source, self._columns, name=self.name)
         if len(parts) > 1:
             reason = f"has {len(parts)} episodes: slipflow import makes a session of each"
@@ -82,7 +78,7 @@ class Trace:
     @property
     def kind(self) -> type[Touch]:
         """Type of the touch stream: Touch or Zeroed."""
-        return type(self.part.touch)
+        return self.part.columns.kind
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
@@ -99,9 +95,8 @@ class Trace:
         """Yield a stream in batches of at most `rows`; raise InputError if there is no such stream."""
         if finger not in self.fingers(kind):
             raise InputError(self.name, f"has no {kind.__name__} stream of finger {finger}")
-        stream = cast(
-            "SomeBatch", self.part.fingertips[finger] if issubclass(kind, Touch) else self.part.motion
-        )
+        found = self.part.fingertips[finger] if issubclass(kind, Touch) else self.part.motion
+        stream = cast("SomeBatch", found)
         return (stream[start : start + rows] for start in range(0, len(stream), rows))
 
     def describe(self) -> Description:
@@ -128,17 +123,7 @@ class Trace:
 def interpreted(
     source: "Any | Part", columns: ColumnMap = _DEFAULT, *, name: str = "table", split: bool = False
 ) -> "list[Part]":
-    """Return the parts of a file or of a DataFrame.
-
-    Args:
-        source: As of a `Trace`.
-        columns: Map of the columns.
-        name: Name of a DataFrame.
-        split: A clock that starts again begins another part, which is a trace of its own.
-
-    Raises:
-        InputError: if it cannot be read; it lists all problems.
-    """
+    """Return the parts of a source as of a `Trace`; `split`: a clock that starts again begins another one."""
     import polars as pl
 
     from connectors.files.container import read_table

@@ -83,7 +83,7 @@ def test_an_invalid_file_is_named(tmp_path: Path, content: bytes, complaint: str
         ("units.label=s", "quantity with a unit is 'label', must be one of time, counts, velocity, speed"),
         ("units.time=week", "unit of time is 'week', must be one of s, ms, us, ns"),
         ("units.speed=", "unit of speed is '', must be one of m/s"),
-        ("units.counts=kpa", "unit of counts is 'kpa', must be one of count, mPa, Pa, hPa, mbar, kPa"),
+        ("units.counts=kpa", "unit of counts is 'kpa', must be one of count, mPa, Pa, hPa, kPa"),
         ("labels.sliding=1", "label is 'sliding', must be one of slip, static, unknown"),
         ("layout=wide", "layout is 'wide', must be ROWSxCOLUMNS such as 8x2"),
         ("layout=0x4", "128 cells at most"),

@@ -69,7 +69,7 @@ PYTHON = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/
         (b"MATLAB 7.3", "a MATLAB file of version 7.3, which is HDF5", PYTHON.format("hdf5.py")),
         (b'{"t": [0, 1]}', "a JSON file", PYTHON.format("polars.read_json")),
         (b"\x80\x04\x95", "a pickle of Python", PYTHON.format("pandas.read_pickle, if you trust its origin")),
-        (b"%PDF-1.7", "a PDF file", "save the table as CSV"),
+        (b"%PDF-1.7", "a TDMS, XML, HTML, PDF or PX4 file", "save its table as CSV"),
         (b"\x28\xb5\x2f\xfd", "compressed", "decompress it, or use gzip"),
     ],
 )
