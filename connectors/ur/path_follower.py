@@ -31,9 +31,6 @@ class PathFollower:
         speed: Speed along the polyline, m/s.
         acceleration: Deceleration towards the end, m/s2.
 
-    Attributes:
-        travelled: Distance travelled along the polyline, m.
-
     Raises:
         ParameterError: if all points are equal.
 
@@ -53,17 +50,17 @@ class PathFollower:
         self._distances = np.append(0.0, np.cumsum(lengths))  # m, to each corner
         self._speed, self._acceleration = speed, acceleration
         self._previous = 0.0  # m/s, along the polyline
-        self.travelled = 0.0
+        self._travelled = 0.0  # m, along the polyline
 
     def velocity(self, position: Point) -> Point | None:
         """Return the velocity (m/s) for an arm at a position (m); None if it must come to rest."""
         error = self._point(position) - position
-        left = self._distances.item(-1) - self.travelled
+        left = self._distances.item(-1) - self._travelled
         braking = sqrt(2 * self._acceleration * max(0.0, left - self._previous * DELAY))  # m/s
         if braking <= min(self._speed, self._acceleration * DELAY):
             return None
         speed = self._previous = min(self._speed, braking)
-        onward = self._directions[self._leg(self.travelled + speed * DELAY)]
+        onward = self._directions[self._leg(self._travelled + speed * DELAY)]
         x, y, z = (speed * onward + GAIN * error).tolist()
         return x, y, z
 
@@ -74,12 +71,12 @@ class PathFollower:
     def _point(self, position: Point) -> Reals:
         """Advance to the point of the polyline nearest to the position, never backwards; return it."""
         while True:
-            leg = self._leg(self.travelled)
+            leg = self._leg(self._travelled)
             begin, end = self._distances[leg], self._distances[leg + 1]
             along = begin + (position - self._corners[leg]) @ self._directions[leg]
-            self.travelled = max(self.travelled, float(min(along, end)))
+            self._travelled = max(self._travelled, float(min(along, end)))
             if along < end or end >= self._distances[-1]:
-                point: Reals = self._corners[leg] + (self.travelled - begin) * self._directions[leg]
+                point: Reals = self._corners[leg] + (self._travelled - begin) * self._directions[leg]
                 return point
 
     def _leg(self, distance: float) -> int:

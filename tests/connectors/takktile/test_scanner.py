@@ -82,18 +82,6 @@ def invalid(scan: Scan) -> list[tuple[int, int]]:
     return [(int(fingertip), int(cell)) for fingertip, cell in np.argwhere(~scan.valid)]
 
 
-def test_a_scan_has_the_counts_of_one_conversion(rig: Rig) -> None:
-    with closing(rig.open()) as scanner:
-        times = list[int]()
-        for _ in range(3):
-            before = time_ns()
-            scan = scanner.scan()
-            rig.sound(scan)
-            assert before <= scan.time <= time_ns()
-            times.append(scan.time)
-    assert rig.skin.conversions == 3
-
-
 @pytest.mark.parametrize("number", [121, 6, 110, 5, 19])
 @pytest.mark.parametrize("times", [1, 3])
 def test_after_any_failed_message_valid_cells_are_right_and_the_next_scan_is_complete(
