@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_270,
-    "connectors": 11_220,
+    "connectors": 11_210,
     "storage": 3_890,
     "flows": 12_560,
-    "product": 32_940,
+    "product": 32_920,
     "product files": 218,
-    "tests": 34_980,
+    "tests": 34_960,
     "commands": 16,
     "options": 84,
     "words": 38_500,

@@ -30,7 +30,7 @@ PRESSURES: Final = {**_METRIC, "mbar": 100.0, "bar": 1e5, "psi": 6894.76, "mmHg"
 _OTHERS: Final = ("N", "mN", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF")
 UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
-        TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0, "min": 6e10, "h": 3.6e12, "d": 8.64e13},  # ns
+        TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0, "min": 6e10, "h": 3.6e12},  # ns
         COUNTS: dict.fromkeys(("count", *PRESSURES, *_OTHERS), 1.0),  # stored as they are
         VELOCITY: _SPEEDS,  # m/s; the last three columns are always rad/s
         SPEED: _SPEEDS,

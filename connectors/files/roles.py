@@ -61,7 +61,6 @@ _SYNONYMS: Final = {  # of units, in lower case
     "ns": "nsec nanos nanosecond nanoseconds",
     "min": "minute minutes",
     "h": "hour hours",
-    "d": "day days",
     "count": "counts raw lsb digit digits adc a.u. -",
     "N": "newton",
     "V": "volt volts",
@@ -257,11 +256,7 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     return ()
 
 
-def _units(
-    found: Mapping[str, Sequence[str]],
-    stated: ColumnMap,
-    table: RawTable,
-) -> dict[str, str]:
+def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTable) -> dict[str, str]:
     """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
     units = dict(stated.units)
     for key, names in found.items():

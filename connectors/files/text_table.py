@@ -92,22 +92,16 @@ def named(fields: Sequence[str]) -> list[str]:
 
 
 def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
-    """Return text of any usual encoding as UTF-8 with lines that end with a line feed."""
-    wide = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    """Return text in UTF-8 or Windows-1252 as UTF-8 with lines that end with a line feed."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(where, "is text in UTF-16: save it as UTF-8")
     try:
-        if wide:
-            content = content.decode("utf-16").encode()
-            notes.append("UTF-16")
-        elif not content.isascii():
-            content.decode()
+        content.decode()
     except UnicodeError:
-        if wide:
-            raise InputError(where, "is damaged UTF-16: save it as UTF-8") from None
         content = content.decode("cp1252", "replace").encode()
         notes.append("Windows-1252")
     if b"\0" in content:
-        reason = "is not a CSV file: it has bytes of zero; save it as text in UTF-8"
-        raise InputError(where, reason)
+        raise InputError(where, "is not a CSV file: it has bytes of zero; save it as text in UTF-8")
     content = content.removeprefix(codecs.BOM_UTF8)
     return content.replace(b"\r", b"\n") if b"\n" not in content else content
 

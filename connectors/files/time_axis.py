@@ -35,7 +35,6 @@ _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
 }
 _MONTH: Final = 12
 _LIMIT: Final = float(1 << 63)  # ns
-_ORIGINS: Final = {25_569: 80_000, 719_529: 800_000}  # days before 1970, and until a day after 2100
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 _CLOCK: Final = r"\d{1,2}:\d{2}"
@@ -111,12 +110,13 @@ def continued(time: Times, notes: list[str]) -> Times:
 
 def _add_unit_problem(table: RawTable, name: str, rate: float) -> None:
     """Add the problem that the unit of the time is not stated, and seconds are implausible."""
-    others = {each: rate * UNITS[TIME]["s"] / UNITS[TIME][each] for each in ("ms", "us", "ns", "min", "d")}
+    others = {each: rate * UNITS[TIME]["s"] / UNITS[TIME][each] for each in ("ms", "us", "ns", "min")}
     likely = [f"units.time={each} ({hz:.4g} Hz)" for each, hz in others.items() if SLOWEST <= hz <= FASTEST]
-    if likely and len(table) >= _ENOUGH:
+    if len(table) >= _ENOUGH:
         reason = f"column {name} has no unit, in seconds its rate is {rate:.4g} Hz"
-        fix = likely[0].partition(" ")[0]
-        table.add_problem(f"{reason}; state {' or '.join(likely)}, or units.time=s", fix=fix)
+        remedy = " or ".join(likely) or "another unit (convert days with polars)"
+        fix = likely[0].partition(" ")[0] if likely else None
+        table.add_problem(f"{reason}; state {remedy}, or units.time=s", fix=fix)
 
 
 def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
@@ -213,10 +213,6 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
         values = column.fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
     if unit == "ns":
         values = np.where(values == np.rint(values), values, np.nan)
-    if unit == "d" and np.isfinite(values).any():  # days of Excel since 1900, of MATLAB since the year 0
-        days = np.nanmedian(values) / UNITS[TIME]["d"]
-        origin = next((first for first, last in _ORIGINS.items() if first < days < last), 0)
-        values -= origin * UNITS[TIME]["d"]
     good = np.abs(values) < _LIMIT
     whole = pl.Series(np.rint(np.where(good, values, 0)).astype(np.int64))
     return whole.set(~pl.Series(good), None)

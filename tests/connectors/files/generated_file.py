@@ -170,7 +170,7 @@ def _text(
     header = separator.join(columns) + draw.choice(("", end))
     text = above.replace(";", separator) + "\n".join([header, *rows, ""])
     text = text.replace("\n", draw.choice(("\n", "\n", "\r\n", "\r")))
-    encoding = draw.choice(("utf-8", "utf-8", "utf-8-sig", "utf-16", "cp1252"))
+    encoding = draw.choice(("utf-8", "utf-8", "utf-8-sig", "cp1252"))
     file.content = text.encode(encoding)
     file.about += [repr(separator), "comma" if comma else "point", repr(thousands), encoding, repr(above)]
     signs = any("," in each or "." in each for each in values)

@@ -206,6 +206,8 @@ def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
         match=r"column t has no unit, in seconds its rate is 0.1 Hz; state units.time=ms \(100 Hz\)",
     ):
         trace([10 * k for k in range(60)])
+    with pytest.raises(InputError, match=r"state another unit \(convert days with polars\), or units.time=s"):
+        trace([45742.6 + k / 8_640_000 for k in range(60)])
     assert trace([10 * k for k in range(60)], "units.time=ms").columns.rate == 100
     assert any(
         "is the time in another unit" in each
@@ -248,10 +250,3 @@ def test_the_map_that_an_error_suggests_reads_the_file_and_keeps_what_was_stated
     else:
         pytest.fail(f"not read with {stated}")
     assert found.touch.cells == 2
-
-
-def test_days_of_excel_and_matlab_begin_at_their_origins() -> None:
-    start = dt.datetime(2025, 3, 26, 14, 24, tzinfo=dt.UTC).timestamp()
-    for first in (45742.6, 739702.6):
-        found = trace([first + k / 8_640_000 for k in range(60)], "units.time=d")
-        assert found.touch.time[0] / 1e9 == pytest.approx(start, abs=0.001)

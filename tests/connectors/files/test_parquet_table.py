@@ -52,8 +52,7 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
     cells = {f"p{k}": [1.0, None, 3.0, float("inf")] for k in range(2)}
     put(path, t=[0.0, 1.0, 2.0, 3.0], **cells)
     with pytest.raises(
-        InputError,
-        match=r"2 problems: \(1\) row 3, column p0 is inf, .*; \(2\) row 3, column p1 is inf",
+        InputError, match=r"2 problems: \(1\) row 3, column p0 is inf, .*; \(2\) row 3, column p1 is inf"
     ):
         _ = Trace(path).touch
     for times, row, must_be in (

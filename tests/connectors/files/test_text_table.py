@@ -58,12 +58,8 @@ EXPECTED = {"t": [0, 0.01], "p0": [500, 502], "p1": [501, 503]}
         (f"\ufeff# a rig\nt,p0,p1\n{BODY}", "t p0 p1", 3),
     ],
 )
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
-def test_a_table_is_found_below_other_lines(
-    tmp_path: Path, content: str, names: str, first: int, encoding: str
-) -> None:
-    path = tmp_path / "trace.csv"
-    path.write_bytes(content.encode(encoding))
+def test_a_table_is_found_below_other_lines(write: Write, content: str, names: str, first: int) -> None:
+    path = write(content)
     assert dict(zip(names.split(), EXPECTED.values(), strict=True)) == read(path)
     assert read_table(path).numbers[0] == first
 
@@ -77,6 +73,9 @@ def test_windows_1252_is_read(tmp_path: Path) -> None:
     (tmp_path / "trace.csv").write_bytes("time [\u00b5s],p0,p1\n".encode("cp1252") + BODY.encode())
     table = read_table(tmp_path / "trace.csv")
     assert (list(table.columns), table.notes) == (["time [\u00b5s]", "p0", "p1"], ["Windows-1252"])
+    (tmp_path / "trace.csv").write_bytes(BODY.encode("utf-16"))
+    with pytest.raises(InputError, match="is text in UTF-16: save it as UTF-8"):
+        read_table(tmp_path / "trace.csv")
 
 
 def test_a_row_per_channel_is_refused_with_the_remedy(write: Write) -> None:

@@ -21,13 +21,7 @@ def test_a_replay_never_has_the_name_of_a_live_rig(run: Run, rig: str, *, live: 
 
 
 @pytest.mark.parametrize(
-    ("host", "name"),
-    [
-        ("ur10.lab.example", "ur10"),
-        ("a b/c+", "a-b-c-"),
-        ("", "rig"),
-        ("x" * 99, "x" * 64),
-    ],
+    ("host", "name"), [("ur10.lab.example", "ur10"), ("a b/c+", "a-b-c-"), ("", "rig"), ("x" * 99, "x" * 64)]
 )
 def test_the_default_name_of_a_rig_is_that_of_its_host(
     monkeypatch: pytest.MonkeyPatch, host: str, name: str
