@@ -130,7 +130,11 @@ class ColumnMap:
 
     @classmethod
     def load(cls, text: str) -> Self:
-        """Return the map of a TOML file, if `text` names one, or of a text as of `parse`."""
+        """Return the map of a TOML file, if `text` names one, or of a text as of `parse`.
+
+        Raises:
+            ParameterError: if the map is invalid.
+        """
         path = Path(text)
         if path.suffix != ".toml":
             return cls.parse(text)
@@ -146,6 +150,9 @@ class ColumnMap:
 
         ``p0..p15`` is a range of 16 columns, ``taxel*`` all columns that begin so; an empty list declares a
         quantity absent. The keys are those of the TOML file.
+
+        Raises:
+            ParameterError: as for the class, or if the text has another form.
         """
         found: dict[str, list[str]] = {}
         for item in re.split(r",(?=[^,=]*=)", text) if text.strip() else ():
@@ -232,6 +239,9 @@ def expanded(text: str) -> list[str]:
 
     >>> expanded("cell 6..cell 4"), expanded("b0_P..b1_P")
     (['cell 6', 'cell 5', 'cell 4'], ['b0_P', 'b1_P'])
+
+    Raises:
+        ParameterError: if it has two names or too many columns.
     """
     match = _RANGE.fullmatch(text)
     if match is None:

@@ -52,7 +52,11 @@ _OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and remedy by the first
 
 
 def read_table(path: Path, separator: str | None = None) -> RawTable:
-    """Read a Parquet file, or a CSV file whose `separator` is detected unless it is named."""
+    """Read a Parquet file, or a CSV file whose `separator` is detected unless it is named.
+
+    Raises:
+        InputError: if it cannot be read, is damaged, too large or of another format.
+    """
     where, content = str(path), _read(path)
     sha256 = hashlib.sha256(content).hexdigest()
     if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":

@@ -59,11 +59,6 @@ class Part:
         readings = (counts + self.offset)[valid]
         return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
 
-    @property
-    def missing(self) -> int:
-        """Number of missing readings."""
-        return sum(int(np.count_nonzero(~each.valid)) for each in self.fingertips.values())
-
 
 def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> list[Part]:
     """Interpret a table by what the user states; with `split`, a clock that starts again begins another part.

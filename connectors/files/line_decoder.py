@@ -50,19 +50,17 @@ class LineDecoder:
         self._hopeless = 0  # lines since the newest row
 
     def skip(self, head: bytes) -> None:
-        """Take the names from the lines of a file that are not to be decoded."""
+        """Begin a file: take the names from its lines that are not to be decoded."""
+        self._rest = b""
         lines = list(self._split(head))
         names = (self._names_in(fields) or self._numbered(fields) for fields in lines)
         self._names = next((each for each in names if each), self._names)
 
-    def start_again(self) -> None:
-        """Forget an incomplete line: the next byte begins a new file."""
-        self._rest = b""
-
     def feed(self, data: bytes, arrival: int) -> Iterator[Touch]:
         """Yield the rows that bytes complete, which arrived at an instant (ns).
 
-        Bytes that are no lines, and many lines in succession that are no rows, raise EndpointError.
+        Raises:
+            EndpointError: if the bytes are no lines, or if many lines in succession are no rows.
         """
         data = self._rest + data.replace(b"\r", b"\n")
         end = data.rfind(b"\n") + 1

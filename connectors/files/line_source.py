@@ -217,7 +217,6 @@ class LineSource(Source[Touch]):
                         self._read = status.st_ino, file.tell()
                         yield data
                     await asyncio.sleep(0 if data else POLL)
-            decoder.start_again()
             self._read = (0, 0)  # the next file is read from its start, even if it is longer by then
 
     def _is_replaced(self) -> bool:

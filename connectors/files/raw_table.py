@@ -76,7 +76,11 @@ class RawTable:
             self.add_problem(f"is {text:.40}, must be {must_be}", self.place_of(row, name))
 
     def stop(self) -> None:
-        """Raise an error that lists all problems, and a map that solves them, if there are problems."""
+        """Raise an error, if there are problems.
+
+        Raises:
+            InputError: that lists all problems, and a map that solves them.
+        """
         solved = {fix.partition("=")[0] for fix in self.fixes}
         items = [each for each in self.suggested if each.partition("=")[0] not in solved]
         items += [fix for fix in self.fixes if fix]
@@ -92,7 +96,11 @@ class RawTable:
 
 
 def check_size(where: str, values: int, columns: int = 0) -> None:
-    """Require that a table has no more values and columns than `VALUES` and `COLUMN_LIMIT`."""
+    """Require that a table has no more values and columns than `VALUES` and `COLUMN_LIMIT`.
+
+    Raises:
+        InputError: if it has more.
+    """
     if columns > COLUMN_LIMIT:
         raise InputError(where, f"has more than {COLUMN_LIMIT} columns: is it a table with a row per time?")
     if values > VALUES:

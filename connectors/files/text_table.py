@@ -51,6 +51,9 @@ def parse_text(content: bytes, where: str, sha256: str = "", separator: str | No
     Lines above the names are skipped. Columns without a name are ``column1``, ``column2``, ....
 
     The default `separator` is the one that divides the lines into values.
+
+    Raises:
+        InputError: if it is too large or not a table.
     """
     notes = list[str]()
     content = _utf8(content, where, notes)

@@ -62,7 +62,11 @@ class Trace:
 
     @cached_property
     def part(self) -> "Part":
-        """All that was read and concluded."""
+        """All that was read and concluded.
+
+        Raises:
+            InputError: as for the class.
+        """
         parts = interpreted(self._source, self._columns, name=self.name)
         if len(parts) > 1:
             reason = f"has {len(parts)} episodes: slipflow import makes a session of each"
@@ -92,7 +96,11 @@ class Trace:
         return (EVERY,) if kind is Motion and len(self.part.motion) else ()
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        """Yield a stream in batches of at most `rows`; raise InputError if there is no such stream."""
+        """Yield a stream in batches of at most `rows`.
+
+        Raises:
+            InputError: if there is no such stream.
+        """
         if finger not in self.fingers(kind):
             raise InputError(self.name, f"has no {kind.__name__} stream of finger {finger}")
         found = self.part.fingertips[finger] if issubclass(kind, Touch) else self.part.motion
@@ -123,7 +131,11 @@ class Trace:
 def interpreted(
     source: "Any | Part", columns: ColumnMap = _DEFAULT, *, name: str = "table", split: bool = False
 ) -> "list[Part]":
-    """Return the parts of a source as of a `Trace`; `split`: a clock that starts again begins another one."""
+    """Return the parts of a source as of a `Trace`; `split`: a clock that starts again begins another one.
+
+    Raises:
+        InputError: if it cannot be read; it lists all problems.
+    """
     import polars as pl
 
     from connectors.files.container import read_table

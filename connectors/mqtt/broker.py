@@ -91,7 +91,7 @@ class Broker:
         """Return the TLS context with the trusted certificate authorities and the client certificate.
 
         Raises:
-            InputError: if the file of certificate authorities or the client certificate cannot be read.
+            InputError: if a file of certificates cannot be read.
         """
         path = os.environ.get(CA) or None
         try:
@@ -100,9 +100,8 @@ class Broker:
             reason = f"contains no CA certificate in PEM format ({CA})"
             raise InputError(str(path), reason) from None
         except OSError as error:
-            raise InputError(
-                str(path), f"cannot read the CA certificates ({CA}): {os_error_reason(error)}"
-            ) from None
+            reason = f"cannot read the CA certificates ({CA}): {os_error_reason(error)}"
+            raise InputError(str(path), reason) from None
         own = os.environ.get(CERTIFICATE)
         try:
             if own:

@@ -119,7 +119,11 @@ class Link:
         return not self._lost.done()
 
     async def connect(self) -> None:
-        """Connect; raise EndpointError if the broker is unreachable, does not respond or refuses."""
+        """Connect.
+
+        Raises:
+            EndpointError: if the broker is unreachable, does not respond or refuses the client.
+        """
         entering = asyncio.ensure_future(self._client.__aenter__())
         entering.add_done_callback(lambda task: task.cancelled() or task.exception())  # if nobody awaits it
         try:
@@ -159,7 +163,11 @@ class Link:
         return refusals
 
     async def listen(self, *topics: str) -> None:
-        """Subscribe to topic filters with QoS 1; raise EndpointError if the broker refuses one."""
+        """Subscribe to topic filters with QoS 1; `receive` returns their messages.
+
+        Raises:
+            EndpointError: if the broker refuses a filter.
+        """
         filters = [(topic, SubscribeOptions(qos=1)) for topic in topics]
         try:
             answers = await self._client.subscribe(filters)
@@ -305,7 +313,11 @@ async def connect(
 
 
 async def diagnose_broker(broker: Broker, topic: str, clock: Clock) -> AsyncGenerator[Finding]:
-    """Yield findings about a broker, which gets one message on `topic`, not retained."""
+    """Yield findings about a broker, which gets one message on `topic`, not retained.
+
+    Raises:
+        EndpointError: if the broker is unreachable or refuses the client or the message.
+    """
     link = await connect(broker, f"slipflow-doctor-{token_hex(4)}")
     try:
         yield _login(broker)

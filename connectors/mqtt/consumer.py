@@ -107,11 +107,7 @@ class Consumer(AsyncIterator[Event]):
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Disconnect; the next run delivers an event in progress again.
-
-        Raises:
-            EndpointError: if the saving of the position has failed, other than by a failure of the disk.
-        """
+        """Disconnect; the next run delivers an event in progress again."""
         try:
             self._save_position()
             if self._saving:
@@ -247,11 +243,7 @@ class Consumer(AsyncIterator[Event]):
         self._link = None
 
     def _save_position(self) -> None:
-        """Start saving the position, if it has changed and is not being saved.
-
-        Raises:
-            EndpointError: if the saving has failed, other than by a failure of the disk.
-        """
+        """Start saving the position, if it has changed and is not being saved."""
         if self._saving:
             self._saving.check()
         if self._position_file and self._changed and (self._saving is None or self._saving.done):

@@ -47,7 +47,11 @@ class GapRequest(_Numbers, frozen=True):
 
     @classmethod
     def decode(cls, payload: bytes, topic: str) -> "GapRequest":
-        """Parse a request to the rig at `topic`; `reply_to` must be below the ``replay`` topic of the rig."""
+        """Parse a request to the rig at `topic`; `reply_to` must be below the ``replay`` topic of the rig.
+
+        Raises:
+            InputError: naming the field that is missing or wrong.
+        """
         request = decode(payload, cls, f"{topic}/replay/request")
         name = request.reply_to.removeprefix(f"{topic}/replay/")
         own = request.reply_to == f"{topic}/replay/{name}" and name not in ("", "request", "event")
@@ -119,11 +123,7 @@ class GapReplies:
             missing = [(low + 1, high - 1) for low, high in before if high > low + 1]
             self._earliest = now + PAUSE
             closing = GapAnswer(request.epoch, request.first, last, tuple(missing)).encode()
-            return [
-                *(
-                    Message(request.reply_to, each.payload, retain=False, content_type=CONTENT_TYPE)
-                    for each in found
-                ),
-                Message(request.reply_to, closing, retain=False),
-            ]
+            topic = request.reply_to
+            events = [Message(topic, each.payload, retain=False, content_type=CONTENT_TYPE) for each in found]
+            return [*events, Message(topic, closing, retain=False)]
         return []

@@ -98,10 +98,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Check password, TLS, access rights and response time of the broker, and the disk of the outbox.
 
         Publishes one message, which is not retained, on the topic ``doctor`` of the rig.
-
-        Raises:
-            EndpointError: if the broker cannot be used, or the outbox cannot be written.
-            InputError: if a file with credentials cannot be read.
         """
         from connectors.mqtt.broker_link import diagnose_broker
 
@@ -141,11 +137,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             raise
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Store the events of a batch in the outbox, which sends them at once.
-
-        Raises:
-            EndpointError: if neither the disk nor memory can store them.
-        """
+        """Store the events of a batch in the outbox, or raise EndpointError if disk and memory fail."""
         if isinstance(batch, Faults):
             known = self._faults.setdefault(finger_name(batch.finger), set())
             for _, fault, begins in faults(batch):
@@ -161,11 +153,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             await self._outbox.append(list(self._events(batch)))
 
     async def close(self) -> None:
-        """Send pending events within 3 s, publish the offline status, and disconnect.
-
-        Raises:
-            EndpointError: if a background task of this sink has failed.
-        """
+        """Send pending events within 3 s, publish the offline status, and disconnect."""
         try:
             await self._sender.close(self._status("offline", self._run.clock.now()))
         finally:

@@ -59,7 +59,6 @@ class Outbox:
         self._released: dict[str, int] = {}  # number by epoch, oldest epoch first
         self._sent: dict[str, int] = {}  # the same
         self._sent_unwritten: dict[str, int] = {}  # the same, of which the log does not know yet
-        self._reported = 0  # of the events that are not kept
         self._closing_until = inf  # loop time, s
         self._write_due, self._sync_due, self._progress = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
@@ -79,7 +78,12 @@ class Outbox:
         return [(epoch, sent) for epoch, sent in self._sent.items() if epoch in kept][-EPOCHS_ANNOUNCED:]
 
     async def open(self) -> None:
-        """Open the folder; raise an error if another run uses it, or it cannot be used or is no outbox."""
+        """Open the folder.
+
+        Raises:
+            EndpointError: if another run uses the folder, or it cannot be read or written.
+            InputError: if the path is not an outbox.
+        """
         try:
             self._sent = await asyncio.to_thread(self._log.open)
         except BaseException as error:
@@ -135,8 +139,13 @@ class Outbox:
             newest = self._released[epoch]
             last = min(last, newest)
         numbers = range(max(first, oldest), min(last, newest) + 1)[:limit]
-        found = await self._load(epoch, numbers)
-        return found, numbers[-1] if len(numbers) == limit else last
+        memory = self._memory if epoch == self.epoch else {}
+        found = {number: memory[number] for number in numbers if number in memory}
+        if others := [number for number in numbers if number not in found]:
+            stored = await asyncio.to_thread(self._log.read, epoch, others)
+            found |= {entry.seq: entry for entry in stored}
+        reached = numbers[-1] if len(numbers) == limit else last
+        return [found[number] for number in numbers if number in found], reached
 
     def acknowledge(self, entries: Sequence[Entry]) -> None:
         """Mark the oldest unsent entries as received by the broker."""
@@ -150,9 +159,6 @@ class Outbox:
         """Store everything and close the files; wait as long as a slow disk takes, but 5 s for a failing one.
 
         Events that are then still `unstored` are lost, also if the call is cancelled.
-
-        Raises:
-            EndpointError: if a background task of the outbox has failed; the files are closed.
         """
         self._closing_until = asyncio.get_running_loop().time() + LAST_ATTEMPTS
         self._write_due.set()
@@ -164,21 +170,14 @@ class Outbox:
                 log.error("%s: %s; %d events are lost", self.path, self.error or "not written", self.unstored)
             stored = self._log.span(self.epoch)[1]
             self.not_kept += sum(stored < each <= self._sent[self.epoch] for each in self._memory)
-            self._report_not_kept()
+            if self.not_kept:
+                text = "%s: %d events that the broker has received are not kept"
+                log.error(text, self.path, self.not_kept)
         with suppress(OSError):
             await asyncio.to_thread(self._log.sync)
         await asyncio.to_thread(self._log.close)
         self._writing.check()
         self._syncing.check()
-
-    async def _load(self, epoch: str, numbers: Sequence[int]) -> list[Entry]:
-        """Return the entries that are in memory, or stored and intact, in order."""
-        memory = self._memory if epoch == self.epoch else {}
-        found = {number: memory[number] for number in numbers if number in memory}
-        if others := [number for number in numbers if number not in found]:
-            stored = await asyncio.to_thread(self._log.read, epoch, others)
-            found |= {entry.seq: entry for entry in stored}
-        return [found[number] for number in numbers if number in found]
 
     def _skip_to(self, epoch: str, number: int) -> None:
         """Count the unsent events before a number as sent, because they cannot be read."""
@@ -209,12 +208,6 @@ class Outbox:
         last = min(self._durable, self._sent[self.epoch])
         while self._memory and (oldest := next(iter(self._memory))) <= last:
             del self._memory[oldest]
-
-    def _report_not_kept(self) -> None:
-        if self.not_kept > self._reported:
-            text = "%s: %d events that the broker has received are not kept"
-            log.error(text, self.path, self.not_kept - self._reported)
-        self._reported = self.not_kept
 
     def _fail(self, reason: str) -> None:
         """Send from memory until the disk can be written again."""
@@ -250,8 +243,8 @@ class Outbox:
             retry.reset()
             if self.error:
                 self.error = ""
-                log.warning("%s: can be written again; the events kept in memory are in it", self.path)
-                self._report_not_kept()
+                text = "%s: can be written again; the events kept in memory are in it, %d are not kept"
+                log.warning(text, self.path, self.not_kept)
             self._written = newest
             self._release(newest)
             self._sync_due.set()

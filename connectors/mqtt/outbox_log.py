@@ -106,7 +106,9 @@ class OutboxLog:
 
     def append(self, entries: Sequence[Entry], sent: Mapping[str, int]) -> None:
         """Append events with consecutive numbers, and the newest sent numbers of epochs: all, or OSError."""
-        if self._log is None or self._log.suspect or not self._continues(entries):
+        newest = self._segments[-1] if self._log and not self._log.suspect else None
+        full = entries and newest and len(newest.offsets) >= SEGMENT_EVENTS
+        if not newest or full or (entries and entries[0].seq != newest.last + 1):
             self._start_segment(entries[0].seq if entries else self.span(self.epoch)[1] + 1)
         assert self._log
         records = [b"%s\n%s" % (entry.finger.encode(), entry.payload) for entry in entries]
@@ -180,11 +182,6 @@ class OutboxLog:
             self._segments.append(segment)
         else:  # of a run without events
             reader.path.unlink(missing_ok=True)
-
-    def _continues(self, entries: Sequence[Entry]) -> bool:
-        """Return True if the newest segment is not full, and `entries` have its next numbers."""
-        segment = self._segments[-1]
-        return not entries or (len(segment.offsets) < SEGMENT_EVENTS and entries[0].seq == segment.last + 1)
 
     def _start_segment(self, first: int) -> None:
         if self._log and not self._log.suspect:

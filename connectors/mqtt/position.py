@@ -216,11 +216,7 @@ class Position:
 
     @classmethod
     def decode(cls, payload: bytes, where: str, *, everything: bool = False) -> "Position":
-        """Parse the output of `encode`.
-
-        Raises:
-            InputError: naming `where` and the field that is missing or wrong.
-        """
+        """Parse the output of `encode`; an InputError names `where` and the field."""
         position = cls(everything=everything)
         for epoch in decode(payload, _File, where, largest=FILE_MAX).rigs:
             position._rigs.setdefault((epoch.site, epoch.rig), _Rig()).epochs[epoch.epoch] = epoch
@@ -250,16 +246,17 @@ def read_heads(payload: bytes, where: str) -> dict[str, int]:
 
     >>> read_heads(b'{"epoch":"b","last_seq":2,"before":[{"epoch":"a","last_seq":9}]}', "head")
     {'a': 9, 'b': 2}
-
-    Raises:
-        InputError: naming the field that is missing or wrong.
     """
     newest = decode(payload, _Heads, where)
     return {each.epoch: each.last_seq for each in (*newest.before, newest)}
 
 
 def lock_position(path: Path) -> int:
-    """Lock a position file for this process; return the descriptor that holds the lock until it is closed."""
+    """Lock a position file for this process; return the descriptor that holds the lock until it is closed.
+
+    Raises:
+        EndpointError: if another consumer holds the lock, or the folder cannot be written.
+    """
     try:
         held = lock_file(path)
     except OSError as error:
@@ -274,7 +271,6 @@ def load(path: Path, *, everything: bool = False) -> Position:
 
     Raises:
         InputError: if the file cannot be read, is damaged, or is not a position.
-        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     if not path.exists():
         return Position(everything=everything)

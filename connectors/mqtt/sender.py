@@ -69,7 +69,8 @@ class Sender:
     ) -> None:
         """Connect, publish the retained documents, and start sending in the background.
 
-        With `connect_required`, a broker that is unreachable or refuses is an error.
+        Raises:
+            EndpointError: if the broker is unreachable or refuses, unless `connect_required` is False.
         """
         self._identifier, self._will = identifier, will
         for message in retained:

@@ -129,7 +129,7 @@ class TraceImport:
             "resolution": part.resolution,
             "lowest": lowest,
             "highest": highest,
-            "missing": part.missing,
+            "missing": int(sum(np.sum(~each.valid) for each in part.fingertips.values())),
             "motion": len(part.motion),
             "warnings": list(part.warnings),
             "labelled": self.label_source or None,
