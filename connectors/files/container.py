@@ -4,7 +4,6 @@ import gzip
 import hashlib
 import io
 import re
-import stat
 import zlib
 from pathlib import Path
 from typing import Any, Final
@@ -13,8 +12,9 @@ import polars as pl
 
 from connectors.files.raw_table import RawTable, check_size
 from connectors.files.text_table import parse_text
-from operators.errors import InputError, os_error_reason
+from operators.errors import InputError
 from storage.arrow import pa, pq
+from storage.files import read
 
 ENDINGS: Final = (".csv", ".csv.gz", ".tsv", ".txt", ".parquet")  # of recordings that can be replayed
 LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
@@ -57,7 +57,11 @@ def read_table(path: Path, separator: str | None = None) -> RawTable:
     Raises:
         InputError: if it cannot be read, is damaged, too large or of another format.
     """
-    where, content = str(path), _read(path)
+    where = str(path)
+    if (path / "data").is_dir():
+        raise InputError(where, f"is a folder of LeRobot: import {path}/data/*/*.parquet")
+    _check_size(where, path.stat().st_size if path.is_file() else 0)
+    content = read(path, LIMIT)
     sha256 = hashlib.sha256(content).hexdigest()
     if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
         return _read_parquet(where, content, sha256)
@@ -72,21 +76,6 @@ def read_table(path: Path, separator: str | None = None) -> RawTable:
     return parse_text(content, where, sha256, separator)
 
 
-def _read(path: Path) -> bytes:
-    """Return the content of a file, up to the limit."""
-    try:
-        mode = path.stat().st_mode
-        if (path / "data").is_dir():
-            raise InputError(str(path), f"is a folder of LeRobot: import {path}/data/*/*.parquet")
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise InputError(str(path), "is no regular file but a pipe or a device: save its content first")
-        with path.open("rb") as file:
-            return _limited(str(path), file.read(LIMIT + 1))
-    except (OSError, ValueError) as error:
-        reason = os_error_reason(error) if isinstance(error, OSError) else str(error)
-        raise InputError(str(path), f"cannot be read: {reason}") from None
-
-
 def _unzipped(where: str, content: bytes) -> bytes:
     """Return the content of a gzip file; one that unpacks to very much is refused early."""
     limit = min(LIMIT, max(_CHUNK, _RATIO * len(content)))
@@ -97,14 +86,13 @@ def _unzipped(where: str, content: bytes) -> bytes:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
     if limit < LIMIT and len(found) > limit:
         raise InputError(where, f"unpacks to more than {_RATIO} times its size: no recording does")
-    return _limited(where, found)
+    _check_size(where, len(found))
+    return found
 
 
-def _limited(where: str, content: bytes) -> bytes:
-    if len(content) > LIMIT:
-        reason = f"is larger than {LIMIT >> 20} MiB, the limit: split it into several files"
-        raise InputError(where, reason)
-    return content
+def _check_size(where: str, size: int) -> None:
+    if size > LIMIT:
+        raise InputError(where, f"is larger than {LIMIT >> 20} MiB, the limit: split it into several files")
 
 
 def _read_parquet(where: str, content: bytes, sha256: str) -> RawTable:
@@ -117,13 +105,13 @@ def _read_parquet(where: str, content: bytes, sha256: str) -> RawTable:
         file: Any = pq.ParquetFile(data, page_checksum_verification=True)
         check_size(where, file.metadata.num_rows * file.metadata.num_columns, file.metadata.num_columns)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
-        read: Any = file.read(use_threads=False)
-        read.validate(full=True)
+        table: Any = file.read(use_threads=False)
+        table.validate(full=True)
     except (ValueError, OSError, pa.ArrowException) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
         raise InputError(where, f"is damaged or not a Parquet file: {reason:.200}; restore a copy") from None
     columns, left_out = list[pl.Series](), dict[str, str]()
-    for name, values in zip(read.column_names, read.columns, strict=True):
+    for name, values in zip(table.column_names, table.columns, strict=True):
         try:
             columns.append(pl.Series(name, values))
         except (TypeError, ValueError, pl.exceptions.PolarsError, pl.exceptions.PanicException):

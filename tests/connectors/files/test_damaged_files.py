@@ -83,9 +83,7 @@ def test_another_format_is_named_with_the_remedy(
 
 def test_a_pipe_and_a_file_that_unpacks_to_very_much_are_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")
-    assert refusal(tmp_path / "pipe.csv").endswith(
-        "is no regular file but a pipe or a device: save its content first"
-    )
+    assert refusal(tmp_path / "pipe.csv").endswith("is not a regular file")
     for content in (bytes(1 << 25), b"t,p0,p1\n" + b"0,1,2\n" * (1 << 23)):
         (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content))
         assert refusal(tmp_path / "bomb.csv.gz").endswith(

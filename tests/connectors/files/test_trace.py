@@ -199,8 +199,7 @@ def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
 def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
         _ = Trace(tmp_path / "absent.csv").touch
-    folder = "cannot be read: Is a directory; a folder exists where a file is needed$"
-    with pytest.raises(InputError, match=folder):
+    with pytest.raises(InputError, match="is not a regular file"):
         _ = Trace(tmp_path).touch
     (tmp_path / "empty.csv").touch()
     with pytest.raises(InputError, match=r"empty.csv: is empty: its first line must name the columns$"):
