@@ -9,11 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 from stat import S_ISDIR
-from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
-
-import pyarrow as pa
 
 from tests.faults.simulated_process import Killed, SimulatedProcess, current
 
@@ -255,23 +252,6 @@ class SimulatedDisk:
             return done
 
         return operate
-
-
-class ArrowInsteadOfParquet:
-    """Stand-in for `pyarrow.parquet` that takes a third of the time; real parts: `test_power_cuts`."""
-
-    @staticmethod
-    def write_table(rows: pa.Table, sink: Any, **_: object) -> None:
-        with pa.ipc.new_stream(sink, rows.schema) as writer:
-            writer.write_table(rows)
-
-    class ParquetFile:
-        def __init__(self, source: Any, **_: object) -> None:
-            self._rows = pa.ipc.open_stream(source).read_all()
-            self.schema_arrow, self.metadata = self._rows.schema, SimpleNamespace(num_rows=len(self._rows))
-
-        def read(self, names: list[str], **_: object) -> pa.Table:
-            return self._rows.select(names)
 
 
 def _text(path: int | str | bytes | os.PathLike[str]) -> str | None:

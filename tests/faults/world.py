@@ -24,12 +24,12 @@ from connectors.mqtt import broker, broker_link, consumer, outbox, outbox_log
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
-from storage import files, parts
+from storage import files
 from storage.background_task import BackgroundTask
 from tests.faults.invariants import CAPACITY, PART_ROWS, SMALL, excess, violations
 from tests.faults.schedule import STALL_MAX, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
-from tests.faults.simulated_disk import ArrowInsteadOfParquet, SimulatedDisk
+from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_loop import SimulatedLoop
 from tests.faults.simulated_process import Killed, SimulatedProcess, current, process_of_context
 from tests.faults.simulated_rig import (
@@ -396,7 +396,6 @@ def _simulated(world: World) -> Generator[ExitStack]:
         enter(patch.object(os, "urandom", random.randbytes))
         enter(patch.object(files, "_flock", world.disk.noting_locks(vars(files)["_flock"])))
         enter(patch.object(broker_link, "connect", world.broker.connect))
-        enter(patch.object(parts, "pq", ArrowInsteadOfParquet))
         enter(patch.object(outbox_log, "SEGMENT_EVENTS", 12))  # so that segments end within a schedule
         for module, name, small in SMALL:
             enter(patch.object(module, name, small))

@@ -1,8 +1,6 @@
 import asyncio
 from typing import Any
 
-import pytest
-
 from connectors.mqtt.mqtt_sink import HealthReports
 from operators.batch import ms, s
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
@@ -19,27 +17,19 @@ def test_a_rate_is_since_the_previous_report_that_has_rows(run: Run) -> None:
     assert rates == [None, None, 100, 0, 25, None]
 
 
-@pytest.mark.parametrize(
-    ("up", "stale", "state"), [(True, False, "up"), (False, True, "stale"), (False, False, "down")]
-)
-def test_a_source_is_up_stale_or_down(run: Run, state: str, *, up: bool, stale: bool) -> None:
-    run.sources["touch"] = SourceStatus(rows=10, up=up, stale=stale)
-    report: Any = HealthReports(run).next()
-    assert report["sources"]["touch"]["state"] == state
-
-
 def test_a_report_has_lag_gaps_dropped_rows_and_the_newest_clock_steps(run: Run) -> None:
     gap = Gap(91 * s, 92 * s, "unplugged")
     run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
-    run.sources["motion"] = SourceStatus()
+    run.sources["motion"], run.sources["force"] = SourceStatus(), SourceStatus(stale=True)
     counters: dict[str, Any] = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
     run.sinks["dataset"] = SinkStatus(**counters, error="disk full")
     run.sinks["mqtt"] = SinkStatus()
     run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
     report: Any = HealthReports(run).next()
     assert report["time_ns"] == 100 * s
-    touch, motion = report["sources"]["touch"], report["sources"]["motion"]
+    touch, motion, force = (report["sources"][name] for name in ("touch", "motion", "force"))
     assert (touch["rows"], touch["late"], touch["gaps"], touch["lag_ms"]) == (10, 2, 1, 5)
+    assert (touch["state"], motion["state"], force["state"]) == ("up", "down", "stale")
     assert motion["lag_ms"] is None
     assert report["sinks"]["dataset"] == {**counters, "error": "disk full"}
     assert report["sinks"]["mqtt"]["error"] is None
