@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_270,
-    "connectors": 11_210,
+    "connectors": 11_200,
     "storage": 3_890,
     "flows": 12_560,
-    "product": 32_920,
+    "product": 32_910,
     "product files": 218,
-    "tests": 34_960,
+    "tests": 34_900,
     "commands": 16,
     "options": 84,
     "words": 38_500,

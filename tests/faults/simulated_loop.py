@@ -1,12 +1,9 @@
 """Event loop in virtual time whose executor runs in the loop: one thread, one order of events per seed."""
 
 import asyncio
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from heapq import heappop, heappush
-from itertools import count
 from random import Random
 from typing import Any, Final, TypeVar
 
@@ -15,7 +12,7 @@ from operators.errors import SlipflowError
 from tests.faults.simulated_process import SimulatedProcess, adopt
 
 T = TypeVar("T")
-TURNS_MAX: Final = 1_000_000  # of the loop in a simulation
+LOOKS_MAX: Final = 1_000_000  # at the time, in a simulation
 
 
 class SimulatedLoop(VirtualLoop):
@@ -25,46 +22,22 @@ class SimulatedLoop(VirtualLoop):
     it. `latency` (s) is drawn for each call, so that a slow disk delays the tasks that wait for it.
     """
 
-    _ready: deque[asyncio.Handle]  # of asyncio's loop, like the next
-    _clock_resolution: float
-
     def __init__(self, random: Random) -> None:
+        self._looks, self._unfinished = 0, set[asyncio.Task[Any]]()
         super().__init__()
         self._random = random
-        self._turns, self._unfinished = 0, set[asyncio.Task[Any]]()
-        self._timers, self._numbers = list[tuple[float, int, asyncio.TimerHandle]](), count()
         self.failures: list[str] = []  # of tasks whose process was alive
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
 
-    def _run_once(self) -> None:
-        """Run the callbacks that are due, like asyncio's method, but without sockets, signals and threads.
+    def time(self) -> float:
+        """Return the virtual time, s.
 
         Raises:
             AssertionError: if tasks keep each other busy.
         """
-        ready, timers = self._ready, self._timers
-        if not ready and timers:
-            self._virtual.time = max(self._virtual.time, timers[0][0])
-        due = self._virtual.time + self._clock_resolution
-        while timers and (timers[0][0] < due or timers[0][2].cancelled()):
-            ready.append(heappop(timers)[2])
-        self._turns += 1
-        assert self._turns < TURNS_MAX, "tasks keep each other busy"
-        for _ in range(len(ready)):
-            handle = ready.popleft()
-            if not handle.cancelled():
-                handle._run()
-
-    def call_at(self, when: float, callback: Any, *args: Any, context: Any = None) -> asyncio.TimerHandle:  # type: ignore[override]
-        """Call a function at a time; of equal times in the order of the calls."""
-        timer = asyncio.TimerHandle(when, callback, args, self, context)
-        heappush(self._timers, (when, next(self._numbers), timer))  # asyncio compares handles, which is slow
-        return timer
-
-    def call_soon(self, callback: Any, *args: Any, context: Any = None) -> asyncio.Handle:  # type: ignore[override]
-        """Call a function in the next turn, as asyncio's method without its checks."""
-        self._ready.append(handle := asyncio.Handle(callback, args, self, context))
-        return handle
+        self._looks += 1
+        assert self._looks < LOOKS_MAX, "tasks keep each other busy"
+        return super().time()
 
     def create_task(self, coro: Any, **options: Any) -> "asyncio.Task[Any]":
         """Create a task that belongs to the process of its context."""
