@@ -18,7 +18,7 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_560,
     "product": 32_910,
     "product files": 218,
-    "tests": 34_900,
+    "tests": 34_870,
     "commands": 16,
     "options": 84,
     "words": 38_500,

@@ -48,8 +48,7 @@ class Device(Source[Touch]):
 
     def __init__(self, finger: int, random: Random) -> None:
         self._finger, self._random = finger, random
-        self.failing, self.silent_until, self.ended = False, 0.0, False
-        self._number = 0
+        self.failing, self.silent_until, self._number = False, 0.0, 0
 
     @property
     def kind(self) -> type[Touch]:
@@ -62,7 +61,7 @@ class Device(Source[Touch]):
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield batches of 1 to 14 rows, most of them short."""
         loop = asyncio.get_running_loop()
-        while not self.ended:
+        while True:
             rows = self._random.choice((1, 1, 1, 2, 3, 14))
             await asyncio.sleep(rows * PERIOD / 1e9)
             current()
