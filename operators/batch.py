@@ -49,10 +49,9 @@ class Batch(Declared):
         >>> Scores.unpack(np.array([(1, 0.5)], packed_type(Scores))).probability
         array([0.5])
         """
-        batch = _new(cls)
-        attributes = batch.__dict__
-        attributes["packed"], attributes["finger"] = packed, finger
-        return batch
+        batch: Any = _new(cls)
+        batch.packed, batch.finger = packed, finger  # set so, they need no dictionary
+        return cast("Self", batch)
 
     @classmethod
     def rows(cls, *values: Any, finger: int = EVERY) -> Self:

@@ -71,16 +71,19 @@ def compile_function(
     return decorate
 
 
-def compile_program(function: FunctionType, arguments: Sequence[object]) -> Callable[..., Any]:
+def compile_program(
+    function: FunctionType, arguments: Sequence[object], known: dict[FunctionType, Any]
+) -> Callable[..., Any]:
     """Compile a function, with all functions that it calls, for arguments of the types of these.
 
     The result skips numba's dispatcher, which inspects the type of each array for 10 us: the caller must
-    pass arguments of the same types. Arrays may have any strides.
+    pass arguments of the same types. Arrays may have any strides. Programs with the same `known` share the
+    compiled functions in it.
     """
     signature, names = tuple(_argument_type(each) for each in arguments), dict[FunctionType, str]()
     key = _name(function, names), signature
     if key not in _programs:
-        _programs[key] = compile_function([signature], nogil=False)(_linked(function, names, {}))
+        _programs[key] = compile_function([signature], nogil=False)(_linked(function, names, known))
     compiled = _programs[key]
     return cast("Callable[..., Any]", compiled.overloads[compiled.signatures[0]].entry_point)
 

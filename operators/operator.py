@@ -112,7 +112,7 @@ class AnyOperator(ABC):
                 return False
             stage = Stage(steps, self.row_type(*given), tuple(range(len(given))))
             self._segment = Segment(given, [stage])
-            self._pushers = tuple(self._segment.pusher(EVERY, side) for side in range(len(given)))
+            self._pushers = tuple(self._segment.pusher(side) for side in range(len(given)))
         return True
 
     def _joined(self, outputs: Outputs) -> Any:
@@ -183,7 +183,7 @@ class Join(AnyOperator, Generic[Left, Right, Out]):
             raise _without_process(self)
         self._finger = left.finger if left.time.size else self._finger
         if left.time.size and right.time.size:
-            outputs = cast("Segment", self._segment).pusher(EVERY, 0, 1)(left, right)
+            outputs = cast("Segment", self._segment).pusher(0, 1)(left, right)
         else:
             outputs = self._pushers[0](left) if left.time.size else self._pushers[1](right)
         return cast("Out", self._joined(outputs))

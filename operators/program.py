@@ -1,23 +1,27 @@
 """Program of a segment: functions that pass a row on from step to step, composed by their global names.
 
-A row goes through ``NEXT(settings, flow, row)``; `flow` is the record of one fingertip, with the state of
-each operator, the row that it writes and the rows that wait for sinks. `bind` binds the names in capitals.
+A row goes through ``NEXT(flow, outputs, row)``; `flow` is a record of one fingertip, with settings, state
+and the row of each operator; `outputs` is a record of its rows for sinks. `bind` sets the names in capitals.
 """
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from types import FunctionType
-from typing import Any, Final, NamedTuple, cast
+from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
 from operators.steps import Record, RowType, Steps, copy, record_type
 
+Choice: TypeAlias = tuple[int, ...]  # entrances
 BLOCK: Final = 4096  # rows per call
+FEW: Final = 16  # rows of a batch that is a view of the only output
+SHARED: Final = 1024  # rows of views, after which the output is replaced
 
-STEP = TAKE = GIVE = NEXT = OTHER = END = WAITING = CLEAR = TIME = cast("Any", None)  # functions
-STATE = MADE = OUT = COUNT = ""  # fields of `flow`
-ENTRANCES = 1
+STEP = TAKE = GIVE = NEXT = OTHER = END = TIME = cast("Any", None)  # functions
+SETTINGS = STATE = MADE = STOP = OUT = ""  # fields of records
+ENTRANCES, LIMIT = 1, BLOCK
+BEGIN, GO_ON, FINISH = range(3)  # what a call does with rows
 LATEST = 2**63 - 1  # ns
 
 
@@ -44,11 +48,10 @@ class Shape(NamedTuple):
 class Program(NamedTuple):
     """Program of a segment, with the types of its records."""
 
-    drive: Callable[..., int]
-    block: np.dtype[Any]  # record of one fingertip
-    settings: np.dtype[Any]
-    order: tuple[int, ...]  # entrances, in the order of rows of equal time
-    rows: int  # largest number per call
+    drives: dict[Choice, Callable[..., int]]  # by the entrances whose rows they take: all, or one
+    flow: np.dtype[Any]  # record of one fingertip
+    outputs: np.dtype[Any]  # record of its rows for sinks
+    order: Choice  # all entrances, in the order of rows of equal time
 
 
 @lru_cache(64)
@@ -63,50 +66,49 @@ def compose(
         compiler: Function that compiles a function for the types of some arguments; None: it runs as Python.
     """
     number, capacities = len(entrances), _capacities(len(entrances), shapes)
-    rows = max(1, BLOCK // max(factor for _, factor in capacities))
+    limit = max(1, BLOCK // max(factor for _, factor in capacities))
     order = tuple(sorted(range(number), key=_first_in_ties(number, shapes)))
-    settings: list[Any] = [("none", np.uint8)]
-    fields: list[Any] = [("heads", np.int64, (number,)), ("reached", np.int64, (number,))]
+    numbers = np.int64, (number,)
+    fields: list[Any] = [("waiting", np.int64), ("heads", *numbers), ("reached", *numbers)]
     fields += [(f"enter{i}", [("newest", np.int64), ("late", np.int64)]) for i in range(number)]
+    places: list[Any] = [("none", np.uint8)]
     for i, (shape, (extra, factor)) in enumerate(zip(shapes, capacities, strict=True)):
-        settings.append((f"stage{i}", shape.settings))
-        fields += [(f"stage{i}", shape.state), (f"made{i}", shape.gives.packed)]
+        fields += [(f"settings{i}", shape.settings), (f"state{i}", shape.state)]
+        fields += [(f"made{i}", shape.gives.packed), (f"stop{i}", np.int64)]
         if shape.delivers:
-            fields += [(f"out{i}", shape.gives.packed, (rows * factor + extra,)), (f"count{i}", np.int64)]
-    block, constants = np.dtype(fields, align=True), np.dtype(settings, align=True)
-    function = _composed(shapes, order)
-    if compiler is None:
-        return Program(_as_python(function), block, constants, order, rows)
-    empty = tuple(np.empty(0, entrances[i].packed) for i in order)
-    compiled = compiler(function, (np.zeros(1, constants), np.zeros(1, block), 0, 0, empty, False))
-    return Program(compiled, block, constants, order, rows)
+            room = SHARED + FEW + limit * factor + extra
+            places.append((f"out{i}", shape.gives.packed, (room,)))
+    flow, outputs = np.dtype(fields, align=True), np.dtype(places, align=True)
+    drives = dict[Choice, Callable[..., int]]()
+    known = dict[FunctionType, Any]()  # compiled functions
+    for chosen, function in _composed(shapes, order, limit).items():
+        rows = tuple(np.empty(0, entrances[i].packed) for i in chosen)
+        arguments = np.zeros(1, flow), np.zeros(1, outputs), rows, BEGIN
+        drives[chosen] = compiler(function, arguments, known) if compiler else _as_python(function)
+    return Program(drives, flow, outputs, order)
 
 
 def _as_python(function: Callable[..., int]) -> Callable[..., int]:
     """Return a function that gives records to a program, whose fields are attributes."""
 
-    def drive(settings: Any, block: Any, first: int, last: int, rows: Any, ended: bool) -> int:
-        settings, block, *parts = (each.view(np.recarray) for each in (settings, block, *rows))
-        return function(settings, block, first, last, tuple(parts), ended)
+    def drive(flows: Any, outputs: Any, rows: Any, phase: int) -> int:
+        flows, outputs, *parts = (each.view(np.recarray) for each in (flows, outputs, *rows))
+        return function(flows, outputs, tuple(parts), phase)
 
     return drive
 
 
-def _composed(shapes: Sequence[Shape], order: Sequence[int]) -> FunctionType:
-    """Return `drive`, bound to the functions of the operators."""
+def _composed(shapes: Sequence[Shape], order: Choice, limit: int) -> dict[Choice, FunctionType]:
+    """Return `drive` for rows of all entrances and of each, bound to the functions of the operators."""
     number = len(order)
     after: list[Any] = [drop] * (number + len(shapes))  # what reads from each entrance and operator
-    ends, awaited, cleared = cast("tuple[Any, Any, Any]", (end_none, count_none, clear_none))
+    ends: Any = end_none
     for i, shape in reversed(list(enumerate(shapes))):
-        (step, takes, give), names = shape.functions, {"STATE": f"stage{i}", "MADE": f"made{i}"}
+        (step, takes, give), names = shape.functions, {"SETTINGS": f"settings{i}", "STATE": f"state{i}"}
         if shape.delivers:
-            outlet = {"OUT": f"out{i}", "COUNT": f"count{i}"}
-            after[number + i] = _both(bind(deliver, **outlet), after[number + i])
-            awaited, cleared = (
-                bind(count_waiting, OTHER=awaited, **outlet),
-                bind(clear_outlet, OTHER=cleared, **outlet),
-            )
-        names["NEXT"] = after[number + i]
+            delivered = bind(deliver, OUT=f"out{i}", STOP=f"stop{i}")
+            after[number + i] = _both(delivered, after[number + i])
+        names |= {"MADE": f"made{i}", "NEXT": after[number + i]}
         for side, source in enumerate(shape.inputs):
             if step is not None:
                 reader = bind(pass_through, STEP=step, **names)
@@ -115,13 +117,16 @@ def _composed(shapes: Sequence[Shape], order: Sequence[int]) -> FunctionType:
             after[source] = _both(reader, after[source])
         if "ended" in (shape.state.names or ()):
             ends = bind(end, GIVE=give, OTHER=ends, **names)
-    ways = times = None
-    for i in reversed(order):
-        way = bind(enter, STATE=f"enter{i}", NEXT=after[i])
-        ways = bind(choose_last if ways is None else choose, NEXT=way, OTHER=ways)
-        times = bind(time_of_last if times is None else time_of, OTHER=times)
-    functions = {"NEXT": ways, "END": ends, "WAITING": awaited, "CLEAR": cleared, "TIME": times}
-    return bind(drive, ENTRANCES=number, **functions)
+    found = dict[Choice, FunctionType]()
+    for chosen in (order, *((i,) for i in order)):
+        ways = times = None
+        for i in reversed(chosen):
+            way = bind(enter, STATE=f"enter{i}", NEXT=after[i])
+            ways = bind(choose_last if ways is None else choose, NEXT=way, OTHER=ways)
+            times = bind(time_of_last if times is None else time_of, OTHER=times)
+        functions = {"NEXT": ways, "END": ends, "TIME": times}
+        found[chosen] = bind(drive, ENTRANCES=len(chosen), LIMIT=limit, **functions)
+    return found
 
 
 def _both(first: Any, second: Any) -> Any:
@@ -157,92 +162,74 @@ def bind(template: Callable[..., Any], **names: object) -> FunctionType:
     return FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__)
 
 
-def drop(settings: Record, flow: Record, row: Record) -> None:
+def drop(flow: Record, outputs: Record, row: Record) -> None:
     """End the path of a row that nothing reads."""
 
 
-def pass_through(settings: Record, flow: Record, row: Record) -> None:
+def pass_through(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row through a step."""
     made = flow[MADE]
-    if STEP(settings[STATE], flow[STATE], row, made):
-        NEXT(settings, flow, made)
+    if STEP(flow[SETTINGS], flow[STATE], row, made):
+        NEXT(flow, outputs, made)
 
 
-def take_and_give(settings: Record, flow: Record, row: Record) -> None:
+def take_and_give(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row to an operator, and on all rows that it gives."""
-    TAKE(settings[STATE], flow[STATE], row)
+    TAKE(flow[SETTINGS], flow[STATE], row)
     made = flow[MADE]
-    while GIVE(settings[STATE], flow[STATE], made):
-        NEXT(settings, flow, made)
+    while GIVE(flow[SETTINGS], flow[STATE], made):
+        NEXT(flow, outputs, made)
 
 
-def deliver(settings: Record, flow: Record, row: Record) -> None:
+def deliver(flow: Record, outputs: Record, row: Record) -> None:
     """Store a row for those outside the segment, if there is room."""
-    if flow[COUNT] < len(flow[OUT]):
-        copy(flow[OUT][flow[COUNT]], row)
-    flow[COUNT] += 1
+    stop = flow[STOP]
+    if stop < len(outputs[OUT]):
+        copy(outputs[OUT][stop], row)
+    flow[STOP] = stop + 1
+    flow.waiting += 1
 
 
-def fork(settings: Record, flow: Record, row: Record) -> None:
+def fork(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row two ways."""
-    NEXT(settings, flow, row)
-    OTHER(settings, flow, row)
+    NEXT(flow, outputs, row)
+    OTHER(flow, outputs, row)
 
 
-def enter(settings: Record, flow: Record, row: Record) -> None:
+def enter(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row on unless it is late: older than the newest one before it."""
     entrance = flow[STATE]
     if row.time < entrance.newest:
         entrance.late += 1
     else:
         entrance.newest = row.time
-        NEXT(settings, flow, row)
+        NEXT(flow, outputs, row)
 
 
-def choose(settings: Record, flow: Record, entrance: int, index: int, rows: Any) -> None:
+def choose(flow: Record, outputs: Record, entrance: int, index: int, rows: Any) -> None:
     """Let a row of one of several entrances in."""
     if entrance == 0:
-        NEXT(settings, flow, rows[0][index])
+        NEXT(flow, outputs, rows[0][index])
     else:
-        OTHER(settings, flow, entrance - 1, index, rows[1:])
+        OTHER(flow, outputs, entrance - 1, index, rows[1:])
 
 
-def choose_last(settings: Record, flow: Record, entrance: int, index: int, rows: Any) -> None:
+def choose_last(flow: Record, outputs: Record, entrance: int, index: int, rows: Any) -> None:
     """Let a row of the last entrance in."""
-    NEXT(settings, flow, rows[0][index])
+    NEXT(flow, outputs, rows[0][index])
 
 
-def end_none(settings: Record, flow: Record) -> None:
+def end_none(flow: Record, outputs: Record) -> None:
     """End a segment without operators that hold rows."""
 
 
-def end(settings: Record, flow: Record) -> None:
+def end(flow: Record, outputs: Record) -> None:
     """End the stream of an operator, then of those after it."""
     flow[STATE].ended = 1
     made = flow[MADE]
-    while GIVE(settings[STATE], flow[STATE], made):
-        NEXT(settings, flow, made)
-    OTHER(settings, flow)
-
-
-def count_none(flow: Record) -> int:
-    """Return the number of rows that wait without outlets."""
-    return 0
-
-
-def clear_none(flow: Record) -> None:
-    """Forget nothing: there are no outlets."""
-
-
-def clear_outlet(flow: Record) -> None:
-    """Forget the rows that were taken from this outlet and the others."""
-    flow[COUNT] = 0
-    OTHER(flow)
-
-
-def count_waiting(flow: Record) -> int:
-    """Return the number of rows that wait in this outlet and the others."""
-    return int(flow[COUNT]) + int(OTHER(flow))
+    while GIVE(flow[SETTINGS], flow[STATE], made):
+        NEXT(flow, outputs, made)
+    OTHER(flow, outputs)
 
 
 def time_of(rows: Any, entrance: int, index: int) -> int:
@@ -257,38 +244,34 @@ def time_of_last(rows: Any, entrance: int, index: int) -> int:
     return int(rows[0][index].time) if index < len(rows[0]) else LATEST
 
 
-def drive(settings: Any, block: Any, first: int, last: int, rows: Any, ended: bool) -> int:
-    """Let rows in, in the order of time; return how many rows wait for sinks.
+def drive(flows: Any, outputs: Any, rows: Any, phase: int) -> int:
+    """Let rows in, in the order of time; return how many wait for sinks, or -1 less that if some are left.
 
     Of equal times, those of the first entrance come first. A late row stays after the rows before it.
 
     Args:
-        settings: Record of the settings, (1,).
-        block: Records of the fingertips.
-        first: Number of the first fingertip.
-        last: Number after the last fingertip.
+        flows: Record of the fingertip, (1,).
+        outputs: Record of its rows for sinks, (1,).
         rows: Packed rows of each entrance.
-        ended: Whether the streams end after these rows.
+        phase: `BEGIN`; `GO_ON` with rows that the call before left; `FINISH`: the streams end after these.
     """
-    count = 0
-    for slot in range(first, last):
-        flow = block[slot]
-        CLEAR(flow)
+    flow = flows[0]
+    flow.waiting = 0
+    if phase != GO_ON:
         for entrance in range(ENTRANCES):
             flow.heads[entrance], flow.reached[entrance] = 0, TIME(rows, entrance, 0)
-        while True:
-            entrance = 0
-            for other in range(1, ENTRANCES):
-                if flow.reached[other] < flow.reached[entrance]:
-                    entrance = other
-            reached = flow.reached[entrance]
-            if reached == LATEST:
-                break
-            head = flow.heads[entrance]
-            NEXT(settings[0], flow, entrance, head, rows)
-            flow.heads[entrance] = head + 1
-            flow.reached[entrance] = max(reached, TIME(rows, entrance, head + 1))
-        if ended:
-            END(settings[0], flow)
-        count += WAITING(flow)
-    return count
+    for _ in range(LIMIT):
+        entrance = 0
+        for other in range(1, ENTRANCES):
+            if flow.reached[other] < flow.reached[entrance]:
+                entrance = other
+        reached = flow.reached[entrance]
+        if reached == LATEST:
+            if phase == FINISH:
+                END(flow, outputs[0])
+            return int(flow.waiting)
+        head = flow.heads[entrance]
+        NEXT(flow, outputs[0], entrance, head, rows)
+        flow.heads[entrance] = head + 1
+        flow.reached[entrance] = max(reached, TIME(rows, entrance, head + 1))
+    return -1 - int(flow.waiting)

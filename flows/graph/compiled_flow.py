@@ -30,23 +30,20 @@ class _Fused:
             Stage(steps, types[node], tuple(places[parent] for parent in node.inputs), node in read, node)
             for node, steps in nodes.items()
         ]
-        self.fingers = self.nodes[0].fingers
-        self.segment = Segment([types[node] for node in self.entrances], stages, self.fingers)
+        self.fingers, given = self.nodes[0].fingers, [types[node] for node in self.entrances]
+        self.segments = {finger: Segment(given, stages, finger) for finger in self.fingers}
 
     def push(self, values: Values) -> list[Delivery]:
         """Run the operators on their inputs; return the output of each node and fingertip."""
-        common = self._present(values, EVERY)
-        if common and not any(self._present(values, finger) for finger in self.fingers if finger != EVERY):
-            return self.segment.pusher(EVERY, *common)(*common.values())
-        deliveries: list[Delivery] = []
-        for finger in self.fingers:
+        common, deliveries = self._present(values, EVERY), list[Delivery]()
+        for finger, segment in self.segments.items():
             if batches := common | self._present(values, finger):
-                deliveries += self.segment.pusher(finger, *batches)(*batches.values())
+                deliveries += segment.pusher(*batches)(*batches.values())
         return deliveries
 
     def flush(self, values: Values) -> list[Delivery]:
         """Run the operators on their last inputs and end their streams."""
-        return [*self.push(values), *self.segment.flush()]
+        return [*self.push(values), *(out for each in self.segments.values() for out in each.flush())]
 
     def _present(self, values: Values, finger: int) -> dict[int, Batch]:
         return {i: values[node, finger] for i, node in enumerate(self.entrances) if (node, finger) in values}
@@ -145,8 +142,7 @@ class CompiledFlow:
             OperatorError: if an operator fails or returns a type that it does not declare.
         """
         entries = tuple(batches)
-        push = self._pushers.get(entries)
-        if push is None:
+        if (push := self._pushers.get(entries)) is None:
             push = self._pushers[entries] = self.pusher(*entries)
         return push(*batches.values())
 
@@ -163,14 +159,17 @@ class CompiledFlow:
         units = self._reached({node for node, _ in entries})
         read = [(i, node) for i, (node, _) in enumerate(entries) if node in self._read]
         if len(units) == 1 and isinstance(unit := units[0], _Fused):
-            several = len(unit.fingers) > 1
-            fingers = {finger for _, finger in entries} if several else set(unit.fingers)
+            fingers = {finger for _, finger in entries} if len(unit.fingers) > 1 else set(unit.fingers)
             places = [unit.entrances.index(node) if node in unit.entrances else -1 for node, _ in entries]
             if -1 not in places and len(fingers) == 1 and compiler():  # else a step may raise an error
-                push = unit.segment.pusher(*fingers, *places)
-                if not read:
+                chosen = [segment for each, segment in unit.segments.items() if fingers & {each, EVERY}]
+                push, *others = (segment.pusher(*places) for segment in chosen)
+                if not (read or others):
                     return push
-                return lambda *batches: [*((node, batches[i]) for i, node in read), *push(*batches)]
+                return lambda *batches: [
+                    *((node, batches[i]) for i, node in read),
+                    *(output for each in (push, *others) for output in each(*batches)),
+                ]
 
         if not units:
             return lambda *batches: [(node, batches[i]) for i, node in read]

@@ -85,10 +85,15 @@ def variants(filters: int, counts: Counts) -> dict[str, Run]:
     windows = sliding_window_view(counts, tcn.length, axis=0)[:50].swapaxes(1, 2)
     streamed = Score(tcn).push(touch(Zeroed, counts)).probability[:50]
     np.testing.assert_allclose(tcn.score(windows), streamed, atol=1e-5)
+    ones = np.ones((64, 64), np.float32)  # small enough for one thread
+    needed = sum(each.size for each in tcn.weights.values() if each.ndim > 1)  # multiply-adds of a sample
     return {
         "live: Zero, Score, Debounce": live(counts, Zero(), Score(tcn), Debounce()),
         "live: Zero": live(counts, Zero()),
         "windowed, numpy": windowed(tcn, counts, 200),
+        "multiply-adds as matrix products": lambda: (
+            sum(64**2 * len(ones @ ones) for _ in range(500)) // needed
+        ),
     }
 
 

@@ -94,16 +94,12 @@ def flow(stages: int = len(STAGES)) -> Flow:
     """The job as a flow, or no more than its first stages."""
     job = Flow("job")
     touch, motion = job.source(TestSource(Touch, fingers=(0,))), job.source(TestSource(Motion))
-    if not stages:
-        touch.to(TestSink())
-        motion.to(TestSink())
-        return job
-    zeroed = touch | Zero(baseline=400, spike=inf)
+    zero = Zero(baseline=400, spike=inf)
     if stages < ALIGN:
-        zeroed.to(TestSink())
+        (touch | zero if stages else touch).to(TestSink())
         motion.to(TestSink())
         return job
-    aligned = zeroed & motion | Align(within=20 * ms, how="previous")
+    aligned = (touch | zero) & motion | Align(within=20 * ms, how="previous")
     labelled = aligned | Label(speed=0.003) if stages > ALIGN else aligned
     (labelled | StepEnergy() if stages == len(STAGES) else labelled).to(TestSink())
     return job
@@ -116,9 +112,8 @@ def through_flow(rows: int, stages: int = len(STAGES)) -> Callable[[Touch, Motio
         plan, out = CompiledFlow(flow(stages)), list[Delivery]()
         given = pushes(job_of(touch, motion), plan.entries, rows)
         calls = [(plan.pusher(*push), tuple(push.values())) for push in given]
-        for _, batches in calls:
-            for each in batches:
-                _ = each.packed  # as sources give it
+        for each in (each for _, batches in calls for each in batches):
+            _ = each.packed  # as sources give it
         began = time.process_time()
         for call, batches in calls:
             out += call(*batches)

@@ -122,10 +122,8 @@ def paper(paths: Sequence[Path]) -> None:
     for name in STAGES:
         if seconds := statistics.median(watch.seconds[name] for watch in watches):
             print(f"  {name:30}{seconds:8.3f}{seconds / samples * 1e6:12.2f}")
-    seconds, kept = (
-        statistics.median(plain),
-        statistics.median(sum(each.seconds.values()) for each in recorded),
-    )
+    seconds = statistics.median(plain)
+    kept = statistics.median(sum(each.seconds.values()) for each in recorded)
     print(f"{'Parquet to slips':32}{seconds:8.3f}{seconds / samples * 1e6:12.2f}")
     print(f"{'Parquet to a dataset of slips':32}{kept:8.3f}{kept / samples * 1e6:12.2f}")
     print(f"{'  and waiting for the disk':32}{statistics.median(each.waited for each in recorded):8.1f}")

@@ -121,7 +121,7 @@ def test_a_change_of_what_a_program_reads_gives_another_program(
     before: FunctionType, after: FunctionType
 ) -> None:
     """Its key is all of that: the file of a step is not that of its program, whose age numba compares."""
-    found = [compile_program(each, [_ROWS])(_ROWS) for each in (before, after, before)]
+    found = [compile_program(each, [_ROWS], {})(_ROWS) for each in (before, after, before)]
     assert found == [before(_ROWS.view(np.recarray)), after(_ROWS.view(np.recarray)), found[0]]
     assert found[0] != found[1]
 
@@ -144,7 +144,7 @@ def test_a_step_that_reads_variables_of_the_function_around_it_is_refused() -> N
         return bool(rows[0].x > level)
 
     with pytest.raises(TypeError, match="run reads variables of the function around it: use settings"):
-        compile_program(cast("FunctionType", run), [_ROWS])
+        compile_program(cast("FunctionType", run), [_ROWS], {})
 
 
 @pytest.mark.parametrize("kind", [Zeroed, Labelled])
@@ -155,7 +155,7 @@ def test_a_copy_has_the_common_columns_compiled_and_plain(kind: type[Batch]) -> 
     compiled["other"] = np.frombuffer(b"\1" * packed_type(kind).itemsize, packed_type(kind))
     plain = compiled.copy()
     run(plain.view(np.recarray))
-    compile_program(run, [compiled])(compiled)
+    compile_program(run, [compiled], {})(compiled)
     for name in columns(Sample):
         expected = compiled["other"][name] if name in columns(kind) else 0
         np.testing.assert_array_equal(compiled["sample"][name], expected)
@@ -168,4 +168,4 @@ def test_rows_of_which_neither_type_begins_with_the_other_are_not_copied() -> No
     with pytest.raises(
         TypingError, match=r"cannot copy: .*'matched'\] does not begin with the columns \['time'"
     ):
-        compile_program(run, [rows])
+        compile_program(run, [rows], {})

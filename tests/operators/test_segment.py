@@ -8,8 +8,10 @@ from typing import Final
 import numpy as np
 import pytest
 
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
+from flows.graph.testing import TestSink, TestSource
 from operators import (
-    EVERY,
     UNKNOWN,
     Align,
     Batch,
@@ -38,7 +40,6 @@ from operators import (
 from operators.batch import Reals, Times
 from operators.operator import AnyOperator
 from operators.program import BLOCK
-from operators.segment import Segment, Stage
 from operators.steps import Record, RowType, Steps
 from tests.operators import test_conformance as suite
 
@@ -208,16 +209,18 @@ def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(
 
 
 def test_rows_for_all_fingertips_reach_each_of_them(same: Callable[[Batch, Batch], None]) -> None:
-    given = RowType(Zeroed), RowType(Motion)
-    stage = Stage(PREVIOUS.steps(*given), RowType(Sample), (0, 1))
-    both = Segment(given, [stage], fingers=(3, 5))
-    touch, motion = _touch(np.array([20]) * ms), _motion(np.array([18, 30]) * ms)
-    for finger in (3, 5):
-        assert both.pusher(finger, 0)(touch) == []
-    found = [batch for _, batch in both.pusher(EVERY, 1)(motion)]
-    assert [each.finger for each in found] == [3, 5]
+    flow, touch, motion = Flow("both"), _touch(np.array([20]) * ms), _motion(np.array([18, 30]) * ms)
+    sources = flow.source(TestSource(Zeroed, fingers=(3, 5))), flow.source(TestSource(Motion))
+    aligned = sources[0] & sources[1] | PREVIOUS
+    for output in (aligned, aligned | Label()):
+        output.to(TestSink())
+    both = CompiledFlow(flow)
+    for entry in both.entries[:2]:
+        assert both.push({entry: replace(touch, finger=entry[1])}) == []
+    found = [batch for _, batch in both.push({both.entries[2]: motion})]
+    assert [each.finger for each in found if isinstance(each, Labelled)] == [3, 5]
     expected = PREVIOUS.reset_copy().push(touch, motion)
-    for each in found:
+    for each in found[::2]:  # the samples
         same(replace(each, finger=3), expected)
 
 
