@@ -78,10 +78,10 @@ models:  ## train the models in storage/trained and those that its pages compare
 	{ echo "train $(DATA) --seed 1 -o models/tcn.safetensors"; \
 	  for filters in 24 8 4; do \
 	    echo "train $(DATA) --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
-	  for network in paper_tcn frequency_cnn_interleaved; do \
+	  for network in paper_tcn frequency_cnn; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
 	} | xargs -P 2 -L 1 slipflow
-	for name in tcn paper_tcn frequency_cnn_interleaved; do \
+	for name in tcn paper_tcn frequency_cnn; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 

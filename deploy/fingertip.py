@@ -28,7 +28,7 @@ def fingertip(
     Args:
         bus: I2C bus; None: simulated rig.
         row: Row of the fingertip on the bus.
-        detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
+        detector: Name or weights file; tcn is for surfaces that the fingertip slides over and held objects.
         broker: Broker URL; None: print only. The run starts even if the broker is down.
         site: Site name used in topics.
         rig: Rig name used in topics.

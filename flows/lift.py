@@ -18,7 +18,7 @@ REAL_SETTLE: Final = 2 * s  # ns; real fingers close in 1.4 s
 
 
 def lift(
-    detector: str = "tcn_grasp",
+    detector: str = "tcn",
     thing: str = "ball",
     force: Force = 0.0,
     max_force: Force = 10.0,
@@ -32,7 +32,7 @@ def lift(
     Robotiq 3-finger gripper has a minimum force of 15 N. The hand must be open during the first second.
 
     Args:
-        detector: tcn_grasp for held objects, another name (tcn is for strokes) or a weights file.
+        detector: Name of a detector or weights file.
         thing: Simulated object.
         force: Initial force; 0: half the force that holds the simulated object, or the gripper's minimum.
         max_force: Upper limit of the force.

@@ -19,7 +19,7 @@ def live(
     """Detect slip on the simulated fingertip, and publish events if a broker is given.
 
     Args:
-        detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
+        detector: Name or weights file; tcn is for surfaces that the fingertip slides over and held objects.
         broker: Broker URL, such as mqtt://localhost; None: print only.
         site: Site name used in topics.
         rig: Rig name used in topics; empty: name of this host.

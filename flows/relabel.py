@@ -19,7 +19,7 @@ def relabel(
 
     Args:
         out: Folder of the new dataset.
-        detector: tcn for strokes over a surface, tcn_grasp for held objects, another name or a weights file.
+        detector: Name or weights file; tcn is for surfaces that the fingertip slides over and held objects.
         speed: Arm speed above which a sample is slip.
         delay: Lag of the arm's velocity relative to the touch.
         false_alarms: Rate of false alarms that the detector was calibrated for; None: as trained.

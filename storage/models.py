@@ -27,14 +27,9 @@ LIMIT: Final = 256 * files.MiB  # bytes of a file
 
 # not in the cards: a card is written by a training, and not specific to a task
 PURPOSES: Final = {
-    "tcn": "default for a fingertip that slides over a surface; label: arm speed",
-    "tcn_wide": "other fingertips and slower hands than the TakkTile's",
-    "tcn_sliding": "true sliding of the contact, known in simulation only",
+    "tcn": "default, for surfaces that a fingertip slides over and objects that fingers hold",
     "paper_tcn": "the paper's TCN, for comparison",
-    "frequency_cnn": "a network on spectra, for comparison",
-    "frequency_cnn_interleaved": "the paper's network on spectra, for comparison",
-    "tcn_grasp": "default for objects that fingers hold, lift or that are hit",
-    "paper_grasp": "the paper's TCN trained on grasps, for comparison",
+    "frequency_cnn": "the paper's network on spectra, for comparison",
     "psd": "power above a frequency, without training; the paper's baseline",
 }
 
@@ -147,12 +142,11 @@ def shipped_names() -> list[str]:
     >>> shipped_names()[0]
     'tcn'
     """
-    found = {path.stem for path in _SHIPPED.glob("*.safetensors")}
-    return [*filter(found.__contains__, TRAINED), *sorted(found - TRAINED.keys())]
+    return [name for name in TRAINED if shipped_path(name).exists()]
 
 
 def shipped_path(name: str) -> Path:
-    """Return the path at which a model of that name ships with the package, even if it only has a card."""
+    """Return the path at which a model of that name ships with the package."""
     return _SHIPPED / f"{name}.safetensors"
 
 

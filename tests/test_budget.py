@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_260,
+    "operators": 5_240,
     "connectors": 11_200,
-    "storage": 3_890,
+    "storage": 3_885,
     "flows": 12_560,
-    "product": 32_890,
+    "product": 32_870,
     "product files": 218,
     "tests": 34_870,
     "commands": 16,
     "options": 84,
-    "words": 38_490,
+    "words": 37_710,
 }
 
 

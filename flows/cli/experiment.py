@@ -20,9 +20,9 @@ def experiment(
         list[str] | None,
         typer.Option(
             metavar="DETECTOR[:RULE]",
-            help="Detector (tcn_grasp, threshold, psd, paper, another name or a model file) and grip force"
-            " rule (ours, steps or none); repeatable (default: these four, tcn_grasp with our rule, the"
-            " others with the paper's, steps).",
+            help="Detector (tcn, threshold, psd, paper_tcn, another name or a model file) and grip force"
+            " rule (ours, steps or none); repeatable (default: these four, tcn with our rule, the others"
+            " with the paper's, steps).",
         ),
     ] = None,
     objects: Annotated[

@@ -34,7 +34,7 @@ def train(
     ] = Path("model.safetensors"),
     method: Annotated[
         str,
-        typer.Option(help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn_interleaved."),
+        typer.Option(help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn."),
     ] = "tcn",
     parent: Annotated[
         str | None,
@@ -63,7 +63,7 @@ def train(
 
     Examples:
       slipflow train recordings -o mine.safetensors
-      slipflow train --from tcn_wide two-minutes -o mine.safetensors
+      slipflow train --from tcn two-minutes -o mine.safetensors
     """
     from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
     from flows.learn.training.trainer import FURTHER_STEPS

@@ -1,4 +1,4 @@
-"""Frequency CNN of the paper, and the variant that its authors trained; numpy inference."""
+"""Frequency CNN of the paper, as its authors ran it; numpy inference."""
 
 from typing import Final
 
@@ -8,7 +8,7 @@ from operators.batch import BAROMETERS, Counts, Reals
 from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
 
 BINS: Final = 51  # bins of a spectrum, 0 to 50 Hz
-PIXELS: Final = (5, 4, 3, 0, 1, 2)  # cell of each pixel of the image, row by row
+PIXELS: Final = (5, 4, 3, 0, 1, 2)  # spectrum of each pixel, row by row of the image
 
 _LENGTH: Final = 100  # samples
 _LARGEST: Final = 700.0  # exp overflows slightly above it
@@ -20,12 +20,16 @@ PARTS: Final = np.concatenate((_SPECTRUM.real, _SPECTRUM.imag), axis=1)  # (100,
 
 
 class FrequencyCnn(ForOneFingertip):
-    """Detect slip in the spectra of the barometers over 1 s, arranged as an image of the fingertip.
+    """Detect slip in the spectra of 1 s, arranged as an image of the fingertip.
 
-    The pixels of the (2, 3) image are the cells 5 4 3 above 0 1 2. The 51 channels are |DFT| of the
-    standardised counts, without window function. A 3x3 convolution to 50 channels with zero padding and a
-    2x2 convolution to 20 channels without padding leave (1, 2) pixels; dense layers of 40, 20 and 2 units
-    follow.
+    The pixels of the (2, 3) image are the rows 5 4 3 above 0 1 2 of the counts in the shape (6, 100). The
+    51 channels are |DFT| of a standardised row, without window function. A 3x3 convolution to 50 channels
+    with zero padding and a 2x2 convolution to 20 channels without padding leave (1, 2) pixels; dense layers
+    of 40, 20 and 2 units follow.
+
+    The authors' code reshapes a window (100, 6) to (6, 100) instead of transposing it. So a row is not the
+    signal of one barometer: its 100 values are 16 or 17 successive samples of all six barometers,
+    interleaved. The rows follow each other in time; row 5 is the newest.
 
     All layers but the last have batch norm and ReLU; the convolutions apply ReLU first. Batch norm after
     ReLU is folded into the next layer, batch norm before ReLU into its own. Before folding, the network has
@@ -62,7 +66,8 @@ class FrequencyCnn(ForOneFingertip):
         """Return the probability of slip of each window (n, 100, 6) of zeroed counts; (n,)."""
         count = len(windows)
         values = np.zeros((count, BAROMETERS + 1, BINS), np.float32)  # the last pixel is the padding
-        values[:, :BAROMETERS] = self._image((windows - self._mean) / self._std)[:, PIXELS]
+        rows = ((windows - self._mean) / self._std).reshape(-1, BAROMETERS, _LENGTH)
+        values[:, :BAROMETERS] = _magnitude(rows)[:, PIXELS]
         # one matrix product per window: the rounding of a joint one depends on the number of windows
         for taps, kernel, bias in self._convolutions:
             seen = values[:, taps].reshape(count, len(taps), len(kernel))
@@ -72,25 +77,6 @@ class FrequencyCnn(ForOneFingertip):
             values = np.maximum(values @ kernel + bias, 0)  # (n, 1, 40), (n, 1, 20)
         logit = (values @ self._out)[:, 0, 0].astype(np.float64) + self._out_bias  # (n,)
         return 1 / (1 + np.exp(np.minimum(-logit, _LARGEST)))
-
-    def _image(self, inputs: Reals) -> Reals:
-        """Return the spectra (n, 6, 51) of standardised counts (n, 100, 6), ordered by cell."""
-        return _magnitude(inputs.swapaxes(1, 2))
-
-
-class InterleavedFrequencyCnn(FrequencyCnn):
-    """Detect slip with the frequency CNN on the image that the authors' code computes.
-
-    Their code reshapes a window (100, 6) to (6, 100) instead of transposing it. So a pixel is not the
-    spectrum of one barometer: its 100 values are 16 or 17 successive samples of all six barometers,
-    interleaved. The six pixels follow each other in time, the newest at cell 5.
-    """
-
-    name = "frequency_cnn_interleaved"
-
-    def _image(self, inputs: Reals) -> Reals:
-        """Return the spectra (n, 6, 51) of standardised counts (n, 100, 6), interleaved."""
-        return _magnitude(inputs.reshape(-1, BAROMETERS, _LENGTH))
 
 
 def shapes() -> dict[str, tuple[int, ...]]:

@@ -103,12 +103,6 @@ class Tcn(ForOneFingertip):
         return np.concatenate(parts, axis=2)  # (n, steps, 2 cells)
 
 
-class GraspTcn(Tcn):
-    """Detect slip with the TCN, trained on grasps as well as on strokes."""
-
-    name = "tcn_grasp"
-
-
 def _layers(weights: Weights) -> list[CausalLayer]:
     def array(name: str) -> Floats:
         return weights[name].astype(np.float32)

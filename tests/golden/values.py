@@ -168,7 +168,7 @@ def stressed() -> Numbers:
 
 def tried(experiment: str) -> Numbers:
     """Return the outcome of each trial of an experiment."""
-    methods = [Method("tcn_grasp"), Method("psd", "steps")]
+    methods = [Method("tcn"), Method("psd", "steps")]
     results = run_study(experiment, methods, Trials(2, objects=("box",)))
     outcomes: Numbers = {}
     for row in results.iter_rows(named=True):

@@ -14,7 +14,6 @@ PAPER_ROWS: Final[Mapping[str, str]] = {  # row of Table I that a method is comp
     "psd": "PSD threshold",
     "psd_1s": "PSD threshold",
     "frequency_cnn": "frequency CNN",
-    "frequency_cnn_interleaved": "frequency CNN",
     "paper_tcn": "TCN",
     "tcn": "TCN",
 }

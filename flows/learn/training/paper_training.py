@@ -254,7 +254,7 @@ class PaperTcnNetwork(PaperNetwork):
 
 
 class FrequencyCnnNetwork(PaperNetwork):
-    """Frequency CNN as the authors ran it; `InterleavedFrequencyCnn` describes the computation."""
+    """Frequency CNN of the paper; `FrequencyCnn` describes the computation."""
 
     parts: Tensor  # (100, 102) of the DFT
 

@@ -6,7 +6,7 @@ from typing import Final
 
 from operators.checks import check_above, check_choice
 
-PAPER_NETWORKS: Final = {"frequency_cnn_interleaved": 6, "paper_tcn": 25}  # epochs in which each improves
+PAPER_NETWORKS: Final = {"frequency_cnn": 6, "paper_tcn": 25}  # epochs in which each improves
 
 
 @dataclass(frozen=True, slots=True)

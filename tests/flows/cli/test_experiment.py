@@ -47,7 +47,7 @@ def test_without_a_method_ours_and_its_rivals_run_each_with_its_rule(tmp_path: P
     done = slipflow("experiment", "lift", *ONE[2:], "--out", str(tmp_path))
     first = done.stdout.partition("\n\n")[2].partition("\n\n")[0]  # table
     methods = [line.split("|")[1].strip() for line in first.splitlines()[2:]]
-    ours = ["tcn_grasp, ours", "threshold, steps", "psd, steps", "paper, steps"]
+    ours = ["tcn, ours", "threshold, steps", "psd, steps", "paper_tcn, steps"]
     assert methods == [*ours, "paper, real objects"]
     assert "no figures, which need matplotlib" in done.stderr
     assert "nan" not in (tmp_path / "lift.md").read_text()

@@ -31,10 +31,9 @@ def test_two_streams_of_one_type_get_two_names() -> None:
 
 
 def test_a_detector_is_drawn_by_the_name_of_its_model(tmp_path: Path) -> None:
-    own = copy(shipped_path("tcn_wide"), tmp_path / "mine.safetensors")
-    assert [describe(Score(load_detector(name))) for name in ("tcn", "tcn_wide", own)] == [
+    own = copy(shipped_path("tcn"), tmp_path / "mine.safetensors")
+    assert [describe(Score(load_detector(name))) for name in ("tcn", own)] == [
         "Score(tcn)",
-        "Score(tcn_wide)",
         "Score(mine.safetensors)",
     ]
 

@@ -82,6 +82,6 @@ def test_without_control_a_weak_grip_loses_the_object() -> None:
 
 @pytest.mark.parametrize("rate", [10.0, 25.0])
 def test_the_gripper_has_closed_before_the_lift_at_every_rate(rate: float) -> None:
-    [(trace, _)] = lift(Trial.draw("ball", 1, Conditions(rate=rate)), [(load_detector("tcn_grasp"), Grip())])
+    [(trace, _)] = lift(Trial.draw("ball", 1, Conditions(rate=rate)), [(load_detector("tcn"), Grip())])
     assert trace.force[trace.between(BASELINE + 0.3, LIFT.start)].min() > 0
     assert np.diff(trace.t[trace.between(BASELINE, 6)]) == pytest.approx(1 / rate)

@@ -1,9 +1,8 @@
 import numpy as np
 
-from flows.lab.experiments.study import DEFAULT, METHODS, RIVALS, RULES, Method, StepThreshold
+from flows.lab.experiments.study import DEFAULT, METHODS, RULES, THRESHOLDS, Method, StepThreshold
 from operators import Grip, StepGrip
 from storage import load_debounce
-from storage.models import load_card, shipped_path
 
 
 def test_a_step_above_the_threshold_within_30_ms_is_slip() -> None:
@@ -12,14 +11,12 @@ def test_a_step_above_the_threshold_within_30_ms_is_slip() -> None:
     assert StepThreshold().score(window).round(2).tolist() == [0, 0.5, 0.53]
 
 
-def test_each_usual_method_has_a_threshold_tuned_on_validation_trials() -> None:
-    assert [method.detector for method in METHODS] == [DEFAULT, *RIVALS]
-    for method in METHODS:
-        card = load_card(shipped_path(f"{method.detector.removesuffix('_grasp')}_grasp"))
-        _, controller = method.load()
-        assert controller.threshold == card["debounce"]["threshold"]
-        assert controller.threshold == card["tuning"]["threshold"]
-        assert card["tuning"]["taps"] >= 50
+def test_the_rivals_have_thresholds_of_their_own_and_the_papers_rule() -> None:
+    assert [method.detector for method in METHODS] == [DEFAULT, *THRESHOLDS]
+    for method in METHODS[1:]:
+        detector, controller = method.load()
+        assert (detector.name, type(controller)) == (method.detector, StepGrip)
+        assert controller.threshold == THRESHOLDS[method.detector]
 
 
 def test_a_rule_takes_the_threshold_of_the_model_card() -> None:

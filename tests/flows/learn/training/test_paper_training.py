@@ -17,17 +17,17 @@ from flows.learn.training.trained_model import Arrays
 from flows.learn.training.training_loop import Trained
 from operators import ParameterError
 from operators.detectors import Detector, PaperTcn
-from operators.detectors.frequency_cnn import InterleavedFrequencyCnn
+from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
 
 DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
-    "frequency_cnn_interleaved": InterleavedFrequencyCnn,
+    "frequency_cnn": FrequencyCnn,
     "paper_tcn": PaperTcn,
 }
 CPU = torch.device("cpu")
 TWICE = PaperRecipe("paper_tcn", batch=64, epochs=2)
 
-both = pytest.mark.parametrize("name", ["frequency_cnn_interleaved", "paper_tcn"])
+both = pytest.mark.parametrize("name", ["frequency_cnn", "paper_tcn"])
 
 
 def _recording(seed: int, samples: int = 700) -> LabelledRecording:
@@ -84,7 +84,7 @@ def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: p
     def trained(epochs: int) -> Trained:
         scores = [(50.0, 60.0), (70.0, 80.0), (90.0, 80.0), (60.0, 70.0)][:epochs]
         monkeypatch.setattr(training_loop, "_evaluate", Mock(side_effect=scores))
-        result = train_windowed(SHORT, SHORT, PaperRecipe("frequency_cnn_interleaved", epochs))
+        result = train_windowed(SHORT, SHORT, PaperRecipe("frequency_cnn", epochs))
         assert [(epoch.accuracy, epoch.balanced) for epoch in result.curve] == scores
         return result
 
@@ -104,7 +104,7 @@ def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
 
 
 def test_an_unknown_network_is_refused() -> None:
-    with pytest.raises(ParameterError, match=r"network is 'lstm', must be one of frequency_cnn_"):
+    with pytest.raises(ParameterError, match=r"network is 'lstm', must be one of frequency_cnn, paper_tcn"):
         PaperRecipe("lstm", 1)
 
 
