@@ -83,6 +83,9 @@ def compile_program(
     signature, names = tuple(_argument_type(each) for each in arguments), dict[FunctionType, str]()
     key = _name(function, names), signature
     if key not in _programs:
+        # else code of other processes in the cache has the same symbols for other types, and is taken for it
+        kinds = f"{zlib.crc32(str(signature).encode()):x}"
+        names = {each: f"{name}_{kinds}" for each, name in names.items()}
         _programs[key] = compile_function([signature], nogil=False)(_linked(function, names, known))
     compiled = _programs[key]
     return cast("Callable[..., Any]", compiled.overloads[compiled.signatures[0]].entry_point)

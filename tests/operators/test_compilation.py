@@ -44,25 +44,38 @@ def test_a_function_is_compiled_where_no_cache_can_be_written(monkeypatch: pytes
     assert twice(21) == 42
 
 
+def _run(script: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(script.parent)}
+    command = [sys.executable, str(script), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True, env=env)
+
+
 def test_a_process_announces_that_it_compiles_and_the_next_one_loads_the_result(tmp_path: Path) -> None:
-    (tmp_path / "twice.py").write_text(
+    script = tmp_path / "twice.py"
+    script.write_text(
         "import logging\nfrom operators.compilation import compile_function\n"
         "@compile_function()\ndef twice(value): return 2 * value\n"
         "logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
         "twice(21), twice(2.1)\n"
     )
-    found = [
-        subprocess.run(
-            [sys.executable, tmp_path / "twice.py"],
-            check=True,
-            capture_output=True,
-            text=True,
-            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
-        ).stderr
-        for _ in range(2)
-    ]
+    found = [_run(script).stderr for _ in range(2)]
     assert found[0].count("compiling for this machine") == 1
     assert found[1] == ""
+
+
+def test_code_that_other_processes_compiled_for_other_types_is_not_mixed_up(tmp_path: Path) -> None:
+    script = tmp_path / "floors.py"
+    script.write_text(
+        "import math, sys\nimport numpy as np\nfrom operators.compilation import compile_program\n"
+        "def add(row):\n    total = 0.0\n    for x in row.x:\n"
+        + "".join(f"        total += math.floor(x + {number})\n" for number in range(60))  # not inlined
+        + "    return total\ndef run(rows): return add(rows[0]) + add(rows[1])\n"
+        "for size in map(int, sys.argv[1:]):\n"
+        "    print(compile_program(run, [np.zeros(2, [('x', float, (size,))])], {})"
+        "(np.zeros(2, [('x', float, (size,))])))\n"
+    )
+    assert _run(script, "3").stdout.split() == ["10620.0"]
+    assert _run(script, "5", "3").stdout.split() == ["17700.0", "10620.0"]
 
 
 def test_progress_is_logged_once_at_the_start_and_with_every_tenth_function(
