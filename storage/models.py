@@ -30,7 +30,6 @@ PURPOSES: Final = {
     "tcn": "default, for surfaces that a fingertip slides over and objects that fingers hold",
     "paper_tcn": "the paper's TCN, for comparison",
     "frequency_cnn": "the paper's network on spectra, for comparison",
-    "psd": "power above a frequency, without training; the paper's baseline",
 }
 
 

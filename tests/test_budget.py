@@ -14,7 +14,7 @@ PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_240,
     "connectors": 11_200,
-    "storage": 3_885,
+    "storage": 3_884,
     "flows": 12_560,
     "product": 32_870,
     "product files": 218,

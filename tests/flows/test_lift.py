@@ -60,9 +60,7 @@ def test_hardware_needs_both_bus_and_gripper() -> None:
 
 
 @pytest.mark.parametrize("ruled", [True, False])
-def test_the_rule_holds_an_object_that_is_lost_without_it(
-    monkeypatch: pytest.MonkeyPatch, *, ruled: bool
-) -> None:
+def test_the_rule_holds_what_is_lost_without_it(monkeypatch: pytest.MonkeyPatch, *, ruled: bool) -> None:
     ball = OBJECTS["ball"]
     hand, commands, flow = Hand(ball, seed=3), TestSink(), Flow("lift")
     rule = Grip(force=least_force(ball) / 2, gain=20.0 if ruled else 0.0, settle=SIMULATED_SETTLE)

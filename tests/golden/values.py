@@ -80,7 +80,7 @@ def evaluated_method(results: pl.DataFrame) -> Numbers:
         "f1": one["F1 %"],
         "auc": one["AUC %"],
         "ece": one["calibration error %"],
-        "table_3": {old_name(kind): values(part, SHARES)["F1 %"] for kind, part in motions.items()},
+        "table_3": {kind: values(part, SHARES)["F1 %"] for kind, part in motions.items()},
         "events": {
             "false_alarms": counts["false alarms"],
             "false_alarms_per_min": one["false/min"],
@@ -94,22 +94,11 @@ def evaluated_method(results: pl.DataFrame) -> Numbers:
     }
 
 
-def old_name(kind: str) -> str:
-    """Return the name of a kind of motion in golden.json, such as "plane primary 0.05"."""
-    surface, motion, *speed = kind.split(", ")
-    return f"{surface} {motion} {float(speed[0].removesuffix(' cm/s')) / 100 if speed else None}"
-
-
 def against_targets(results: pl.DataFrame) -> Numbers:
     one = values(results, {**SHARES, **BALANCED, **EVENTS, **AGAINST_SLIDING})
-    names = {
-        "balanced": "balanced %",
-        "false_alarms_per_min": "false/min",
-        "missed": "missed %",
-        "delay": "delay ms",
-    }
+    names = "balanced %", "false/min", "missed %", "delay ms"
     found = {
-        target: {**{old: one[prefix + new] for old, new in names.items()}, "lead": one["lead ms"]}
+        target: {**{name: one[prefix + name] for name in names}, "lead ms": one["lead ms"]}
         for target, prefix in (("arm-speed", ""), ("sliding", SLIDING))
     }
     found["arm-speed"]["accuracy"] = one["accuracy %"]

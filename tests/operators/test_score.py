@@ -107,8 +107,9 @@ class _Uncompiled(_Windowed):
 @pytest.mark.parametrize("kind", [_Windowed, _Uncompiled])
 def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Windowed]) -> None:
     rng, tcn = np.random.default_rng(0), load_detector("tcn")
-    counts, valid = rng.integers(-500, 50, (300, 6)).astype(np.int16), rng.random((300, 6)) > 0.3
-    touch = Zeroed(np.arange(300), counts, counts, valid, finger=6)
+    shape = tcn.length + 200, 6
+    counts, valid = rng.integers(-500, 50, shape).astype(np.int16), rng.random(shape) > 0.3
+    touch = Zeroed(np.arange(len(counts)), counts, counts, valid, finger=6)
     found, expected = (Score(each, hop).push(touch) for each in (tcn, kind(tcn, length=tcn.length)))
     np.testing.assert_allclose(found.probability, expected.probability, atol=1e-5)
     np.testing.assert_array_equal(found.time, expected.time)

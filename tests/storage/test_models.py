@@ -14,7 +14,7 @@ from safetensors.numpy import save
 from operators import Debounce
 from operators.errors import InputError, ParameterError
 from storage import load_debounce, load_detector, load_weights, save_weights
-from storage.models import load_card, save_card, shipped, shipped_names
+from storage.models import PURPOSES, load_card, save_card, shipped, shipped_names
 
 weights = st.dictionaries(
     st.text(st.characters(codec="utf-8", exclude_characters="\0/"), min_size=1).filter(
@@ -90,6 +90,7 @@ def test_shipped_models_are_small_and_match_their_cards(name: str) -> None:
     assert card["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     assert name == card["detector"] == load_detector(name).name
     assert path.stat().st_size < 200_000
+    assert name in PURPOSES
     assert {"data", "seed", "scores", "recipe", "software"} < card.keys()
     assert isinstance(load_debounce(name), Debounce)
 

@@ -11,8 +11,7 @@ import pytest
 from flows.cli.terminal import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn.training import training_loop
-from operators.detectors import DETECTORS
-from storage.models import PURPOSES, shipped, shipped_names
+from storage.models import shipped
 from tests.command import slipflow
 
 
@@ -91,7 +90,3 @@ def test_a_command_needs_only_the_packages_that_it_uses(
     assert error in done.stderr
     left_out = error.startswith("not evaluated")
     assert (done.returncode == 0) == (not error or left_out), done.stderr
-
-
-def test_each_shipped_detector_has_a_purpose() -> None:
-    assert set(PURPOSES) == {*DETECTORS, *shipped_names()}

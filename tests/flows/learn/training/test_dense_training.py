@@ -38,9 +38,9 @@ def test_recordings_of_one_class_are_refused(recordings: list[LabelledRecording]
     flat = [replace(recording, label=np.full_like(recording.label, label)) for recording in recordings[:4]]
     with pytest.raises(ParameterError, match="with slip and static among them"):
         train_dense(flat, recordings[4:], SMALL)
-    short = [recordings[4].piece(slice(0, 99))]
+    short = [recordings[4].piece(slice(0, SMALL.receptive_field - 1))]
     for validation in ([], short):
-        with pytest.raises(ParameterError, match="labels after their first 99 samples"):
+        with pytest.raises(ParameterError, match=f"labels after their first {len(short[0])} samples"):
             train_dense(recordings[:4], validation, SMALL)
 
 
@@ -56,7 +56,7 @@ def test_samples_without_a_label_and_recordings_that_are_too_short_do_not_count(
 
 def test_the_detector_made_of_the_weights_is_the_network(recordings: list[LabelledRecording]) -> None:
     cast("Any", torch).manual_seed(0)
-    network = DenseTcn(Recipe(filters=5))
+    network = DenseTcn(recipe := Recipe(filters=5))
     counts = torch.as_tensor(recordings[0].counts).to(torch.float32).T[None]
     for _ in range(3):  # so that the norms have seen something
         network(counts)
@@ -64,5 +64,6 @@ def test_the_detector_made_of_the_weights_is_the_network(recordings: list[Labell
     with torch.no_grad():
         dense = torch.sigmoid(network(counts))[0].numpy()
     tcn = Tcn(network.arrays())
-    assert tcn.length == 100
-    np.testing.assert_allclose(recordings[0].probabilities(tcn)[99:], dense[99:], atol=1e-5)
+    assert tcn.length == recipe.receptive_field
+    streamed = recordings[0].probabilities(tcn)
+    np.testing.assert_allclose(streamed[tcn.length - 1 :], dense[tcn.length - 1 :], atol=1e-5)
