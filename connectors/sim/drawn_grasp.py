@@ -1,9 +1,10 @@
 """Simulated grasps to train on, with random objects, fingertips and grippers.
 
 A detector trained only on strokes has learnt the motion of the arm, not of the object: it reports slip when
-the load increases, at harmless blows, and when the gripper closes further. Here three of five grasps are
-firm: the object is gripped, lifted, pressed and tapped, and slides only at hard blows. The others are too
-weak for the object. No grasp has one of the six objects of the experiments, or their fingertip.
+the load increases, at harmless blows, and when the gripper closes further. Two of three grasps here are firm:
+the object is gripped, lifted and hit, or held by a restless gripper. The others are too weak for the object,
+and the gripper reacts. The course is that of the robot experiments, but no grasp has one of their six objects
+or their fingertip.
 """
 
 import math
@@ -13,7 +14,7 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
+from connectors.sim.grasp import Grasp, GraspState, Tap, blow_momentum, grip_model, least_force, surface
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
 from connectors.sim.scene import Curvature, Parameters, Travel, Vibration
@@ -21,10 +22,11 @@ from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Touch, Truth, concat
 
 RATE: Final = 100.0  # Hz
-SECONDS: Final = 5.0  # of a grasp; it ends earlier if the object is dropped
+SECONDS: Final = 6.5  # of a grasp; it ends earlier if the object is dropped
 CLOSING: Final = 1.0  # s, when the hand closes, after the baseline
-FIRM: Final = 0.6  # share of firm grasps
-BLOW: Final = 0.09  # m/s, of an object gripped with the least force by a blow that barely moves it
+SHARES: Final = {"hit": 0.5, "weak": 0.35, "restless": 0.15}  # kinds of grasps
+SOFT: Final = 0.35  # share of blows that are to move nothing
+STRONGEST: Final = 10.0  # N, of the gripper
 _CURVATURES: Final[tuple[Curvature, ...]] = ("plane", "sphere", "cylinder_y", "cylinder_x")
 _SHARES: Final = (0.4, 0.2, 0.2, 0.2)  # more planes: half of their loaded cells read 0
 # constants of the fingertip that differ between grasps, but not between strokes: spread of their logarithm
@@ -45,10 +47,8 @@ def simulate_grasp(seed: int, number: int) -> tuple[Touch, Truth]:
         Raw counts and the true sliding and force, with a row for each sample, from time 0 on.
     """
     random = np.random.default_rng([seed, 11, number])
-    held, parameters, passive = draw_object(random), draw_fingertip(random), float(random.uniform(0.3, 1.0))
-    least = least_force(held, parameters, passive=passive)
-    gripper = _RandomGripper.draw(random, least, firm=random.random() < FIRM)
-    grasp = _draw_grasp(random, held, parameters, gripper, passive)
+    kind = random.choice(list(SHARES), p=list(SHARES.values()))
+    grasp, gripper = _draw_grasp(random, kind)
     touches: list[Touch] = []
     states: list[GraspState] = []
     for k in range(round(SECONDS * RATE)):
@@ -57,46 +57,43 @@ def simulate_grasp(seed: int, number: int) -> tuple[Touch, Truth]:
             break
         touches.append(touch)
         states.append(state)
-        gripper.update(grasp, k / RATE, state.speed)
+        if kind != "hit":
+            gripper.update(grasp, k / RATE, state.speed)
     touch = concat(Touch, touches)
     speed, force = (np.array([getattr(state, name) for state in states]) for name in ("speed", "force"))
     return touch, Truth(touch.time, speed, force, np.zeros((len(touch), 3)), finger=touch.finger)
 
 
-def _draw_grasp(
-    random: np.random.Generator,
-    held: Object,
-    parameters: Parameters,
-    gripper: "_RandomGripper",
-    passive: float,
-) -> Grasp:
-    """Draw lift, grip position, blows and vibration."""
-    start = float(random.uniform(1.4, 2.4))
-    lift = Travel(
-        start,
-        float(random.uniform(0.03, 0.08)),
-        _log_uniform(random, 0.02, 0.12),
-        _log_uniform(random, 0.2, 2.0),
+def _draw_grasp(random: np.random.Generator, kind: str) -> tuple[Grasp, "_RandomGripper"]:
+    """Draw an object, a gripper, and the lift, grip position, blows and vibration."""
+    while True:
+        held, parameters = draw_object(random), draw_fingertip(random)
+        passive = parameters.static_friction * float(random.uniform(0.7, 1.1))
+        least = least_force(held, parameters, passive=passive)
+        if 3 * least < STRONGEST:
+            break
+    gripper = _RandomGripper.draw(random, least, kind)
+    start = float(random.uniform(1.9, 2.6))
+    distance, speed = float(random.uniform(0.03, 0.07)), _log_uniform(random, 0.025, 0.1)
+    lift = Travel(start, distance, speed, _log_uniform(random, 0.02, 1.2))
+    position = tuple(
+        (random.uniform(-1.2, 1.2, 2) * np.minimum((0.004, 0.006), (held.width / 4, held.reach / 2))).tolist()
     )
-    x = float(random.uniform(-0.3, 0.3) * held.width / 2)
-    y = float(random.uniform(-0.3, 0.3) * held.reach)
-    momentum = held.mass * BLOW * math.sqrt(gripper.force / gripper.least)
-    taps = list(_draw_taps(random, momentum, lift.start + float(random.uniform(0.4, 1.6))))
-    vibration = Vibration(
-        _log_uniform(random, 2e-6, 1e-4), float(random.uniform(4, 16)), float(random.uniform(0, 360))
-    )
+    blows = kind != "weak"
     grasp = Grasp(
         held,
         parameters,
         int(random.integers(2**31)),
-        taps=taps,
-        lift=lift if random.random() < 0.9 else None,
+        taps=list(_draw_taps(random, held, parameters, position, gripper, lift.end)) if blows else (),
+        lift=lift,
         passive=passive,
-        grip=(x, y),
-        vibration=vibration,
+        grip=position,
+        vibration=Vibration(
+            _log_uniform(random, 5e-6, 5e-5), float(random.uniform(5, 14)), float(random.uniform(0, 360))
+        ),
     )
     grasp.press(gripper.force, CLOSING, gripper.rate)
-    return grasp
+    return grasp, gripper
 
 
 def draw_object(random: np.random.Generator) -> Object:
@@ -129,17 +126,29 @@ def draw_fingertip(random: np.random.Generator) -> Parameters:
     return replace(fingertip, **changed, noise=_log_uniform(random, 0.3, 1.5))
 
 
-def _draw_taps(random: np.random.Generator, momentum: float, start: float) -> Iterator[Tap]:
-    """Draw blows around a momentum (N s), from harmless ones to some that move the object by centimetres."""
-    instant = start
-    while random.random() < 0.9 and instant < SECONDS - 0.3:
-        drawn = momentum * _log_uniform(random, 0.15, 4.0)
-        if random.random() < 0.5:
-            yield Tap(instant, drawn, "top", _log_uniform(random, 0.004, 0.02))
+def _draw_taps(
+    random: np.random.Generator,
+    held: Object,
+    parameters: Parameters,
+    position: tuple[float, float],
+    gripper: "_RandomGripper",
+    lifted: float,
+) -> Iterator[Tap]:
+    """Draw blows after the lift, from harmless ones to some that move the object by millimetres."""
+    grip, firm = grip_model(held, surface(held, parameters), position), gripper.force / gripper.least
+    instant = lifted + float(random.uniform(0.3, 1.0))
+    while instant < SECONDS - 0.5:
+        top = random.random() < 0.5
+        excess = firm - 1 if top else math.sqrt(firm**2 - 1)
+        momentum = blow_momentum(grip, firm, excess, _log_uniform(random, 0.0003, 0.006))
+        if random.random() < SOFT:
+            momentum *= _log_uniform(random, 0.05, 0.6)
+        seconds = 0.01 if random.random() < 0.6 else _log_uniform(random, 0.005, 0.02)
+        if top:
+            yield Tap(instant, momentum, "top", seconds)
         else:
-            heading = float(random.choice([-1, 1]))
-            yield Tap(instant, drawn * heading, "side", _log_uniform(random, 0.004, 0.02))
-        instant += float(random.uniform(0.25, 1.2))
+            yield Tap(instant, momentum * float(random.choice([-1, 1])), "side", seconds)
+        instant += float(random.uniform(0.45, 1.1))
 
 
 @dataclass
@@ -161,19 +170,20 @@ class _RandomGripper:
     _next_change: float = 1.4  # s, at random
 
     @classmethod
-    def draw(cls, random: np.random.Generator, least: float, *, firm: bool) -> Self:
-        """Draw a gripper for an object that `least` (N) holds; a firm one always holds it."""
+    def draw(cls, random: np.random.Generator, least: float, kind: str) -> Self:
+        """Draw a gripper for an object that `least` (N) holds; only a weak one may let it slip."""
         low = _log_uniform(random, 0.01, 0.2)
+        firm = kind != "weak"
         return cls(
             random,
             least,
-            force=least * (_log_uniform(random, 1.2, 4.0) if firm else _log_uniform(random, 0.3, 1.2)),
-            rate=_log_uniform(random, 2.0, 60.0),
+            force=least * (_log_uniform(random, 1.8, 4.0) if firm else float(random.uniform(0.3, 1.05))),
+            rate=10.0 if random.random() < 0.6 else _log_uniform(random, 4.0, 40.0),
             lag=_log_uniform(random, 0.01, 0.2),
             tail=_log_uniform(random, 0.01, 0.3),
             steps=(low, low * _log_uniform(random, 1.0, 3.0)),
-            restless=_log_uniform(random, 0.1, 4.0),
-            floor=1.15 * least if firm else 0.0,
+            restless=_log_uniform(random, 0.1, 4.0) * (1 if firm else 0.15),
+            floor=1.5 * least if firm else 0.0,
         )
 
     def update(self, grasp: Grasp, instant: float, speed: float) -> None:

@@ -91,6 +91,7 @@ class Finger:
         self._model, self._pad = contact_model(scene), pad(scene)
         self._state = contact.FingerState.rest(p.columns * p.rows)
         self._ticks = 0  # simulated physics steps
+        self._path = 0.0  # m, of the arm at the pad until then
         self._sensed = 0.0  # s, instant of the latest sample of `sense`
         self.cells = Barometers(p, scene.faults, seed, finger)
         self._sampler = Sampler(scene.touch, randoms(seed, finger)[1])
@@ -150,9 +151,19 @@ class Finger:
         if x or y:
             drive[:, 0] -= drive[:, 2] * y
             drive[:, 1] += drive[:, 2] * x
+        if self._p.unevenness:
+            drive[:, 3] *= self._uneven(drive)
         if self._scene.vibration is not None:
             drive[:, :2] += vibration_velocity(self._scene.vibration, t[: len(drive)])
         return drive
+
+
+    def _uneven(self, drive: Reals) -> Reals:
+        """Return the factor of the normal force at the next steps (steps,): a stiff arm follows no bumps."""
+        path = self._path + np.cumsum(np.hypot(drive[:, 0], drive[:, 1])) * self._p.step
+        self._path = float(path[-1]) if len(path) else self._path
+        first, second = (np.sin(2 * math.pi * path / length) for length in self._p.uneven_lengths)
+        return np.asarray(1 + self._p.unevenness / 2 * (first - second))
 
 
 def simulate_scene(scene: Scene, seed: int) -> tuple[Touch, Motion, Truth]:

@@ -25,6 +25,7 @@ RATE: Final = 10.0  # N/s, of a gripper; assumed
 FINGER_OFFSET: Final = 0.015  # m, from the middle of the hand to each passive finger; assumed
 TABLE_STIFFNESS: Final = 1e4  # N/m per corner; assumed: 0.25 mm under a box of 0.5 kg
 TABLE_DAMPING: Final = 0.3  # damping ratio; assumed
+KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative to static friction; assumed
 TEXTURE_LIMIT: Final = 0.95  # below 1, so that friction never vanishes
 
 
@@ -95,6 +96,22 @@ def grip_model(
         table_spring=TABLE_STIFFNESS,
         table_damper=TABLE_DAMPING * math.sqrt(2 * TABLE_STIFFNESS * held.mass),
     )
+
+
+def blow_momentum(grip: GripModel, firm: float, excess: float, slide: float) -> float:
+    """Return the momentum (N s) that deflects fingers and rubber until they slip, and then slides the object.
+
+    The passive fingers carry a quarter of the friction each and slip at half the pad's deflection.
+
+    Args:
+        grip: The grip.
+        firm: Force of the grip, relative to the least that holds.
+        excess: Friction left to resist the blow, relative to the weight.
+        slide: Length of the slide (m).
+    """
+    weight = grip.mass * GRAVITY  # N
+    deflected = 5 / 16 * (weight * excess) ** 2 / grip.spring  # J, in springs and by sliding passive fingers
+    return math.sqrt(2 * grip.mass * (weight * max(KINETIC * firm - 1, 0.0) * slide + deflected))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,12 +10,13 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TypeAlias, cast
+from typing import Final, TypeAlias, cast
 
 import numpy as np
 
 from connectors.sim.scene import Curvature, Move, Parameters, Scene, Timing, Vibration
 
+SHORTEST: Final = 0.1  # s, of a stroke and of a standstill
 Variation: TypeAlias = Callable[[Scene, np.random.Generator], Scene]
 
 
@@ -27,7 +28,10 @@ class PaperStrokes:
     force: float = 2.0  # N, normal force
     regrip: float = 0.3  # standard deviation of the logarithm of a changed force
     tap: float = 3.0  # N, largest peak of a tap
-    pause: float = 0.576  # s, mean standstill before a stroke
+    stroke: float = 0.66  # s, mean duration of a stroke
+    stroke_spread: float = 0.05  # standard deviation of its logarithm
+    pause: float = 0.68  # s, mean standstill before a stroke
+    pause_spread: float = 0.65  # standard deviation of its logarithm
     rounds: int = 2  # of eight strokes each
     disturbed: bool = False  # True: force changes, taps and lifts between strokes
 
@@ -37,8 +41,8 @@ class PaperStrokes:
         yield Move("hold", float(random.uniform(0.6, 1.0)), force=self.force)
         for _ in range(self.rounds):
             for direction in random.permutation(8):
-                pause = self.pause * float(random.uniform(0.75, 1.25))
-                length = float(random.uniform(0.5, 0.7))
+                pause = max(SHORTEST, self.pause * _around(random, self.pause_spread))
+                length = max(SHORTEST, self.stroke * _around(random, self.stroke_spread))
                 if self.speed is None:
                     yield Move("rotation", pause + length, pause, speed=1.0 if direction % 2 else -1.0)
                 else:
@@ -76,13 +80,16 @@ class PaperPlan:
     repeats: int = 9  # recordings per surface and speed; paper: 45 minutes in total
     rotations: int = 5  # recordings per surface; paper, Table III: about a tenth
     rounds: int = 2  # of eight strokes per recording
-    force: float = 3.14  # N, normal force; fit
-    vibration: float = 1.382e-4  # m, mean amplitude of the arm's vibration; fit
-    pause: float = 0.576  # s, mean standstill before a stroke; paper: 54 % of 45 minutes are static
-    tilt: tuple[float, float] = (-0.1024, -0.1337)  # rad, slope of the pad on the plane along x and y; fit
-    pivot: float = 0.03467  # m, from the pad's centre to the axis of rotations; fit
-    latency: float = 0.08653  # s, delay of the arm's velocity after the barometers; fit
-    acceleration: float = 0.6478  # m/s2 at the ends of a stroke; fit
+    force: float = 2.437  # N, normal force; fit
+    vibration: float = 1.393e-4  # m, mean amplitude of the arm's vibration; fit
+    stroke: float = 0.66  # s, duration of a stroke; fit
+    pause: float = 0.68  # s, mean standstill before a stroke; paper: 54 % of 45 minutes are static
+    pause_spread: float = 0.65  # standard deviation of its logarithm; fit to the paper's PSD on 1 s
+    tilt: tuple[float, float] = (-0.1558, -0.1104)  # rad, slope of the pad on the plane along x and y; fit
+    pivot: float = 0.03879  # m, from the pad's centre to the axis of rotations; fit
+    latency: float = 0.08857  # s, mean delay of the arm's velocity after the barometers; fit
+    wander: float = 0.056  # s, standard deviation of that delay; fit to the paper's TCN
+    acceleration: float = 0.4735  # m/s2 at the ends of a stroke; fit
     parameters: Parameters = field(default_factory=Parameters)
     vary: Variation | None = None  # applied to the scene of each recording
 
@@ -96,7 +103,14 @@ class PaperPlan:
         pivot_angle, heading = random.uniform(0.0, 360.0, 2)
         amplitude = self.vibration * random.uniform(0.3, 1.7)
         scene = Scene(
-            PaperStrokes(speed, self.force, pause=self.pause, rounds=self.rounds),
+            PaperStrokes(
+                speed,
+                self.force,
+                stroke=self.stroke,
+                pause=self.pause,
+                pause_spread=self.pause_spread,
+                rounds=self.rounds,
+            ),
             surface,
             offset=(
                 self.pivot * math.cos(math.radians(pivot_angle)),
@@ -105,13 +119,15 @@ class PaperPlan:
             tilt=self.tilt if surface == "plane" else (0.0, 0.0),
             acceleration=self.acceleration,
             vibration=Vibration(float(amplitude), float(random.choice([6.5, 12.0])), float(heading)),
-            motion=Timing(125.0, latency=self.latency),
+            motion=Timing(125.0, latency=self.latency, wander=self.wander),
             parameters=self.parameters,
         )
         return self.vary(scene, random) if self.vary else scene
 
 
 SLOWEST, FASTEST = 0.005, 0.15  # m/s, varied speeds of strokes
+STROKES = (0.3, 3.0)  # s, varied mean duration of strokes
+PAUSES = (0.25, 2.0)  # s, varied mean standstill before a stroke
 TILT_SPREAD = 0.008  # rad, standard deviation of the pad's tilt about x and y
 APEX_SPREAD = 0.0018  # m, standard deviation of the apex of a curved surface
 
@@ -124,10 +140,16 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     al., 2017).
     """
     plan = cast("PaperStrokes", scene.plan)
-    pause = plan.pause * float(random.uniform(0.4, 1.0))
-    plan = replace(plan, force=plan.force * _factor(random, 0.6), pause=pause, disturbed=True)
+    plan = replace(
+        plan,
+        force=plan.force * _factor(random, 0.6),
+        stroke=_log_uniform(random, *STROKES),
+        stroke_spread=0.4,
+        pause=_log_uniform(random, *PAUSES),
+        disturbed=True,
+    )
     if plan.speed is not None and random.random() < 0.4:
-        plan = replace(plan, speed=float(np.exp(random.uniform(math.log(SLOWEST), math.log(FASTEST)))))
+        plan = replace(plan, speed=_log_uniform(random, SLOWEST, FASTEST))
     tilt, apex = TILT_SPREAD * random.standard_normal(2), APEX_SPREAD * random.standard_normal(2)
     vibration = cast("Vibration", scene.vibration)
     return replace(
@@ -144,9 +166,50 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     )
 
 
+def calm(scene: Scene, random: np.random.Generator) -> Scene:
+    """Return a scene of the plan with a quiet hand, a smooth uneven surface and another kind of fingertip.
+
+    Slip then shows in slow changes of load only, as on real strokes of hands with other fingertips.
+    """
+    scene = varied(scene, random)
+    p, plan = scene.parameters, cast("PaperStrokes", scene.plan)
+    length = _log_uniform(random, 0.5, 4.0)
+    return replace(
+        scene,
+        plan=replace(
+            plan,
+            speed=plan.speed and _log_uniform(random, 0.01, 0.12),
+            stroke=_log_uniform(random, *STROKES),
+            pause=_log_uniform(random, 0.5, 5.0),
+            disturbed=False,
+        ),
+        vibration=replace(cast("Vibration", scene.vibration), amplitude=_log_uniform(random, 1e-7, 1e-5)),
+        parameters=replace(
+            p,
+            static_friction=p.kinetic_friction * float(random.uniform(1.0, 1.1)),
+            texture=p.texture * float(random.uniform(0.0, 0.3)),
+            unevenness=float(random.uniform(0.3, 0.95)),
+            uneven_lengths=(p.uneven_lengths[0] * length, p.uneven_lengths[1] * length),
+            damping=_log_uniform(random, 0.05, 0.5),
+            sensitivity=p.sensitivity * _log_uniform(random, 0.2, 2.0),
+            noise=_log_uniform(random, 0.4, 1.5),
+            relaxation=_log_uniform(random, p.relaxation, 0.25),
+        ),
+    )
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return low * (high / low) ** float(random.uniform())
+
+
 def _factor(random: np.random.Generator, spread: float) -> float:
-    """Draw from a log-normal distribution around 1."""
+    """Draw from a log-normal distribution with the median 1."""
     return math.exp(spread * random.standard_normal())
+
+
+def _around(random: np.random.Generator, spread: float) -> float:
+    """Draw from a log-normal distribution with the mean 1."""
+    return _factor(random, spread) / math.exp(spread * spread / 2)
 
 
 def _material(p: Parameters, random: np.random.Generator) -> Parameters:
@@ -169,4 +232,5 @@ def _material(p: Parameters, random: np.random.Generator) -> Parameters:
         tilt_stiffness=p.tilt_stiffness * _factor(random, 0.3),
         sensitivity=p.sensitivity * _factor(random, 0.2),
         shear_gain=p.shear_gain * _factor(random, 0.3),
+        unevenness=float(random.uniform(0.0, 0.6)),
     )

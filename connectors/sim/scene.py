@@ -5,7 +5,7 @@ Terms that are zero or absent are not computed.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from math import sqrt
+from math import exp, sqrt
 from typing import Final, Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -85,11 +85,12 @@ class Strokes:
 class Timing:
     """Sampling and timestamps of a stream.
 
-    A sample taken at t (s) has the timestamp ``t + latency + jitter + offset + drift * t``.
+    A sample taken at t (s) has the timestamp ``t + latency + wander + jitter + offset + drift * t``.
     """
 
     rate: float  # Hz
-    latency: float = 0.0  # s, from the sample to its timestamp
+    latency: float = 0.0  # s, mean time from the sample to its timestamp
+    wander: float = 0.0  # s, standard deviation of the latency, which changes within seconds
     jitter: float = 0.0  # s, standard deviation of the timestamps; their order is kept
     offset: float = 0.0  # s, clock offset
     drift: float = 0.0  # s/s, clock rate error
@@ -135,32 +136,34 @@ class Parameters:
     height: float = 0.016  # m, along y; geometry
     columns: int = 8  # nodes along x; convergence
     rows: int = 6  # nodes along y; convergence
-    normal_stiffness: float = 1.074e8  # Pa/m; fit
-    shear_stiffness: float = 3.177e7  # Pa/m; fit
+    normal_stiffness: float = 9.023e7  # Pa/m; fit
+    shear_stiffness: float = 2.315e7  # Pa/m; fit
 
     # touched material
-    static_friction: float = 1.443  # fit
-    kinetic_friction: float = 0.6559  # fit
-    stribeck_speed: float = 0.1918  # m/s; fit
-    texture: float = 0.4903  # depth of the friction's modulation along the path; fit
-    texture_lengths: tuple[float, float] = (0.006675, 0.00392)  # m; fit
+    static_friction: float = 1.285  # fit
+    kinetic_friction: float = 0.5843  # fit
+    stribeck_speed: float = 0.3098  # m/s; fit
+    texture: float = 0.5138  # depth of the friction's modulation along the path; fit
+    texture_lengths: tuple[float, float] = (0.007243, 0.004291)  # m; fit
+    unevenness: float = 0.3  # depth of the normal force's modulation along the arm's path; spectrum at 2 Hz
+    uneven_lengths: tuple[float, float] = (0.04, 0.023)  # m; assumed
 
     # finger that carries the pad
-    mass: float = 0.1357  # kg; fit
-    stiffness: float = 2143.0  # N/m in the pad's plane; fit: resonance at 20 Hz in the air
-    damping: float = 0.04358  # damping ratio; fit
+    mass: float = 0.1031  # kg; fit
+    stiffness: float = 1629.0  # N/m in the pad's plane; fit: resonance at 20 Hz in the air
+    damping: float = 0.03047  # damping ratio; fit
     inertia: float = 6e-5  # kg m2 about the pad's normal; assumed, without effect on the scores
     twist_stiffness: float = 0.55  # N m/rad about the pad's normal; assumed: resonance at 15 Hz
-    tilt_stiffness: float = 1.083  # N m/rad about x and about y; fit
-    lever: float = 0.04397  # m, from the pad's face to the tilt axes; fit
+    tilt_stiffness: float = 0.8029  # N m/rad about x and about y; fit
+    lever: float = 0.05025  # m, from the pad's face to the tilt axes; fit
 
     # barometers under the rubber
-    pitch_x: float = 0.008643  # m between cells; fit
-    pitch_y: float = 0.00798  # m between rows; fit
-    depth: float = 0.00564  # m of rubber over the cells; fit
-    shear_gain: float = 2.645  # factor of the half-space's response to shear; fit
-    sensitivity: float = 0.01128  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
-    relaxation: float = 0.06517  # fraction of the response that is lost per decade of time; fit
+    pitch_x: float = 0.008403  # m between cells; fit
+    pitch_y: float = 0.006956  # m between rows; fit
+    depth: float = 0.00642  # m of rubber over the cells; fit
+    shear_gain: float = 3.561  # factor of the half-space's response to shear; fit
+    sensitivity: float = 0.01364  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
+    relaxation: float = 0.0619  # fraction of the response that is lost per decade of time; fit
     noise: float = 0.6  # counts, standard deviation; paper: 0.43 to 0.7 of unloaded cells
     rest_lowest: int = 420  # counts of an unloaded cell; paper: cells reach 0 at 420 to 502 counts below rest
     rest_highest: int = 502  # counts
@@ -255,6 +258,7 @@ def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
 
 
 _BEGINNING: Final = int(np.iinfo(np.int64).min)
+_WANDERING: Final = 1.0  # s, in which a latency changes
 
 
 class Sampler:
@@ -262,7 +266,10 @@ class Sampler:
 
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
-        self._jitter, self._loss = random.spawn(2)
+        self._jitter, self._loss, self._slow = random.spawn(3)
+        self._wander = self._slow.standard_normal(
+            1
+        )  # deviation of the latest latency, in standard deviations
         self._taken = 0
         self._latest = _BEGINNING  # ns
 
@@ -276,6 +283,8 @@ class Sampler:
         self._taken += samples
         stamps = t + timing.latency + timing.offset + timing.drift * t
         arrive = np.ones(samples, np.bool_)
+        if timing.wander:
+            stamps += timing.wander * self._wandered(samples)
         if timing.jitter:
             stamps += timing.jitter * self._jitter.standard_normal(samples)
         if timing.dropped:
@@ -283,3 +292,14 @@ class Sampler:
         time = np.maximum.accumulate(np.maximum(np.rint(stamps * s).astype(np.int64), self._latest))
         self._latest = int(time[-1])
         return time, arrive
+
+    def _wandered(self, samples: int) -> Reals:
+        """Return deviations (k,) of the next latencies: an Ornstein-Uhlenbeck process of unit variance."""
+        from scipy.signal import lfilter
+
+        kept = exp(-1 / (self.timing.rate * _WANDERING))
+        noise = sqrt(1 - kept * kept) * self._slow.standard_normal(samples)
+        found, self._wander = lfilter([1.0], [1.0, -kept], noise, zi=kept * self._wander)
+        self._wander /= kept
+        wandered: Reals = found
+        return wandered

@@ -95,7 +95,7 @@ def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
 
 def confusions(recording: LabelledRecording, network: Detector) -> Iterator[tuple[MotionKind, Reals]]:
     """Yield the predictions by kind of motion, counted as `confusion` does; none if strokes are unknown."""
-    at = np.arange(recording.sampling.warm_up, len(recording), HOP)
+    at = recording.known(HOP)
     slip = network.score(recording.windows(network.length, HOP)) > 1 / 2
     if (strokes := recording.strokes) is not None:
         oblique = strokes.oblique[at]

@@ -20,8 +20,7 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from connectors.sim.body import GRAVITY
-from connectors.sim.grasp import Tap, grip_model, surface
+from connectors.sim.grasp import Tap, blow_momentum, grip_model, surface
 from connectors.sim.scene import Travel
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.trial import HELD, MOVED, PROMPT, STILL, Outcome, Trace, Trial, control_trial
@@ -34,7 +33,6 @@ TAP_END: Final = 7.0  # s
 SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at; assumed
 RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
 SECONDS: Final = 0.01  # s, duration of a blow
-KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative to static friction; assumed
 SIZES: Final = {"0.5 to 1 mm": (MOVED, 1.0), "1 to 2 mm": (1.0, 2.0), "above 2 mm": (2.0, math.inf)}  # slides
 SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
 
@@ -74,22 +72,12 @@ def _draw_blows(trial: Trial) -> list[Tap]:
 
 
 def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float:
-    """Draw a momentum (N s) that deflects fingers and rubber until they slip, and then slides the object.
-
-    The passive fingers carry a quarter of the friction each and slip at half the pad's deflection.
-
-    Args:
-        trial: The trial.
-        excess: Friction left to resist the blow, relative to the weight.
-        random: Random generator of the slide.
-    """
-    mass = trial.held.mass * trial.mass
-    weight = mass * GRAVITY  # N
+    """Draw a momentum (N s); `excess` is the friction left to resist the blow, relative to the weight."""
     low, high = SLIDES
     slide = low * (high / low) ** float(random.uniform()) / 1000  # m
-    grip = grip_model(trial.held, surface(trial.held, trial.fingertip), trial.position)
-    deflected = 5 / 16 * (weight * excess) ** 2 / grip.spring  # J, in springs and by sliding passive fingers
-    return math.sqrt(2 * mass * (weight * (KINETIC * trial.firm - 1) * slide + deflected))
+    held = replace(trial.held, mass=trial.held.mass * trial.mass)
+    grip = grip_model(held, surface(held, trial.fingertip), trial.position)
+    return blow_momentum(grip, trial.firm, excess, slide)
 
 
 def judge_tap(trace: Trace, rule: GripController) -> Outcome:
