@@ -3,83 +3,79 @@
 from dataclasses import dataclass
 from math import nan
 
+import numpy as np
+
 from operators.batch import Motion, Truth, ms
-from operators.checks import check_at_least
+from operators.checks import check_above
 from operators.operator import Operator
-from operators.steps import END, Record, RowType, Steps, copy, queue
+from operators.steps import Record, RowType, Steps
+
+_ROWS = 512  # rows whose travel is kept: half a second at 1 kHz
+_GAP = 50 * ms  # ns, longest time between two rows; nothing slides in a longer one
 
 
 @dataclass
 class SlidingMotion(Operator[Truth, Motion]):
     """Convert the truth of a simulation to motion, so that `Align` and `Label` label samples by true sliding.
 
-    The velocity's first component is the sliding speed of the contact, the others are 0, and the pose is
-    unknown. Stick-slip is one slip: a stick between two slides that start and end within `stick` keeps the
-    speed of the slide before it. So the rows after a slide are held back until the next one, at most for
-    `stick`; `Align` has to wait that long.
+    The velocity's first component is the mean sliding speed of the contact over the last `span`, the others
+    are 0, and the pose is unknown. So stick-slip is one slip, and all evidence for a label lies in the past.
+    Between slip and rest the speed is NaN, and the label unknown: if it is below `speed`, but over the last
+    `calm` above a third of it.
 
     Args:
-        speed: Sliding speed above which the contact slides, m/s; that of `Label`.
-        stick: Longest time from the last row of a slide to the first of the next in the same slip, ns.
+        speed: Mean speed from which on the contact slips, m/s; that of `Label`.
+        span: Time over which the speed is the mean, ns.
+        calm: Time over which a contact at rest has hardly slid, ns.
 
     Raises:
-        ParameterError: if a parameter is below 0.
+        ParameterError: if a parameter is not above 0, or `calm` is shorter than `span`.
 
-    >>> import numpy as np
-    >>> truth = Truth(np.arange(4) * 10 * ms, np.array([0, 0.05, 0, 0.04]), np.ones(4), np.zeros((4, 3)))
-    >>> SlidingMotion().push(truth).velocity[:, 0]
-    array([0.  , 0.05, 0.05, 0.04])
+    >>> truth = Truth(np.arange(4) * 10 * ms, np.array([0, 0.05, 0, 0.1]), np.ones(4), np.zeros((4, 3)))
+    >>> SlidingMotion(span=20 * ms).push(truth).velocity[:, 0]
+    array([0.   , 0.025, 0.025, 0.05 ])
     """
 
     speed: float = 0.003  # as in the paper's labels
-    stick: int = 150 * ms  # stick-slip has pauses of 50 to 100 ms
+    span: int = 150 * ms  # stick-slip has pauses of 50 to 100 ms
+    calm: int = 250 * ms
 
     def __post_init__(self) -> None:
-        check_at_least("SlidingMotion", "speed", self.speed, 0, "m/s")
-        check_at_least("SlidingMotion", "stick", self.stick, 0, "ns")
+        check_above("SlidingMotion", "speed", self.speed, 0, "m/s")
+        check_above("SlidingMotion", "span", self.span, 0, "ns")
+        check_above("SlidingMotion", "calm", self.calm, self.span - 1, "ns")
 
     def steps(self, *given: RowType) -> Steps:
-        """Return the functions that take truth and give motion."""
-        held = queue(given[0], self.stick)
-        return Steps(
-            settings={"speed": float(self.speed), "stick": self.stick},
-            state={
-                "held": held,  # rows since the last slide
-                "first": 0,  # number of the oldest row that waits
-                "known": 0,  # number after the last row whose speed is known
-                "last": 0,  # number after the newest one
-                "slid": -END // 2,  # ns, latest row of a slide
-                "fastest": 0.0,  # m/s, in that row
-                "stuck": 0,  # the known rows but the last one are a stick
-                "level": 0.0,  # m/s, their speed then
-                "ended": 0,
-            },
-            takes=(_take,),
-            give=_give,
-            held=len(held),
-        )
+        """Return the step from truth to motion."""
+        settings = {"speed": float(self.speed), "span": self.span, "calm": self.calm}
+        state = {
+            "times": np.zeros(_ROWS, np.int64),  # ns
+            "travels": np.zeros(_ROWS),  # m, that the contact has slid until then
+            "rows": 0,
+        }
+        return Steps(settings, state, step=_step)
 
 
-def _take(settings: Record, state: Record, row: Record) -> None:
-    copy(state.held[state.last % len(state.held)], row)
-    state.last += 1
-    slides, since = row.sliding > settings.speed, row.time - state.slid
-    if slides or since > settings.stick:
-        state.known = state.last
-    state.stuck = slides and since <= settings.stick
-    if slides:
-        state.level, state.fastest, state.slid = state.fastest, row.sliding, row.time
-
-
-def _give(settings: Record, state: Record, out: Record) -> bool:
-    full = state.last - state.first == len(state.held)
-    if state.first >= state.known and not (full or (state.ended and state.first < state.last)):
-        return False
-    row = state.held[state.first % len(state.held)]
-    state.first += 1
-    stuck = state.stuck and state.first < state.known
+def _step(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    newest = (state.rows - 1) % _ROWS
+    travel = 0.0
+    if state.rows:
+        elapsed = row.time - state.times[newest]
+        travel = state.travels[newest] + (row.sliding * elapsed / 1e9 if elapsed <= _GAP else 0.0)
+    state.times[state.rows % _ROWS], state.travels[state.rows % _ROWS] = row.time, travel
+    state.rows += 1
+    speed = (travel - _before(state, row.time - settings.span)) / (settings.span / 1e9)
+    slow = (travel - _before(state, row.time - settings.calm)) / (settings.calm / 1e9)
     out.time = out.device_time = row.time
     for axis in range(6):
         out.velocity[axis], out.pose[axis] = 0.0, nan
-    out.velocity[0] = state.level if stuck else row.sliding
+    out.velocity[0] = nan if speed <= settings.speed and slow > settings.speed / 3 else speed
     return True
+
+
+def _before(state: Record, instant: int) -> float:
+    """Return the travel (m) at the last row up to an instant, or at the oldest one that is kept."""
+    number, oldest = state.rows - 1, max(state.rows - _ROWS, 0)
+    while number > oldest and state.times[number % _ROWS] > instant:
+        number -= 1
+    return float(state.travels[number % _ROWS])

@@ -26,6 +26,7 @@ from operators.batch import BAROMETERS, Counts, Flags, Reals
 
 CEILING: Final = 1023  # counts, of 10 bits
 FINE: Final = 8  # integration points per side of a node's rectangle
+GLITCH: Final = 3.0  # counts, median of a glitch
 DECADES: Final = np.array([0.3, 3.0, 30.0])  # s, time constants of the relaxation
 
 
@@ -133,15 +134,25 @@ class Barometers:
         Returns:
             Raw ADC counts of pressure (k, 6), of temperature (k, 6), and validity (k, 6).
         """
-        counts = self._counts(t, tractions, 1 - np.exp(-aged / DECADES))
+        counts = self._counts(t, tractions, aged)
         valid = np.ones((len(t), BAROMETERS), np.bool_)
         valid[:, self._faults.dead] = False
         temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(valid.shape)
         return counts, np.rint(temperature).astype(np.int16), valid
 
-    def _counts(self, t: Reals, tractions: Reals, passed: Reals) -> Counts:
-        """Return raw ADC counts (k, 6) at instants (k,) (s)."""
-        p, faults = self._p, self._faults
+    def _disturbed(self, shape: tuple[int, ...], probability: float) -> Reals:
+        """Draw glitches (k, 6), counts: some in most cells, more often up than down, each in two samples."""
+        random, rows = self._noise, shape[0]
+        size: Reals = GLITCH * np.exp(0.8 * random.standard_normal(rows))  # (k,) counts
+        size *= np.where(random.random(rows) < 0.7, 1.0, -1.0)
+        size[random.random(rows) >= probability] = 0
+        size[1:] += size[:-1] / 2
+        glitches: Reals = size[:, None] * random.uniform(0.3, 1.3, shape)
+        return glitches
+
+    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
+        """Return raw ADC counts (k, 6) at instants (k,) (s), `aged` (s) apart."""
+        p, faults, passed = self._p, self._faults, 1 - np.exp(-aged / DECADES)
         counts = respond(tractions, self._influence, (p.sensitivity, p.relaxation), passed, self._late)
         if faults.gain:
             counts *= faults.gain
@@ -152,6 +163,8 @@ class Barometers:
             counts += t[:, None] * faults.drift
         if p.noise:
             counts += p.noise * self._noise.standard_normal(counts.shape)
+        if p.glitches:
+            counts += self._disturbed(counts.shape, p.glitches * aged)
         if faults.stuck:
             first = self._first = counts[0].copy() if self._first is None else self._first
             counts[:, faults.stuck] = first[list(faults.stuck)]

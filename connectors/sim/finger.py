@@ -157,7 +157,6 @@ class Finger:
             drive[:, :2] += vibration_velocity(self._scene.vibration, t[: len(drive)])
         return drive
 
-
     def _uneven(self, drive: Reals) -> Reals:
         """Return the factor of the normal force at the next steps (steps,): a stiff arm follows no bumps."""
         path = self._path + np.cumsum(np.hypot(drive[:, 0], drive[:, 1])) * self._p.step

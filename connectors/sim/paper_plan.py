@@ -33,11 +33,12 @@ class PaperStrokes:
     pause: float = 0.68  # s, mean standstill before a stroke
     pause_spread: float = 0.65  # standard deviation of its logarithm
     rounds: int = 2  # of eight strokes each
+    touching: bool = False  # True: the baseline is taken in contact
     disturbed: bool = False  # True: force changes, taps and lifts between strokes
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
         """Yield air, approach, and strokes with or without disturbances between them."""
-        yield Move("hold", 1.2, force=0.0)
+        yield Move("hold", 1.2, force=self.force * self.touching, settle=0.01)
         yield Move("hold", float(random.uniform(0.6, 1.0)), force=self.force)
         for _ in range(self.rounds):
             for direction in random.permutation(8):
@@ -178,9 +179,10 @@ def calm(scene: Scene, random: np.random.Generator) -> Scene:
         scene,
         plan=replace(
             plan,
-            speed=plan.speed and _log_uniform(random, 0.01, 0.12),
-            stroke=_log_uniform(random, *STROKES),
-            pause=_log_uniform(random, 0.5, 5.0),
+            speed=plan.speed and _log_uniform(random, SLOWEST, 0.1),
+            stroke=_log_uniform(random, 0.4, 4.0),
+            pause=_log_uniform(random, 0.5, 6.0),
+            touching=True,
             disturbed=False,
         ),
         vibration=replace(cast("Vibration", scene.vibration), amplitude=_log_uniform(random, 1e-7, 1e-5)),
@@ -191,15 +193,16 @@ def calm(scene: Scene, random: np.random.Generator) -> Scene:
             unevenness=float(random.uniform(0.3, 0.95)),
             uneven_lengths=(p.uneven_lengths[0] * length, p.uneven_lengths[1] * length),
             damping=_log_uniform(random, 0.05, 0.5),
-            sensitivity=p.sensitivity * _log_uniform(random, 0.2, 2.0),
-            noise=_log_uniform(random, 0.4, 1.5),
+            sensitivity=p.sensitivity * _log_uniform(random, 0.03, 5.0),
+            noise=_log_uniform(random, 0.4, 2.5),
+            glitches=_log_uniform(random, 0.3, 6.0),
             relaxation=_log_uniform(random, p.relaxation, 0.25),
         ),
     )
 
 
 def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
-    return low * (high / low) ** float(random.uniform())
+    return float(low * (high / low) ** random.uniform())
 
 
 def _factor(random: np.random.Generator, spread: float) -> float:

@@ -165,6 +165,7 @@ class Parameters:
     sensitivity: float = 0.01364  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
     relaxation: float = 0.0619  # fraction of the response that is lost per decade of time; fit
     noise: float = 0.6  # counts, standard deviation; paper: 0.43 to 0.7 of unloaded cells
+    glitches: float = 0.0  # 1/s, short disturbances of all cells at once, of some counts
     rest_lowest: int = 420  # counts of an unloaded cell; paper: cells reach 0 at 420 to 502 counts below rest
     rest_highest: int = 502  # counts
 

@@ -185,6 +185,6 @@ def true_slips(truth: Truth) -> list[tuple[int, int]]:
     at = truth.time[truth.sliding > SLIDING]  # (k,)
     if not len(at):
         return []
-    breaks = np.flatnonzero(np.diff(at) > SlidingMotion.stick)
+    breaks = np.flatnonzero(np.diff(at) > SlidingMotion.span)
     starts, ends = at[np.r_[0, breaks + 1]], at[np.r_[breaks, -1]]
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -44,7 +44,7 @@ def train(
     ] = None,
     filters: Annotated[
         int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
-    ] = 16,
+    ] = 24,
     steps: Annotated[
         int | None,
         typer.Option(min=1, help="Number of training steps of a tcn (default: 6000; with --from 300)."),
@@ -69,7 +69,7 @@ def train(
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
 
-    if (parent or method != "tcn") and filters != 16:
+    if (parent or method != "tcn") and filters != 24:
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")

@@ -19,7 +19,7 @@ import numpy as np
 from connectors import SimulatedRig
 from connectors.sim.drawn_grasp import simulate_grasp
 from connectors.sim.finger import simulate_scene
-from connectors.sim.paper_plan import PaperPlan, PaperStrokes, varied
+from connectors.sim.paper_plan import PaperPlan, PaperStrokes, calm, varied
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
@@ -41,14 +41,15 @@ PLANS: Final[Mapping[str, PaperPlan]] = {
     "paper": PaperPlan(),
     "wide": PaperPlan(repeats=6, rotations=4, vary=varied),
     "slow": PaperPlan(speeds=(0.004, 0.006, 0.01, 0.02), repeats=4, rotations=0, stroke=1.5, pause=1.0),
+    "calm": PaperPlan(repeats=6, rotations=1, vary=calm),
     "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
 }
 
 GRASPS: Final = "grasps"  # plan
-_GRASPS: Final = 300  # recordings of this plan
+_GRASPS: Final = 1000  # recordings of this plan
 _SEED_OFFSET: Final = {"tiny": 1_000_000}  # no recording of a small plan occurs in a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
-_SPACING: Final = 60 * s  # ns between the starts of two recordings, which are shorter
+_SPACING: Final = 600 * s  # ns between the starts of two recordings, which are shorter
 _PART_SPAN: Final = 3600 * s  # ns, longer than any recording, so that each table of a session is one part
 
 
@@ -188,9 +189,7 @@ def _declare_grasp(flow: Flow, dataset: Dataset) -> None:
     touch = flow.source(TestSource(Touch, fingers=(0,)))
     truth = flow.source(TestSource(Truth, fingers=(0,)))
     sliding = truth | SlidingMotion()
-    samples = (
-        (touch | Zero()) & sliding | Align(within=20 * ms, wait=SlidingMotion.stick) | Label(speed=SLIDING)
-    )
+    samples = (touch | Zero()) & sliding | Align(within=20 * ms) | Label(speed=SLIDING)
     touch.to(dataset)
     truth.to(dataset)
     samples.to(dataset)

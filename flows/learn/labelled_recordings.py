@@ -46,7 +46,7 @@ SPLITS: Final = ("train", "validation", "test")
 TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
-WARM_UP: Final = 99  # samples; the longest window of the detectors has 100
+WARM_UP: Final = 211  # samples; the longest window of the shipped detectors has 212
 _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written for
 
 
@@ -54,8 +54,8 @@ _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written
 class Sampling:
     """Constant rate of samples.
 
-    >>> Sampling(200.0).period, Sampling(200.0).warm_up, Sampling(200.0).scaled(2)
-    (5000000, 199, 4)
+    >>> Sampling(400.0).period, Sampling(400.0).warm_up, Sampling(400.0).scaled(2)
+    (2500000, 399, 8)
     """
 
     rate: float = _RATE  # Hz
@@ -67,7 +67,7 @@ class Sampling:
 
     @property
     def warm_up(self) -> int:
-        """Samples at the start that are not evaluated: no window of 1 s and of 100 samples is filled yet."""
+        """Samples at the start that are not evaluated: a window of 1 s or of a detector is not filled yet."""
         return max(round(self.rate) - 1, WARM_UP)
 
     def samples(self, time: float) -> int:
@@ -116,6 +116,7 @@ class LabelledRecording:
     split: str = ""  # train, validation or test
     group: str = ""  # surface or object, by which recordings can be split; empty: unknown
     fingertip: Fingertip = TAKKTILE
+    dataset: str = ""  # path of its folder
 
     def __len__(self) -> int:
         return len(self.label)
@@ -236,7 +237,7 @@ def load(dataset: Path) -> list[LabelledRecording]:
         if marked:
             marked &= {*session.fingers(Touch)}  # verifies all touch, so only if needed
         for finger in sorted(marked | {*session.fingers(Labelled)}):
-            recordings.append(_of_session(session, finger, hand))
+            recordings.append(replace(_of_session(session, finger, hand), dataset=str(dataset)))
     if not recordings:
         raise InputError(
             str(dataset), f"holds no labelled samples; {make}, or label by hand with `slipflow show`"

@@ -226,7 +226,7 @@ CASES: Final = [
     Case(Grip(), (_scores,)),
     Case(Grip(max_force=0.7, settle=0, latency=50 * ms, release_rate=5.0), (_scores,)),
     Case(SlidingMotion(), (_truth,)),
-    Case(SlidingMotion(speed=0.001, stick=40 * ms), (_truth,)),
+    Case(SlidingMotion(speed=0.001, span=40 * ms), (_truth,)),
     Case(StepGrip(settle=50 * ms), (_scores,)),
     Case(Health(), (_touch(Touch),)),
     Case(Health(dead_after=30 * ms, stuck_after=50 * ms, drift=3), (_touch(Zeroed),)),

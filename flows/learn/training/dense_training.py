@@ -1,8 +1,9 @@
 """Dense training of the TCN: whole sequences, one label per sample.
 
 Windowed training computes a window of 100 samples for each label. Here neighbouring samples share the
-computation, which is 60 to 90 times less per epoch. Crops are drawn from all recordings. Their warm-up
-samples and those without a label are masked. Slip and static have the same total weight.
+computation, which is 60 to 90 times less per epoch. Each crop is drawn from any dataset with the same
+probability, and any place in it. Its warm-up samples and those without a label are masked; all others have
+the same weight, so that the probability is that of slip in such data.
 """
 
 import math
@@ -90,8 +91,7 @@ class _DenseTask(TrainingTask):
         if (self._unseen_label == UNKNOWN).all():
             reason = f"recordings with labels after their first {self._warm_up} samples"
             raise ParameterError("train_dense", "validation", f"{len(validation)} without", reason)
-        weight = np.select([label == SLIP, label == STATIC], [0.5 / slip, 0.5 / static]) * len(label)
-        self._weight = torch.as_tensor(weight).to(self._device, torch.float32)  # (n,) 0: no label
+        self._known = torch.as_tensor(label != UNKNOWN).to(self._device, torch.float32)  # (n,)
         self._slip = torch.as_tensor(label == SLIP).to(self._device, torch.float32)  # (n,)
         self._first = torch.as_tensor(self._crops.first).to(self._device)
         self._unseen = [  # (1, cells, n) each
@@ -111,15 +111,14 @@ class _DenseTask(TrainingTask):
         recipe, generator = self._recipe, self._generator
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.rate * _relative_rate(step, recipe)
-        chosen = torch.randint(len(self._first), (recipe.batch,), generator=generator, device=self._device)
-        rows = self._crops.rows(self._first[chosen])  # (b, n)
+        rows = self._crops.rows(self._first[self._crops.draw(recipe.batch, generator)])  # (b, n)
         counts = self._crops.counts[rows].to(torch.float32).transpose(1, 2)  # (b, cells, n)
         counts = augmented(counts, recipe.augmentation, generator, self._fingertip)
         logit = self.network(counts)[:, self._warm_up :]
         evaluated = rows[:, self._warm_up :]
-        weight, slip = self._weight[evaluated], self._slip[evaluated]
+        known, slip = self._known[evaluated], self._slip[evaluated]
         each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")
-        loss: Tensor = (each * weight).sum() / weight.sum().clamp(min=1)
+        loss: Tensor = (each * known).sum() / known.sum().clamp(min=1)
         return loss
 
     def clip(self) -> None:

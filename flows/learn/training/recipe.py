@@ -22,8 +22,8 @@ class Augmentation:
     load: float = 0.3  # probability of a slow change of load, 0.1 to 2 Hz, different in each cell
     load_amplitude: float = 20.0  # counts
     noise: float = 0.5  # probability
-    noise_range: tuple[float, float] = (0.3, 20.0)  # counts, standard deviation, log-uniform
-    dead: float = 0.25  # probability that one or two cells, equally often, read 0
+    noise_range: tuple[float, float] = (0.3, 5.0)  # counts, standard deviation, log-uniform
+    dead: float = 0.15  # probability that one or two cells, equally often, read 0
 
 
 # for real recordings, which have noise of their own; touch of other surfaces is much weaker or stronger
@@ -40,22 +40,22 @@ class Recipe:
     """Size of the network and course of its training.
 
     >>> Recipe().receptive_field
-    100
+    212
 
     Raises:
         ParameterError: if a crop is not longer than the receptive field.
     """
 
-    filters: int = 16
+    filters: int = 24
     units: int = 24  # of each of the two dense layers
     taps: int = 8  # of a convolution
-    dilations: Sequence[int] = (1, 2, 4)  # of the blocks of two convolutions each
+    dilations: Sequence[int] = (1, 2, 4, 8)  # of the blocks of two convolutions each
     dropout: float = 0.1  # probability of a whole channel, after each block
     position_scale: float = 60.0  # counts; see `DenseTcn`
     step_scale: float = 6.0  # counts
     steps: int = 6000  # of the optimiser
-    batch: int = 32  # crops
-    crop: int = 612  # samples
+    batch: int = 48  # crops
+    crop: int = 712  # samples
     rate: float = 5e-3  # of AdamW, at its peak
     decay: float = 1e-2  # of AdamW
     warm_up: float = 0.1  # of the steps; a cosine follows

@@ -36,6 +36,7 @@ class Crops:
 
     def __init__(self, recordings: Sequence[LabelledRecording], length: int, device: torch.device) -> None:
         usable = [recording for recording in recordings if len(recording) >= length]
+        usable.sort(key=lambda recording: recording.dataset)  # stable
         cells = usable[0].counts.shape[1] if usable else 0
         counts = np.concatenate([np.empty((0, cells), np.int16), *(recording.counts for recording in usable)])
         begins = np.cumsum([0, *(len(recording) for recording in usable)]).tolist()
@@ -46,6 +47,19 @@ class Crops:
         self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
         self._offsets = torch.arange(length, device=device)
+        _, of_recording = np.unique([each.dataset for each in usable], return_inverse=True)
+        sizes = np.bincount(of_recording, weights=[*map(len, first)]).astype(
+            np.int64
+        )  # crops of each dataset
+        self._sizes, self._starts = (torch.as_tensor(each) for each in (sizes, np.cumsum(sizes) - sizes))
+
+    def draw(self, crops: int, generator: torch.Generator) -> Tensor:
+        """Draw crops (k,), numbers of rows of `first`; all datasets are equally likely."""
+        device = generator.device
+        dataset = torch.randint(len(self._sizes), (crops,), generator=generator, device=device)
+        share = torch.rand(crops, generator=generator, device=device, dtype=torch.float64)
+        sizes, starts = self._sizes.to(device)[dataset], self._starts.to(device)[dataset]
+        return starts + (share * sizes).long()
 
     def rows(self, first: Tensor) -> Tensor:
         """Return the rows (k, length) of crops that begin at rows `first` (k,), on the device."""
