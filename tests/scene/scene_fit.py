@@ -9,7 +9,7 @@ the targets and of the same figures on seeds that the fit does not use.
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from multiprocessing import get_context
@@ -38,6 +38,24 @@ CONSTANTS: Final = (
     "lever", "pitch_x", "pitch_y", "depth", "shear_gain", "sensitivity", "relaxation",
     "force", "vibration", "pivot", "latency", "acceleration", "tilt.0", "tilt.1",
 )  # fmt: skip
+
+# terms of the scene without which the table of `--ablate` is printed: changes of `PaperPlan` or `Parameters`
+TERMS: Final[Mapping[str, Mapping[str, Any]]] = {
+    "arm vibration": {"vibration": 1e-9},
+    "delay of the arm's velocity": {"latency": 0.0},
+    "wandering of that delay": {"wander": 0.0},
+    "slow ends of strokes": {"acceleration": 10.0},
+    "rests of different length": {"pause_spread": 0.0},
+    "slope of the pad on the plane": {"tilt": (0.0, 0.0)},
+    "axis of rotations beside the pad": {"pivot": 0.0},
+    "texture": {"texture": 0.0},
+    "unevenness": {"unevenness": 0.0},
+    "static friction": {"static_friction": "kinetic_friction"},
+    "tilting of the pad by friction": {"lever": 1e-4},
+    "response to shear": {"shear_gain": 0.0},
+    "relaxation": {"relaxation": 0.0},
+    "noise": {"noise": 0.0},
+}
 
 Simulate = Callable[[Iterable[tuple[PaperPlan, int]]], list[Reals]]
 
@@ -96,6 +114,31 @@ def fit(
     return changed(plan, np.mean(path[-max(1, rounds // 3) :], axis=0))
 
 
+def without(plan: PaperPlan, term: Mapping[str, Any]) -> PaperPlan:
+    """Return a plan without a term of the scene."""
+    p = plan.parameters
+    own = {name: value for name, value in term.items() if hasattr(plan, name)}
+    physics = {
+        name: getattr(p, value) if isinstance(value, str) else value
+        for name, value in term.items()
+        if name not in own
+    }
+    return replace(plan, **own, parameters=replace(p, **physics))
+
+
+def ablation(plan: PaperPlan, wanted: Sequence[Target], simulate: Simulate) -> str:
+    """Return a table of the misfit, and of the mean F1 over the surfaces, without each term of the scene."""
+    plans = {"none": plan, **{name: without(plan, term) for name, term in TERMS.items()}}
+    found = np.array(simulate([(each, seed) for each in plans.values() for seed in CROSS_CHECK]))
+    found = found.reshape(len(plans), len(CROSS_CHECK), len(wanted)).mean(axis=1)  # (plans, targets)
+    real, weight = np.array([each.real for each in wanted]), np.array([each.weight for each in wanted])
+    misfit = np.square((found - real) * weight).sum(axis=1)
+    surfaces = found[:, [each.text.count(",") == 2 and each.text.startswith("F1") for each in wanted]]
+    rows = zip(plans, misfit.tolist(), surfaces.mean(axis=1).tolist(), strict=True)
+    lines = [f"| {name} | {squares:.0f} | {f1:.1f} |" for name, squares, f1 in rows]
+    return "\n".join(["| left out | sum of squared misfits | F1 % |", "| --- | ---: | ---: |", *lines])
+
+
 def _shown(plan: PaperPlan) -> str:
     return ", ".join(f"{name} {value:.4g}" for name, value in constants(plan).items())
 
@@ -120,6 +163,7 @@ def main() -> None:
     options.add_argument(
         "--rounds", type=int, default=8, help="rounds of the fit (default 8); 0: only the table"
     )
+    options.add_argument("--ablate", action="store_true", help="print what each term of the scene gains")
     options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     given = options.parse_args()
     wanted = targets(read_trace(given.trace))
@@ -129,6 +173,8 @@ def main() -> None:
         if given.rounds:
             plan = fit(PLAN, wanted, simulate, given.rounds, partial(print, file=sys.stderr, flush=True))
         found = np.mean(simulate([(plan, seed) for seed in CROSS_CHECK]), axis=0)
+        if given.ablate:
+            print(ablation(plan, wanted, simulate), end="\n\n")
     print("| target of the fit | weight | real | simulated |\n| --- | ---: | ---: | ---: |")
     for each, value in zip(wanted, found.tolist(), strict=True):
         print(f"| {each.text} | {each.weight:g} | {each.real:.3g} | {value:.3g} |")
