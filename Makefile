@@ -34,7 +34,7 @@ faults:  ## simulate the whole system under drawn faults until stopped; prints s
 
 scene:  ## print how well the simulated scene meets its targets, for docs/explanations/scene.md; judge=FILE trace=FILE
 	@deploy/prepare test
-	.venv/bin/python -m tests.scene.scene_fit --judge $(judge) --trace $(trace) --rounds 0
+	.venv/bin/python -m tests.scene.scene_fit --judge $(judge) --trace $(trace) --rounds 0 --ablate
 
 scene-fit:  ## fit the constants of the scene to real data, half an hour on two cores; judge=FILE trace=FILE
 	@deploy/prepare test
@@ -68,15 +68,15 @@ bench:  ## run the benchmarks and print their tables
 
 models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
-models: DATA := $(addprefix models/,paper-0 wide-3 wide-4 wide-5 wide-6 wide-7 wide-8 slow-3 slow-4 slow-5)
+models: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 calm-3 calm-4 grasps-3 grasps-4 grasps-5)
 models: PAPER := train models/paper-0 --method
 models:  ## train the models in storage/trained and those that its pages compare: two hours on two cores; trace=FILE: scores on a real trace
 	@deploy/prepare test
 	mkdir -p models
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
-	{ echo "train $(DATA) --seed 1 -o models/tcn.safetensors"; \
-	  for filters in 24 8 4; do \
+	{ echo "train $(DATA) -o models/tcn.safetensors"; \
+	  for filters in 16 8 4; do \
 	    echo "train $(DATA) --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
 	  for network in paper_tcn frequency_cnn; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \

@@ -159,7 +159,8 @@ class Finger:
 
     def _uneven(self, drive: Reals) -> Reals:
         """Return the factor of the normal force at the next steps (steps,): a stiff arm follows no bumps."""
-        path = self._path + np.cumsum(np.hypot(drive[:, 0], drive[:, 1])) * self._p.step
+        steps = np.hypot(drive[:, 0], drive[:, 1]) * self._p.step
+        path = np.cumsum(np.append(self._path, steps))[1:]  # added in order, however it is cut
         self._path = float(path[-1]) if len(path) else self._path
         first, second = (np.sin(2 * math.pi * path / length) for length in self._p.uneven_lengths)
         return np.asarray(1 + self._p.unevenness / 2 * (first - second))

@@ -9,6 +9,7 @@ Split by recording, never by window.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import product
 from typing import Final, TypeAlias, cast
 
@@ -91,7 +92,8 @@ class PaperPlan:
     latency: float = 0.08857  # s, mean delay of the arm's velocity after the barometers; fit
     wander: float = 0.056  # s, standard deviation of that delay; fit to the paper's TCN
     acceleration: float = 0.4735  # m/s2 at the ends of a stroke; fit
-    parameters: Parameters = field(default_factory=Parameters)
+    # uneven so that the load moves at 2 Hz in slip, as in a real trace
+    parameters: Parameters = field(default_factory=partial(Parameters, unevenness=0.3))
     vary: Variation | None = None  # applied to the scene of each recording
 
     def scenes(self, seed: int) -> Iterator[Scene]:

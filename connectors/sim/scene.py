@@ -145,7 +145,7 @@ class Parameters:
     stribeck_speed: float = 0.3098  # m/s; fit
     texture: float = 0.5138  # depth of the friction's modulation along the path; fit
     texture_lengths: tuple[float, float] = (0.007243, 0.004291)  # m; fit
-    unevenness: float = 0.3  # depth of the normal force's modulation along the arm's path; spectrum at 2 Hz
+    unevenness: float = 0.0  # depth of the normal force's modulation along the arm's path
     uneven_lengths: tuple[float, float] = (0.04, 0.023)  # m; assumed
 
     # finger that carries the pad
@@ -268,9 +268,8 @@ class Sampler:
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
         self._jitter, self._loss, self._slow = random.spawn(3)
-        self._wander = self._slow.standard_normal(
-            1
-        )  # deviation of the latest latency, in standard deviations
+        self._kept = exp(-1 / (timing.rate * _WANDERING))  # part of the latency's deviation after a sample
+        self._left = self._kept * self._slow.standard_normal(1)  # of the latest deviation
         self._taken = 0
         self._latest = _BEGINNING  # ns
 
@@ -298,9 +297,7 @@ class Sampler:
         """Return deviations (k,) of the next latencies: an Ornstein-Uhlenbeck process of unit variance."""
         from scipy.signal import lfilter
 
-        kept = exp(-1 / (self.timing.rate * _WANDERING))
-        noise = sqrt(1 - kept * kept) * self._slow.standard_normal(samples)
-        found, self._wander = lfilter([1.0], [1.0, -kept], noise, zi=kept * self._wander)
-        self._wander /= kept
+        noise = sqrt(1 - self._kept**2) * self._slow.standard_normal(samples)
+        found, self._left = lfilter([1.0], [1.0, -self._kept], noise, zi=self._left)
         wandered: Reals = found
         return wandered

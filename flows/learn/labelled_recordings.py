@@ -46,7 +46,7 @@ SPLITS: Final = ("train", "validation", "test")
 TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
-WARM_UP: Final = 211  # samples; the longest window of the shipped detectors has 212
+WARM_UP: Final = 99  # samples; the paper's windows have 100
 _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written for
 
 
@@ -54,8 +54,8 @@ _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written
 class Sampling:
     """Constant rate of samples.
 
-    >>> Sampling(400.0).period, Sampling(400.0).warm_up, Sampling(400.0).scaled(2)
-    (2500000, 399, 8)
+    >>> Sampling(200.0).period, Sampling(200.0).warm_up, Sampling(200.0).scaled(2)
+    (5000000, 199, 4)
     """
 
     rate: float = _RATE  # Hz
@@ -67,7 +67,7 @@ class Sampling:
 
     @property
     def warm_up(self) -> int:
-        """Samples at the start that are not evaluated: a window of 1 s or of a detector is not filled yet."""
+        """Samples at the start that are not evaluated: no window of 1 s and of 100 samples is filled yet."""
         return max(round(self.rate) - 1, WARM_UP)
 
     def samples(self, time: float) -> int:

@@ -26,10 +26,8 @@ from operators import (
     Resample,
     Sample,
     Scores,
-    SlidingMotion,
     Slips,
     Touch,
-    Truth,
     Zero,
     Zeroed,
     concat,
@@ -123,17 +121,6 @@ def test_a_label_whose_motion_finds_the_queue_full_is_unknown(same: Callable[[Ba
     shorter = suite.run(Label(rotation=0.2, delay=10 * ms, within=0), [(sample,)])
     assert isinstance(shorter, Labelled)
     assert np.count_nonzero(shorter.label == UNKNOWN) == 500  # the last 10 ms
-
-
-def test_a_stick_that_finds_the_queue_full_keeps_its_own_speed(same: Callable[[Batch, Batch], None]) -> None:
-    """2000 rows are 100 ms at 20 kHz, so still one slip."""
-    sliding = np.r_[0.05, np.zeros(2000), 0.04]
-    rows = len(sliding)
-    truth = Truth(_times(rows, 20_000), sliding, np.ones(rows), np.zeros((rows, 3)))
-    motion = _check_equal(_runs(SlidingMotion(), truth), same)
-    assert isinstance(motion, Motion)
-    early = rows - 1024  # the last row fills the queue too
-    assert motion.velocity[:, 0].tolist() == [0.05] + [0.0] * (early - 1) + [0.05] * 1023 + [0.04]
 
 
 # --- cells -----------------------------------------------------------------------------------------------

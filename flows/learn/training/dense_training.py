@@ -95,7 +95,7 @@ class _DenseTask(TrainingTask):
         self._slip = torch.as_tensor(label == SLIP).to(self._device, torch.float32)  # (n,)
         self._first = torch.as_tensor(self._crops.first).to(self._device)
         self._unseen = [  # (1, cells, n) each
-            torch.as_tensor(recording.counts).to(self._device, torch.float32).T[None]
+            torch.as_tensor(recording.counts.astype(np.float32)).to(self._device).T[None]
             for recording in validation
         ]
         set_seed(recipe.seed)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from flows.learn.training.training_loop import Trained
 
 TIME_SCALES: Final = (1, 2, 3)
-_LONGEST: Final = 400  # samples, receptive field of a stretched network
+_LONGEST: Final = 640  # samples, receptive field of a stretched network
 _CROP: Final = 500  # evaluated samples of a crop
 _FEWEST: Final = 100  # of the crops of short recordings
 

@@ -25,7 +25,7 @@ from flows.run.clocks import LoopClock
 from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from operators import Label
-from operators.batch import SLIP
+from operators.batch import SLIP, STATIC
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
@@ -91,12 +91,17 @@ def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest
     done = simulate(tmp_path / "grasps", "grasps", 4)
     sessions = [Session.open(path) for path in sorted((done / "sessions").iterdir())]
     assert [session.name for session in sessions] == ["grasp-000", "grasp-001", "grasp-002"]
-    samples = pl.concat([session.frame("samples") for session in sessions])
-    sliding = np.concatenate([simulate_grasp(4, n)[1].sliding for n in range(3)]) > 0.003
-    assert sliding.any()
-    slip = samples["label"].to_numpy() == SLIP
-    assert slip[sliding].all()
-    assert slip.mean() < 2 * sliding.mean() + 0.02  # sticks within a slide are slip, too
+    seen = set[int]()
+    for number, session in enumerate(sessions):
+        travel = np.cumsum(simulate_grasp(4, number)[1].sliding) / 100  # m
+        label = session.frame("samples")["label"].to_numpy()
+        assert len(label) == len(travel)
+        slid = travel[15:] - travel[:-15]  # m in 150 ms
+        slid = np.max([np.roll(slid, shift) for shift in (-1, 0, 1, 2)], axis=0)  # aligned within 20 ms
+        assert (slid[label[15:] == SLIP] > 0.00045 - 1e-9).all()
+        assert ((travel[25:] - travel[3:-22])[label[25:] == STATIC] < 0.00025 + 1e-9).all()
+        seen |= {*label.tolist()}
+    assert seen == {-1, STATIC, SLIP}
 
 
 def test_six_tenths_of_the_samples_are_static(tiny: Path) -> None:

@@ -39,7 +39,7 @@ def test_sections_tables_and_figures_are_written(report: Report, tmp_path: Path)
     assert COMMAND in paths[1].read_text()
     assert json.loads(paths[2].read_text())["sections"].keys() == {*names}
     text = paths[1].read_text().split("## ")[0]
-    assert "2 recordings, 0.3 minutes after the warm-up." in text
+    assert "2 recordings, 0.4 minutes after the warm-up." in text
     assert "A (train) is the same recording as b (test). Not evaluated: oracle, why." in text
 
 
