@@ -21,7 +21,7 @@ from flows.report.table import Table, Value
 from tests.benchmarks.machine import commit
 
 SEED: Final = 810_000  # of the first trial
-THRESHOLDS: Final = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.93, 0.95, 0.97)
+THRESHOLDS: Final = (0.3, 0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95)
 
 
 def successes(methods: Sequence[Method], task: tuple[str, int]) -> list[list[bool]]:

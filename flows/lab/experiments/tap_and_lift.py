@@ -56,8 +56,8 @@ class _Blow(NamedTuple):
 def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
     """Run one tap trial; the grip force is constant, so a rule only sets how slips register."""
     trace = trial.hold(_draw_blows(trial), TAP_END)
-    traces = [(trace.scored(detector), rule) for detector, rule in methods]
-    return [(scored, judge_tap(scored, rule)) for scored, rule in traces]
+    scored = {id(detector): trace.scored(detector) for detector in {id(d): d for d, _ in methods}.values()}
+    return [(scored[id(detector)], judge_tap(scored[id(detector)], rule)) for detector, rule in methods]
 
 
 def _draw_blows(trial: Trial) -> list[Tap]:
