@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from connectors.sim.grasp import Grasp
 
 PERIOD: Final = s // 100  # ns
-LIFT: Final = Travel(3.0)  # leaves time for the baseline
+LIFT: Final = Travel(4.5)  # leaves time for the baseline and the window of a detector
 
 
 class Hand(Sink[Commands]):

@@ -71,6 +71,6 @@ def test_the_rule_holds_what_is_lost_without_it(monkeypatch: pytest.MonkeyPatch,
     assert not any(status.error for status in run.sinks.values())
     assert not any(status.error for status in run.sources.values())
     assert hand.grasp is not None
-    _, last = hand.grasp.sense(6.0)
+    _, last = hand.grasp.sense(7.5)
     assert _is_held(last) is ruled
     assert (len(commands.rows(Commands, 0)) > 1) is ruled
