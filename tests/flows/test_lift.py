@@ -67,7 +67,7 @@ def test_the_rule_holds_what_is_lost_without_it(monkeypatch: pytest.MonkeyPatch,
     given = flow.source(hand.touch) | Zero() | Score(Perfect(monkeypatch)) | rule
     given.to(hand)
     given.to(commands)
-    run = _for(flow, 6)
+    run = _for(flow, 7)
     assert not any(status.error for status in run.sinks.values())
     assert not any(status.error for status in run.sources.values())
     assert hand.grasp is not None
