@@ -13,12 +13,12 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_240,
-    "connectors": 11_200,
+    "connectors": 11_189,
     "storage": 3_884,
     "flows": 12_560,
-    "product": 32_870,
+    "product": 32_857,
     "product files": 218,
-    "tests": 34_870,
+    "tests": 34_859,
     "commands": 16,
     "options": 84,
     "words": 37_710,

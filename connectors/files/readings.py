@@ -1,6 +1,5 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -23,9 +22,6 @@ _SENTINELS: Final = (  # usual values for no reading
     *(-99.0, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, -1.0),
     *(32767.0, -32768.0, 65535.0, 4294967295.0, 1e10),
 )
-_FAR: Final = 20.0  # spans of the other readings; a reading farther away is an outlier
-_OUTLIERS: Final = 0.001  # largest share of a cell's readings
-_ENOUGH: Final = 20  # rows
 _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
 
@@ -40,11 +36,11 @@ def readings_of(table: RawTable, columns: ColumnMap, time: Times) -> tuple[Colum
     if missing is None:
         missing = _sentinels(readings)
         for value in missing:
-            place, many = _place(readings == value, names, table), int((readings == value).sum())
+            row, cell = np.argwhere(readings == value)[0].tolist()
+            many, place = int((readings == value).sum()), table.place_of(row, names[cell])
             text = f"{place} is {value:g}, far from all others: taken as missing ({many} in all"
             table.warnings.append(f"{text}; missing= keeps it)")
     readings[np.isin(readings, missing)] = np.nan
-    table.warnings += _outliers(readings, names, table)
     zeroed = columns.zeroed
     if zeroed is None:
         zeroed = names[0].startswith(EXPORTED) or _is_zeroed(readings)
@@ -188,12 +184,6 @@ def _is_zeroed(readings: Reals) -> bool:
     return bool(np.any(low < 0) and np.mean((low - near <= 0) & (high + near >= 0)) > 0.5)
 
 
-def _place(found: Flags, names: Sequence[str], table: RawTable) -> str:
-    """Return the place of the first of some readings (n, cells)."""
-    row, cell = np.argwhere(found)[0]
-    return table.place_of(int(row), names[cell])
-
-
 def _quantiles(readings: Reals, share: float) -> Reals:
     """Return a quantile of each cell (cells,); it is a reading, so few readings have none in between."""
     some = readings[:: len(readings) // _SAMPLE + 1]
@@ -213,19 +203,6 @@ def _sentinels(readings: Reals) -> tuple[float, ...]:
                 if not low - 2 * (high - low) - 10 <= value <= high + 2 * (high - low) + 10:
                     found.add(value)
     return tuple(sorted(found))
-
-
-def _outliers(readings: Reals, names: Sequence[str], table: RawTable) -> list[str]:
-    """Return a doubt about single readings far from all others of their cell."""
-    share = max(_OUTLIERS, 1.5 / len(readings))  # without the lowest and the highest
-    if len(readings) < _ENOUGH:
-        return []
-    low, high = _quantiles(readings, share), _quantiles(readings, 1 - share)
-    span = _FAR * np.maximum(high - low, 1e-9 * np.maximum(np.abs(high), np.abs(low)))
-    if not (far := (readings < low - span) | (readings > high + span)).any():
-        return []
-    text = f"{_place(far, names, table)} is {readings[far][0]:g}, far from the others ({int(far.sum())} such)"
-    return [f"{text}: is it a fault? missing=VALUE leaves it out"]
 
 
 def _doubts_at_rest(start: Reals, readings: Reals, unit: str, *, zeroed: bool) -> list[str]:

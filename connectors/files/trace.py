@@ -35,8 +35,7 @@ class Trace:
             interpretation.
         columns: Map of the columns; what it does not state is concluded from the data.
         name: Name of a DataFrame.
-        group: Surface or object of the recording.
-        about: Further entries of the description.
+        about: Further entries of the description, such as ``group``, the surface or object.
 
     Attributes:
         part: All that was read and concluded; its attributes, such as `touch`, `motion`, `labels`, `columns`
@@ -53,12 +52,11 @@ class Trace:
         columns: ColumnMap = _DEFAULT,
         *,
         name: str = "table",
-        group: str | None = None,
         about: Description | None = None,
     ) -> None:
         self._source, self._columns = source, columns
         self.name = str(source) if isinstance(source, str | Path) else name
-        self.group, self._about = group, about or {}
+        self._about = about or {}
 
     @cached_property
     def part(self) -> "Part":
@@ -119,8 +117,6 @@ class Trace:
             "units": dict(found.units),
             **self._about,
         }
-        if self.group is not None:
-            about["group"] = self.group
         if LABEL in found.columns and found.labels:
             about["labels"] = {name: list(values) for name, values in found.labels.items()}
         if part.offset.any():

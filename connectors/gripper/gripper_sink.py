@@ -130,7 +130,6 @@ class Gripper(Sink[Commands]):
             "address": self.destination,
             "limits_n": list(self.limits),
             "force_n": None if force is None else register_force(force),
-            "object_detected": status.object_detected if status else None,
             "fault": self._failure or (status.reason if status else ""),
             "positions": list(status.positions) if status else None,
         }

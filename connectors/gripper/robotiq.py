@@ -9,7 +9,6 @@ below are the manual's.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final, NamedTuple, Self
 
 PORT: Final = 502
@@ -33,24 +32,7 @@ FAULTS: Final = {
     0x0F: "has released automatically, and must be reset",
 }
 _RELEASING: Final = 0x0B  # lowest code of the faults that need a reset
-
-
-class Phase(IntEnum):
-    """State of activation and mode change [gIMC]."""
-
-    RESET = 0  # or automatic release: see the fault
-    ACTIVATING = 1
-    CHANGING = 2  # of mode
-    READY = 3
-
-
-class Fingers(IntEnum):
-    """Motion of the fingers [gSTA]."""
-
-    MOVING = 0
-    SOME_STOPPED = 1  # one or two of them, before the requested position
-    ALL_STOPPED = 2  # before the requested position
-    ARRIVED = 3  # at the requested position
+_READY: Final = 3  # after activation and change of mode [gIMC]
 
 
 class Request(NamedTuple):
@@ -80,17 +62,13 @@ class Status:
 
     Attributes:
         active: Activated, or being activated [gACT].
-        go: Moving or moved to the requested position [gGTO].
-        phase: State of activation and mode change [gIMC].
-        fingers: Motion of the fingers; valid only if `go` [gSTA].
+        ready: Activated, has changed to its mode, and can move.
         fault: 0, or one of `FAULTS` [gFLT].
         positions: Positions of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
     """
 
     active: bool = False
-    go: bool = False
-    phase: Phase = Phase.RESET
-    fingers: Fingers = Fingers.MOVING
+    ready: bool = False
     fault: int = 0
     positions: tuple[int, int, int] = (0, 0, 0)
 
@@ -104,25 +82,9 @@ class Status:
         if len(registers) != STATUS:
             raise ValueError(f"a status of {len(registers)} registers")
         data = b"".join(value.to_bytes(2, "big") for value in registers)
-        gripper = data[0]
-        return cls(
-            active=bool(gripper & 1),
-            go=bool(gripper & 1 << 3),
-            phase=Phase(gripper >> 4 & 3),
-            fingers=Fingers(gripper >> 6),
-            fault=data[2] & 0xF,
-            positions=(data[4], data[7], data[10]),
-        )
-
-    @property
-    def ready(self) -> bool:
-        """True if the gripper is activated, has changed to its mode, and can move."""
-        return self.active and self.phase is Phase.READY
-
-    @property
-    def object_detected(self) -> bool:
-        """True if fingers stopped before the requested position, because they hold an object."""
-        return self.ready and self.go and self.fingers in {Fingers.SOME_STOPPED, Fingers.ALL_STOPPED}
+        active = bool(data[0] & 1)
+        ready = active and data[0] >> 4 & 3 == _READY
+        return cls(active, ready, fault=data[2] & 0xF, positions=(data[4], data[7], data[10]))
 
     @property
     def needs_reset(self) -> bool:

@@ -25,6 +25,7 @@ from connectors.sim.scene import Faults, Parameters
 from operators.batch import BAROMETERS, Counts, Flags, Reals
 
 CEILING: Final = 1023  # counts, of 10 bits
+ROOM_TEMPERATURE: Final = 498  # counts at 25 degC; datasheet
 FINE: Final = 8  # integration points per side of a node's rectangle
 GLITCH: Final = 3.0  # counts, median of a glitch
 DECADES: Final = np.array([0.3, 3.0, 30.0])  # s, time constants of the relaxation
@@ -93,9 +94,6 @@ def respond(
                 lost += late[decade, cell]
             counts[row, cell] = -gain * (stress - fraction * lost)
     return counts
-
-
-ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
 
 
 def randoms(seed: int, finger: int) -> list[np.random.Generator]:

@@ -41,7 +41,6 @@ from operators.compilation import compile_function
 
 TINY: Final = 1e-300  # m, so that a bristle at rest has a direction
 
-
 compiled = compile_function()
 vectorized = compile_function(  # inline, with sums in any order so that they run on vector units
     forceinline=True, fastmath={"reassoc", "nsz", "nnan"}

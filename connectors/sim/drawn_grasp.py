@@ -17,7 +17,7 @@ import numpy as np
 from connectors.sim.grasp import Grasp, GraspState, Tap, blow_momentum, grip_model, least_force, surface
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
-from connectors.sim.scene import Curvature, Parameters, Travel, Vibration
+from connectors.sim.scene import Curvature, Parameters, Travel, Vibration, log_uniform
 from connectors.sim.simulated_rig import SLIDING
 from operators.batch import Touch, Truth, concat
 
@@ -27,7 +27,6 @@ CLOSING: Final = 1.0  # s, when the hand closes, after the baseline
 SHARES: Final = {"hit": 0.5, "weak": 0.35, "restless": 0.15}  # kinds of grasps
 SOFT: Final = 0.35  # share of blows that are to move nothing
 STRONGEST: Final = 10.0  # N, of the gripper
-_CURVATURES: Final[tuple[Curvature, ...]] = ("plane", "sphere", "cylinder_y", "cylinder_x")
 _SHARES: Final = (0.4, 0.2, 0.2, 0.2)  # more planes: half of their loaded cells read 0
 # constants of the fingertip that differ between grasps, but not between strokes: spread of their logarithm
 _SPREADS: Final = {
@@ -74,8 +73,8 @@ def _draw_grasp(random: np.random.Generator, kind: str) -> tuple[Grasp, "_Random
             break
     gripper = _RandomGripper.draw(random, least, kind)
     start = float(random.uniform(1.9, 2.6))
-    distance, speed = float(random.uniform(0.03, 0.07)), _log_uniform(random, 0.025, 0.1)
-    lift = Travel(start, distance, speed, _log_uniform(random, 0.02, 1.2))
+    distance, speed = float(random.uniform(0.03, 0.07)), log_uniform(random, 0.025, 0.1)
+    lift = Travel(start, distance, speed, log_uniform(random, 0.02, 1.2))
     position = tuple(
         (random.uniform(-1.2, 1.2, 2) * np.minimum((0.004, 0.006), (held.width / 4, held.reach / 2))).tolist()
     )
@@ -89,7 +88,7 @@ def _draw_grasp(random: np.random.Generator, kind: str) -> tuple[Grasp, "_Random
         passive=passive,
         grip=position,
         vibration=Vibration(
-            _log_uniform(random, 5e-6, 5e-5), float(random.uniform(5, 14)), float(random.uniform(0, 360))
+            log_uniform(random, 5e-6, 5e-5), float(random.uniform(5, 14)), float(random.uniform(0, 360))
         ),
     )
     grasp.press(gripper.force, CLOSING, gripper.rate)
@@ -98,20 +97,20 @@ def _draw_grasp(random: np.random.Generator, kind: str) -> tuple[Grasp, "_Random
 
 def draw_object(random: np.random.Generator) -> Object:
     """Draw an object from ranges wider than those of the six objects."""
-    curvature = cast("Curvature", random.choice(_CURVATURES, p=_SHARES))
-    radius = _log_uniform(random, 0.02, 0.09)
+    curvature = cast("Curvature", random.choice(PaperPlan().surfaces, p=_SHARES))
+    radius = log_uniform(random, 0.02, 0.09)
     round_ = curvature in ("sphere", "cylinder_y")
-    length = 2 * radius if curvature in ("sphere", "cylinder_x") else _log_uniform(random, 0.07, 0.3)
+    length = 2 * radius if curvature in ("sphere", "cylinder_x") else log_uniform(random, 0.07, 0.3)
     return Object(
         "drawn",
         curvature,
         radius=math.inf if curvature == "plane" else radius,
-        width=2 * radius if round_ else _log_uniform(random, 0.04, 0.15),
+        width=2 * radius if round_ else log_uniform(random, 0.04, 0.15),
         length=length,
-        mass=_log_uniform(random, 0.08, 1.0),
-        friction=_log_uniform(random, 0.4, 1.8),
+        mass=log_uniform(random, 0.08, 1.0),
+        friction=log_uniform(random, 0.4, 1.8),
         texture=float(random.uniform(0.0, 1.35)),
-        stiffness=_log_uniform(random, 0.2, 1.3),
+        stiffness=log_uniform(random, 0.2, 1.3),
     )
 
 
@@ -123,7 +122,7 @@ def draw_fingertip(random: np.random.Generator) -> Parameters:
         name: getattr(fingertip, name) * math.exp(spread * random.standard_normal())
         for name, spread in _SPREADS.items()
     }
-    return replace(fingertip, **changed, noise=_log_uniform(random, 0.3, 1.5))
+    return replace(fingertip, **changed, noise=log_uniform(random, 0.3, 1.5))
 
 
 def _draw_taps(
@@ -140,10 +139,10 @@ def _draw_taps(
     while instant < SECONDS - 0.5:
         top = random.random() < 0.5
         excess = firm - 1 if top else math.sqrt(firm**2 - 1)
-        momentum = blow_momentum(grip, firm, excess, _log_uniform(random, 0.0003, 0.006))
+        momentum = blow_momentum(grip, firm, excess, log_uniform(random, 0.0003, 0.006))
         if random.random() < SOFT:
-            momentum *= _log_uniform(random, 0.05, 0.6)
-        seconds = 0.01 if random.random() < 0.6 else _log_uniform(random, 0.005, 0.02)
+            momentum *= log_uniform(random, 0.05, 0.6)
+        seconds = 0.01 if random.random() < 0.6 else log_uniform(random, 0.005, 0.02)
         if top:
             yield Tap(instant, momentum, "top", seconds)
         else:
@@ -172,17 +171,17 @@ class _RandomGripper:
     @classmethod
     def draw(cls, random: np.random.Generator, least: float, kind: str) -> Self:
         """Draw a gripper for an object that `least` (N) holds; only a weak one may let it slip."""
-        low = _log_uniform(random, 0.01, 0.2)
+        low = log_uniform(random, 0.01, 0.2)
         firm = kind != "weak"
         return cls(
             random,
             least,
-            force=least * (_log_uniform(random, 1.8, 4.0) if firm else float(random.uniform(0.3, 1.05))),
-            rate=10.0 if random.random() < 0.6 else _log_uniform(random, 4.0, 40.0),
-            lag=_log_uniform(random, 0.01, 0.2),
-            tail=_log_uniform(random, 0.01, 0.3),
-            steps=(low, low * _log_uniform(random, 1.0, 3.0)),
-            restless=_log_uniform(random, 0.1, 4.0) * (1 if firm else 0.15),
+            force=least * (log_uniform(random, 1.8, 4.0) if firm else float(random.uniform(0.3, 1.05))),
+            rate=10.0 if random.random() < 0.6 else log_uniform(random, 4.0, 40.0),
+            lag=log_uniform(random, 0.01, 0.2),
+            tail=log_uniform(random, 0.01, 0.3),
+            steps=(low, low * log_uniform(random, 1.0, 3.0)),
+            restless=log_uniform(random, 0.1, 4.0) * (1 if firm else 0.15),
             floor=1.5 * least if firm else 0.0,
         )
 
@@ -203,7 +202,7 @@ class _RandomGripper:
         """Increase the force by a step."""
         if instant >= self._next_step:
             self._next_step = instant + float(self.random.choice([0.01, 0.01, 0.02, 0.05]))
-            more = max(_log_uniform(self.random, *self.steps) * self.force, 0.02 * self.least)
+            more = max(log_uniform(self.random, *self.steps) * self.force, 0.02 * self.least)
             self.force = min(self.force + more, 12 * self.least)
             grasp.press(self.force, instant, self.rate)
 
@@ -213,17 +212,13 @@ class _RandomGripper:
         self._next_change = instant + float(random.exponential(1 / self.restless))
         match random.choice(4):
             case 0:
-                self.force *= 1 + _log_uniform(random, 0.02, 0.4)
+                self.force *= 1 + log_uniform(random, 0.02, 0.4)
             case 1:
-                self.force *= 1 - _log_uniform(random, 0.02, 0.3)
+                self.force *= 1 - log_uniform(random, 0.02, 0.3)
             case 2:
-                self.force = self.least * _log_uniform(random, 0.9, 5.0)
+                self.force = self.least * log_uniform(random, 0.9, 5.0)
             case _:  # slowly down, until the object slips unless the grasp is firm
                 self.force *= 0.4
-                rate = self.force * _log_uniform(random, 0.05, 1.0)
+                rate = self.force * log_uniform(random, 0.05, 1.0)
         self.force = max(self.force, self.floor)
         grasp.press(self.force, instant, rate)
-
-
-def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
-    return float(low * (high / low) ** random.uniform())

@@ -9,7 +9,7 @@ import numpy as np
 from connectors.sim import contact
 from connectors.sim.arm_motion import Controller, PlannedArm
 from connectors.sim.barometers import Barometers, grid, randoms
-from connectors.sim.scene import Move, Moves, Sampler, Scene, Vibration
+from connectors.sim.scene import Sampler, Scene, Vibration
 from operators.batch import Motion, Reals, Touch, Truth, concat, s
 
 _CHUNK: Final = 3000  # samples simulated at once
@@ -80,9 +80,6 @@ class Finger:
         seed: Random seed of the plan and, with `finger`, of the cells' rest levels and of all noise.
         finger: Number of the fingertip (default 0).
         arm: Arm that moves the fingertip (default: one that executes the plan).
-
-    Attributes:
-        cells: Barometers of the fingertip.
     """
 
     def __init__(self, scene: Scene, seed: int, finger: int = 0, arm: Arm | None = None) -> None:
@@ -93,7 +90,7 @@ class Finger:
         self._ticks = 0  # simulated physics steps
         self._path = 0.0  # m, of the arm at the pad until then
         self._sensed = 0.0  # s, instant of the latest sample of `sense`
-        self.cells = Barometers(p, scene.faults, seed, finger)
+        self._cells = Barometers(p, scene.faults, seed, finger)
         self._sampler = Sampler(scene.touch, randoms(seed, finger)[1])
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
@@ -140,7 +137,7 @@ class Finger:
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         time = np.rint(t * s).astype(np.int64)
-        touch = Touch.rows(time, *self.cells.read(t, tractions, aged), finger=self._finger)
+        touch = Touch.rows(time, *self._cells.read(t, tractions, aged), finger=self._finger)
         return touch, Truth(time, contact_truth[:, 0], contact_truth[:, 1], velocity, finger=self._finger)
 
     def _drive(self, steps: int) -> Reals:
@@ -153,8 +150,7 @@ class Finger:
             drive[:, 1] += drive[:, 2] * x
         if self._p.unevenness:
             drive[:, 3] *= self._uneven(drive)
-        if self._scene.vibration is not None:
-            drive[:, :2] += vibration_velocity(self._scene.vibration, t[: len(drive)])
+        drive[:, :2] += vibration_velocity(self._scene.vibration, t[: len(drive)])
         return drive
 
     def _uneven(self, drive: Reals) -> Reals:
@@ -176,4 +172,4 @@ def simulate_scene(scene: Scene, seed: int) -> tuple[Touch, Motion, Truth]:
 
 def compile_physics() -> None:
     """Compile the physics, or load it from the cache; call it before a live run starts."""
-    Finger(Scene(Moves((Move("hold", 1.0),))), 0).take(2)
+    Finger(Scene(), 0).take(2)

@@ -18,7 +18,7 @@ from connectors.sim.body import GRAVITY, GripModel
 from connectors.sim.contact import FingerState
 from connectors.sim.finger import contact_model, pad, vibration_velocity
 from connectors.sim.objects import Object
-from connectors.sim.scene import Faults, Parameters, Scene, Travel, Vibration
+from connectors.sim.scene import STILL, Faults, Parameters, Scene, Travel, Vibration
 from operators.batch import Reals, Touch, s
 
 RATE: Final = 10.0  # N/s, of a gripper; assumed
@@ -29,21 +29,12 @@ KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative t
 TEXTURE_LIMIT: Final = 0.95  # below 1, so that friction never vanishes
 
 
-def least_force(
-    held: Object,
-    parameters: Parameters | None = None,
-    *,
-    friction: float = 1.0,
-    mass: float = 1.0,
-    passive: float | None = None,
-) -> float:
+def least_force(held: Object, parameters: Parameters | None = None, *, passive: float | None = None) -> float:
     """Return the minimum normal force (N) that holds an object: m g / (mu_pad + mu_passive).
 
     Args:
         held: The object.
         parameters: Parameters of the fingertip and the material (default `Parameters()`).
-        friction: Factor of all friction coefficients (default 1).
-        mass: Factor of the mass (default 1).
         passive: Friction of the passive fingers for an object whose `friction` is 1 (default: as the pad).
 
     >>> from connectors.sim.objects import OBJECTS
@@ -52,7 +43,7 @@ def least_force(
     """
     pad_friction = (parameters or Parameters()).static_friction
     mu = pad_friction + (pad_friction if passive is None else passive)
-    return held.mass * mass * GRAVITY / (held.friction * friction * mu)
+    return held.mass * GRAVITY / (held.friction * mu)
 
 
 def surface(held: Object, parameters: Parameters) -> Scene:
@@ -161,8 +152,6 @@ class Grasp:
         seed: Random seed of the cells' rest levels and of all noise.
         taps: Mallet blows on the object.
         lift: Lift of the hand; None if the object stays on the table.
-        friction: Factor of all friction coefficients (default 1).
-        mass: Factor of the object's mass and moment of inertia (default 1).
         passive: Friction of the passive fingers for an object whose `friction` is 1 (default: as the pad).
         grip: Position of the pad's centre relative to the object's centre (m, m).
         vibration: Vibration of the hand.
@@ -176,13 +165,10 @@ class Grasp:
         *,
         taps: Sequence[Tap] = (),
         lift: Travel | None = None,
-        friction: float = 1.0,
-        mass: float = 1.0,
         passive: float | None = None,
         grip: tuple[float, float] = (0.0, 0.0),
-        vibration: Vibration | None = None,
+        vibration: Vibration = STILL,
     ) -> None:
-        held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
         scene = surface(held, parameters or Parameters())
         p = scene.parameters
         self._step = p.step
@@ -256,8 +242,7 @@ class Grasp:
         drive = np.zeros((steps, 9))
         if not steps:
             return drive
-        if self._vibration is not None:
-            drive[:, :2] = vibration_velocity(self._vibration, t)
+        drive[:, :2] = vibration_velocity(self._vibration, t)
         if self._lift is not None and edges[-1] > self._lift.start and t[0] < self._lift.end:
             drive[:, 1] += np.diff(self._lift.at(edges)[0]) / self._step
         drive[:, 3] = self._forces(t)

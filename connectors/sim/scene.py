@@ -1,12 +1,12 @@
 """Declaration of a scene: surface, arm motion, timing, faults, vibration and physical constants.
 
-Terms that are zero or absent are not computed.
+Terms that are zero have no effect.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import exp, sqrt
-from typing import Final, Literal, Protocol, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -14,9 +14,8 @@ from operators.batch import Flags, Reals, Times, s
 from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
-RADIUS: Final = 0.06  # m, default for curved surfaces
-
 MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"]
+ENDLESS: Final = 1 << 62  # rounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,44 +40,65 @@ class Move:
             raise ParameterError("Move", "rest", self.rest, f"at least 0 and below its {self.seconds} s")
 
 
-class Plan(Protocol):
-    """Sequence of moves."""
-
-    def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield the moves in order, possibly without end."""
-        ...
+def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number whose logarithm is uniformly distributed."""
+    return float(low * (high / low) ** random.uniform())
 
 
-@dataclass(frozen=True, slots=True)
-class Moves:
-    """An explicit plan."""
+def log_normal(random: np.random.Generator, spread: float) -> float:
+    """Draw from a log-normal distribution with the median 1."""
+    return exp(spread * random.standard_normal())
 
-    steps: tuple[Move, ...]
 
-    def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield the steps in order."""
-        del random
-        return iter(self.steps)
+def _draw_duration(random: np.random.Generator, mean: float, spread: float) -> float:
+    """Draw from a log-normal distribution with a mean (s); at least 0.1 s."""
+    return max(0.1, mean * (log_normal(random, spread) / exp(spread * spread / 2)))
 
 
 @dataclass(frozen=True, slots=True)
-class Strokes:
-    """Endless strokes in eight shuffled directions.
+class PaperStrokes:
+    """Plan of strokes or rotations as in the paper; it starts in the air, for the baseline."""
 
-    Each round has its own speed and normal force and ends where it began. The fingertip starts in the air,
-    for the baseline.
-    """
+    speed: float | None = 0.05  # m/s of the strokes; None for rotations at 1 rad/s
+    force: float = 2.437  # N, normal force; fit
+    stroke: float = 0.66  # s, mean duration of a stroke; fit
+    stroke_spread: float = 0.05  # standard deviation of its logarithm
+    pause: float = 0.68  # s, mean standstill before a stroke; paper: 54 % of 45 minutes are static
+    pause_spread: float = 0.65  # standard deviation of its logarithm; fit to the paper's PSD on 1 s
+    rounds: int = 2  # of eight strokes each
+    touching: bool = False  # True: the baseline is taken in contact
+    disturbed: bool = False  # True: force changes, taps and lifts between strokes
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield air, then rounds of approach and eight strokes; normal forces have a median of 1.5 N."""
-        yield Move("hold", 1.2, force=0.0)
-        while True:
-            force = 1.5 * float(np.exp(0.3 * random.standard_normal()))
-            yield Move("hold", float(random.uniform(0.8, 1.5)), force=force)
-            speed, length = float(random.choice((0.05, 0.075, 0.1))), float(random.uniform(0.5, 0.7))
+        """Yield air, approach, and strokes with or without disturbances between them."""
+        yield Move("hold", 1.2, force=self.force * self.touching, settle=0.01)
+        yield Move("hold", float(random.uniform(0.6, 1.0)), force=self.force)
+        for _ in range(self.rounds):
             for direction in random.permutation(8):
-                pause = float(random.uniform(0.4, 1.2))
-                yield Move("translation", pause + length, pause, 45.0 * int(direction), speed)
+                pause = _draw_duration(random, self.pause, self.pause_spread)
+                length = _draw_duration(random, self.stroke, self.stroke_spread)
+                if self.speed is None:
+                    yield Move("rotation", pause + length, pause, speed=1.0 if direction % 2 else -1.0)
+                else:
+                    yield Move("translation", pause + length, pause, 45.0 * int(direction), self.speed)
+                if self.disturbed:
+                    yield from self._disturb(random)
+
+    def _disturb(self, random: np.random.Generator) -> Iterator[Move]:
+        """Yield at most one disturbance without slip: a changed force, a tap, or a lift."""
+        grip = float(self.force * np.exp(0.3 * random.standard_normal()))
+        match random.choice(4, p=[0.54, 0.30, 0.10, 0.06]):
+            case 1:
+                seconds, settle = random.uniform([0.5, 0.15], [0.9, 0.5])
+                yield Move("hold", float(seconds), force=grip, settle=float(settle))
+            case 2:
+                heading, fraction = random.uniform([0.0, 0.3], [360.0, 1.0])
+                yield Move("tap", 0.5, 0.1, float(heading), tap=float(3.0 * fraction))  # N
+            case 3:
+                yield Move("lift", 0.5, force=0.0, settle=0.2)
+                yield Move("hold", 0.6, force=grip)
+            case _:
+                return
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +136,9 @@ class Vibration:
     amplitude: float = 1e-4  # m
     frequency: float = 6.5  # Hz; paper: 6.5 and 12
     direction_deg: float = 0.0
+
+
+STILL: Final = Vibration(0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,14 +200,14 @@ class Parameters:
 class Scene:
     """All parameters of a simulated recording except its seed."""
 
-    plan: Plan = field(default_factory=Strokes)
+    plan: PaperStrokes | tuple[Move, ...] = PaperStrokes(rounds=ENDLESS)
     curvature: Curvature = "plane"
-    radius: float = RADIUS  # m, of a curved surface
+    radius: float = 0.06  # m, of a curved surface
     apex: tuple[float, float] = (0.0, 0.0)  # m, highest point of a curved surface on the pad
     tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope of the pad along x and y
     offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP, the axis of rotations, to the pad's centre
     acceleration: float = 1.0  # m/s2 of the arm at the ends of a stroke
-    vibration: Vibration | None = None
+    vibration: Vibration = STILL
     touch: Timing = Timing(100.0)
     motion: Timing = Timing(125.0, latency=0.07)
     faults: Faults = Faults()
@@ -201,7 +224,8 @@ class Scene:
     def moves(self, seed: int) -> Iterator[tuple[float, Move]]:
         """Yield each move of the plan with its start (s)."""
         start = 0.0
-        for move in self.plan.moves(np.random.default_rng([seed, 0])):
+        random = np.random.default_rng([seed, 0])
+        for move in self.plan if isinstance(self.plan, tuple) else self.plan.moves(random):
             yield start, move
             start += move.seconds
 
@@ -258,7 +282,6 @@ def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
     return across / (1 + sqrt(max(0.0, 1 - max(curvatures) * across)))
 
 
-_BEGINNING: Final = int(np.iinfo(np.int64).min)
 _WANDERING: Final = 1.0  # s, in which a latency changes
 
 
@@ -271,7 +294,7 @@ class Sampler:
         self._kept = exp(-1 / (timing.rate * _WANDERING))  # part of the latency's deviation after a sample
         self._left = self._kept * self._slow.standard_normal(1)  # of the latest deviation
         self._taken = 0
-        self._latest = _BEGINNING  # ns
+        self._latest = int(np.iinfo(np.int64).min)  # ns
 
     def instants(self, samples: int) -> Reals:
         """Return the true instants (k,) (s since the run began) of the next samples."""

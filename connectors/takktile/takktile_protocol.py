@@ -8,11 +8,7 @@ Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Lin
 
 import struct
 from dataclasses import dataclass
-from typing import Final, NamedTuple, TypeVar
-
-from operators.batch import Reals
-
-Value = TypeVar("Value", float, Reals)
+from typing import Final, NamedTuple
 
 BAROMETER: Final = 0x60  # address of every barometer
 ALL: Final = 0x06  # address of all cells of all fingertips
@@ -85,7 +81,7 @@ class Coefficients(NamedTuple):
         signs = found.a0 > 0 and found.b1 < 0 and found.b2 < 0 and found.c12 >= 0
         return found if signs and LEAST <= found.pressure(*EXAMPLE) <= MOST else None
 
-    def pressure(self, counts: Value, temperature: Value) -> Value:
+    def pressure(self, counts: float, temperature: float) -> float:
         """Return the absolute pressure (kPa) of raw counts, as in the datasheet.
 
         >>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))

@@ -177,7 +177,8 @@ class TraceImport:
             labels = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
             lines.append(f"  labels of {self.label_source}: {labels}")
         lines += [f"  warning: {each}" for each in part.warnings]
-        group = "" if self.trace.group is None else f", group {self.trace.group}"
+        about = self.trace.describe()
+        group = f", group {about['group']}" if "group" in about else ""
         fingers = " and ".join(map(str, found["fingers"]))
         return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{group}"])
 
@@ -208,7 +209,8 @@ def import_frame(
         InputError: if it has another session of that name.
     """
     stated = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
-    found = TraceImport(Trace(frame, stated, name=session, group=group, about=about), Path(out), session)
+    about = {**(about or {}), **({} if group is None else {"group": group})}
+    found = TraceImport(Trace(frame, stated, name=session, about=about), Path(out), session)
     found.write()
     return found
 
@@ -255,7 +257,7 @@ def import_files(
         try:
             parts = _parts(path, columns, steps, split=split)
             for number, part in enumerate(parts, 1):
-                trace = Trace(part, name=str(path), group=surface)
+                trace = Trace(part, name=str(path), about=surface)
                 found = TraceImport(trace, out, f"{name}-{number}" if len(parts) > 1 else name)
                 if _is_present(out, found.session, part.sha256):
                     found.state = "present"
@@ -313,14 +315,14 @@ def _session_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _group_of(path: Path, pattern: str) -> str | None:
-    """Return the surface or object that a file's name states; None without a pattern."""
+def _group_of(path: Path, pattern: str) -> Description:
+    """Return the surface or object that a file's name states as an entry of its description."""
     if not pattern:
-        return None
+        return {}
     try:
         match = re.search(pattern, path.name)
     except re.error as error:
         raise ParameterError("import", "--group", pattern, f"a regular expression: {error}") from None
     if group := match and match[min(1, match.re.groups)]:
-        return group
+        return {"group": group}
     raise InputError(str(path), f"has no group: its name does not match --group {pattern!r}")

@@ -19,8 +19,8 @@ import numpy as np
 from connectors import SimulatedRig
 from connectors.sim.drawn_grasp import simulate_grasp
 from connectors.sim.finger import simulate_scene
-from connectors.sim.paper_plan import PaperPlan, PaperStrokes, calm, varied
-from connectors.sim.scene import Scene
+from connectors.sim.paper_plan import PaperPlan, calm, varied
+from connectors.sim.scene import PaperStrokes, Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestSource
@@ -40,9 +40,14 @@ from storage.files import partial_output
 PLANS: Final[Mapping[str, PaperPlan]] = {
     "paper": PaperPlan(),
     "wide": PaperPlan(repeats=6, rotations=4, vary=varied),
-    "slow": PaperPlan(speeds=(0.004, 0.006, 0.01, 0.02), repeats=4, rotations=0, stroke=1.5, pause=1.0),
+    "slow": PaperPlan(
+        speeds=(0.004, 0.006, 0.01, 0.02),
+        repeats=4,
+        rotations=0,
+        strokes=PaperStrokes(stroke=1.5, pause=1.0),
+    ),
     "calm": PaperPlan(repeats=6, rotations=1, vary=calm),
-    "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
+    "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, strokes=PaperStrokes(rounds=1)),
 }
 
 GRASPS: Final = "grasps"  # plan

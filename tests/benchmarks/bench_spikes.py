@@ -14,7 +14,7 @@ import polars as pl
 
 from connectors.sim.finger import Finger, simulate_scene
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Move, Moves, Scene, Vibration
+from connectors.sim.scene import STILL, Move, Scene, Vibration
 from flows.learn.labelled_recordings import scene_seed, simulated_recording
 from flows.report.table import Table, Value
 from operators import SLIP, Debounce, Score, Slips, Touch, Zero, Zeroed, concat, ms
@@ -32,9 +32,9 @@ def touched(counts: Counts) -> Touch:
     return Touch(np.arange(len(counts)) * 10 * ms, counts, counts, np.ones(counts.shape, np.bool_))
 
 
-def held(vibration: Vibration | None) -> Counts:
+def held(vibration: Vibration) -> Counts:
     """Return the counts of a fingertip that rests on a plane for ten minutes."""
-    plan = Moves((Move("hold", 2.0, force=0.0), Move("hold", TEN_MINUTES / 100, force=2.0)))
+    plan = Move("hold", 2.0, force=0.0), Move("hold", TEN_MINUTES / 100, force=2.0)
     taken = Finger(Scene(plan, vibration=vibration), 0).take(TEN_MINUTES)
     assert taken is not None
     return taken[0].counts
@@ -62,7 +62,7 @@ def onsets(zero: Zero, touch: Touch) -> int:
 def prevented() -> Table:
     """Return false onsets per hour for each bit, without and with the test."""
     rows = list[list[Value]]()
-    still, shaken = held(None), held(SHAKEN)
+    still, shaken = held(STILL), held(SHAKEN)
     for bit in range(16):
         row: list[Value] = [str(bit)]
         for counts in (still, shaken):

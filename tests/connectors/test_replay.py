@@ -86,8 +86,3 @@ def test_a_missing_stream_cannot_be_replayed() -> None:
         _ = Replay(recording, Motion).fingers
     with pytest.raises(InputError, match=r"^recorded: has no Scores stream of finger 3; its fingers are 0$"):
         _ = Replay(recording, Scores, (0, 3)).fingers
-
-
-def test_the_source_names_its_recording() -> None:
-    source = Replay(Recorded({0: [0]}), Scores)
-    assert (str(source), source.describe()) == ("Replay(recorded, Scores)", {"rig": "ur10"})

@@ -11,13 +11,14 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable
+from enum import IntEnum
 from typing import Any, Final, NamedTuple, Self, cast
 
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from connectors.gripper.robotiq import FULL, PORT, SETTLE, STATUS, UNIT, Fingers, Phase, register_force
+from connectors.gripper.robotiq import FULL, PORT, SETTLE, STATUS, UNIT, register_force
 from operators.batch import s
 from storage.background_task import BackgroundTask
 
@@ -29,6 +30,15 @@ RELEASED: Final = 0x0F  # fault: automatic release completed
 CYCLE: Final = 0.010  # s between updates of the mechanism
 READ: Final = 4  # Modbus function: read input registers
 WRITE: Final = 16  # Modbus function: write multiple registers
+MOVING, STOPPED, ARRIVED = 0, 2, 3  # motion of the fingers; stopped before the requested position
+
+
+class Phase(IntEnum):
+    """State of the activation."""
+
+    RESET = 0
+    ACTIVATING = 1
+    READY = 3
 
 
 class Asked(NamedTuple):
@@ -92,11 +102,11 @@ class Mechanism:
             fault = NOT_ACTIVATED if asked.go else self._fault
             return bytes([self._phase << 4, 0, fault, asked.position]) + bytes(12)
         go = asked.go and self._phase is Phase.READY
-        fingers = Fingers.MOVING
+        fingers = MOVING
         if go and at == asked.position:
-            fingers = Fingers.ARRIVED
+            fingers = ARRIVED
         elif go and self.forces and self.forces[-1]:
-            fingers = Fingers.ALL_STOPPED
+            fingers = STOPPED
         axes = fingers * 0b010101 | 0b11000000 if go else 0
         fault = self._fault or (asked.go and self._phase is Phase.ACTIVATING) * ACTIVATING
         gripper = 1 | go << 3 | self._phase << 4 | fingers << 6

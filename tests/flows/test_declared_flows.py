@@ -7,22 +7,19 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from connectors import Trace
 from flows.cli.demo_command import report
 from flows.demo import demo
 from flows.graph import Flow
 from flows.graph.loading import load
-from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.testing import run_virtually
 from flows.graph.validation import problems
 from flows.live import live
 from flows.record import record
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from flows.run.replay_runner import ReplayRunner, first_time, replayed
-from operators import Debounce, Motion, ParameterError, Run, Score, Slips, Source, Touch, Zero, s
-from storage import Dataset, Session, load_detector
-
-MAT = Path(__file__).parents[3] / "shared" / "real" / "mat_trace.csv"
+from flows.run.replay_runner import ReplayRunner
+from operators import Motion, ParameterError, Run, Source, Touch, s
+from storage import Dataset, Session
 
 
 def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
@@ -82,34 +79,6 @@ def test_the_report_of_the_demo_compares_onsets_with_the_truth(
     assert "onset delay: median" in text
     assert f"{tmp_path}/sessions/test/samples/*.parquet" in text
     assert set(Session.open(tmp_path).tables) == {"touch", "motion", "samples", "slips", "episodes", "truth"}
-
-
-def _events(detector: str, pace: float | None) -> Slips:
-    """Events of the real trace."""
-    flow, sink = Flow("real"), TestSink()
-    touch = flow.source(TestSource(Touch))
-    (touch | Zero() | Score(load_detector(detector)) | Debounce(consecutive=2)).to(sink)
-    trace = Trace(MAT)
-    if pace is None:
-        asyncio.run(ReplayRunner(flow, trace, "real").execute())
-    else:
-
-        async def paced() -> None:
-            clock = LoopClock(first_time(trace), pace)
-            await LiveRunner(replayed(flow, trace), "real", clock=clock).execute()
-
-        run_virtually(paced())
-    return sink.rows(Slips, 0)
-
-
-@pytest.mark.parametrize("detector", ["psd", "paper_tcn"])
-def test_the_real_trace_gives_the_same_events_live_paced_and_at_full_speed(detector: str) -> None:
-    if not MAT.exists():
-        pytest.skip(f"the real trace is not there: {MAT}")
-    full, paced = _events(detector, None), _events(detector, 1.0)
-    assert len(full) > 0
-    for column in ("time", "state", "start", "probability"):
-        assert getattr(full, column).tobytes() == getattr(paced, column).tobytes()
 
 
 def test_a_negative_delay_or_seed_is_rejected(tmp_path: Path) -> None:

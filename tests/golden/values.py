@@ -16,6 +16,7 @@ from unittest.mock import patch
 import polars as pl
 
 from connectors.sim.paper_plan import PaperPlan
+from connectors.sim.scene import PaperStrokes
 from flows.lab.experiments.study import Method, Trials, run_study
 from flows.lab.simulation import simulate
 from flows.learn.evaluation import evaluation_study, stress_study
@@ -145,7 +146,9 @@ def held_out(dataset: Path) -> Numbers:
 
 def stressed() -> Numbers:
     """Return the performance along one stress field."""
-    plan = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
+    plan = PaperPlan(
+        surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, strokes=PaperStrokes(rounds=1)
+    )
     with patch.object(stress_study, "FIELDS", {"noise": FIELDS["noise"]}):
         found = stress_study.stress(names=["tcn", "psd"], seed=7, plan=plan, training=plan)
     return {

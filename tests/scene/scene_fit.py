@@ -21,6 +21,7 @@ import numpy as np
 from scipy.linalg import hadamard
 
 from connectors.sim.paper_plan import PaperPlan
+from connectors.sim.scene import PaperStrokes, Parameters
 from operators.batch import Reals
 from operators.detectors import Detector, PaperTcn
 from tests.scene.scene_targets import CROSS_CHECK, PLAN, Target, figures, read_trace, targets
@@ -31,7 +32,7 @@ STICTION: Final = 2.2  # largest ratio of static to kinetic friction; above it, 
 RESONANCE: Final = 20.0  # Hz, least resonance of the finger; below it, a shaking hand loses held objects
 SEED: Final = 1000  # of the first round; each later round takes the next one
 RUNS: Final = 32  # of a design, more than there are constants
-# of `PaperPlan` or, if it has no such name, of `Parameters`; a number is an index into a tuple
+# of `PaperPlan`, its strokes or its `Parameters`; a number is an index into a tuple
 CONSTANTS: Final = (
     "normal_stiffness", "shear_stiffness", "static_friction", "kinetic_friction", "stribeck_speed", "texture",
     "texture_lengths.0", "texture_lengths.1", "mass", "stiffness", "damping", "tilt_stiffness",
@@ -65,24 +66,35 @@ def constants(plan: PaperPlan) -> dict[str, float]:
     found: dict[str, float] = {}
     for name in CONSTANTS:
         field, _, index = name.partition(".")
-        value: Any = getattr(plan if hasattr(plan, field) else plan.parameters, field)
+        value: Any = getattr(next(part for part in _parts(plan) if hasattr(part, field)), field)
         found[name] = float(value[int(index)] if index else value)
     return found
 
 
 def changed(plan: PaperPlan, steps: Reals) -> PaperPlan:
     """Return a plan whose constants are changed by steps (constants,): `STEP`, or `SLOPE` of a tilt."""
-    collection: dict[str, Any] = {}
-    physics: dict[str, Any] = {}
+    found: dict[str, Any] = {}
     for (name, value), step in zip(constants(plan).items(), steps.tolist(), strict=True):
         field, _, index = name.partition(".")
         new = value + SLOPE * step if field == "tilt" else value * float(np.exp(STEP * step))
-        owner = collection if hasattr(plan, field) else physics
-        owner[field] = (*owner.get(field, ()), new) if index else new
-    physics["texture"] = min(physics["texture"], 0.9)  # friction never vanishes
-    physics["static_friction"] = min(physics["static_friction"], STICTION * physics["kinetic_friction"])
-    physics["mass"] = min(physics["mass"], physics["stiffness"] / (2 * np.pi * RESONANCE) ** 2)
-    return replace(plan, parameters=replace(plan.parameters, **physics), **collection)
+        found[field] = (*found.get(field, ()), new) if index else new
+    found["texture"] = min(found["texture"], 0.9)  # friction never vanishes
+    found["static_friction"] = min(found["static_friction"], STICTION * found["kinetic_friction"])
+    found["mass"] = min(found["mass"], found["stiffness"] / (2 * np.pi * RESONANCE) ** 2)
+    return _with(plan, found)
+
+
+def _parts(plan: PaperPlan) -> tuple[PaperPlan, PaperStrokes, Parameters]:
+    return plan, plan.strokes, plan.parameters
+
+
+def _with(plan: PaperPlan, values: Mapping[str, Any]) -> PaperPlan:
+    """Return a plan with other values of fields of its parts."""
+    own, strokes, physics = (
+        {name: value for name, value in values.items() if hasattr(part, name)} for part in _parts(plan)
+    )
+    changed = {"strokes": replace(plan.strokes, **strokes), "parameters": replace(plan.parameters, **physics)}
+    return replace(plan, **own, **changed)
 
 
 def fit(
@@ -117,13 +129,10 @@ def fit(
 def without(plan: PaperPlan, term: Mapping[str, Any]) -> PaperPlan:
     """Return a plan without a term of the scene."""
     p = plan.parameters
-    own = {name: value for name, value in term.items() if hasattr(plan, name)}
-    physics = {
-        name: getattr(p, value) if isinstance(value, str) else value
-        for name, value in term.items()
-        if name not in own
-    }
-    return replace(plan, **own, parameters=replace(p, **physics))
+    return _with(
+        plan,
+        {name: getattr(p, value) if isinstance(value, str) else value for name, value in term.items()},
+    )
 
 
 def ablation(plan: PaperPlan, wanted: Sequence[Target], simulate: Simulate) -> str:

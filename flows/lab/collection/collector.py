@@ -11,7 +11,7 @@ from typing import Final, TypeAlias, cast
 
 import numpy as np
 
-from connectors.sim.scene import MotionKind, Move, Moves, Scene, Vibration
+from connectors.sim.scene import MotionKind, Move, Scene, Vibration
 from connectors.sim.simulated_arm import SimulatedArm
 from connectors.sim.simulated_rig import episode
 from connectors.ur.ur_arm import UrArm
@@ -335,5 +335,5 @@ async def virtual_arm(path: PlannedPath, clock: Clock, fingers: tuple[int, ...] 
     if len(plan.surfaces) > 1:
         raise InputError(plan.name, "has several surfaces; the virtual arm has one")
     await asyncio.to_thread(compile_physics)
-    scene = Scene(Moves(()), surface.shape, surface.radius, vibration=Vibration())
+    scene = Scene((), surface.shape, surface.radius, vibration=Vibration())
     return SimulatedArm(scene, surface.middle, path.bounds, clock, seed=plan.seed, fingers=fingers)

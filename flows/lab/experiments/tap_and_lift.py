@@ -75,8 +75,7 @@ def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float
     """Draw a momentum (N s); `excess` is the friction left to resist the blow, relative to the weight."""
     low, high = SLIDES
     slide = low * (high / low) ** float(random.uniform()) / 1000  # m
-    held = replace(trial.held, mass=trial.held.mass * trial.mass)
-    grip = grip_model(held, surface(held, trial.fingertip), trial.position)
+    grip = grip_model(trial.held, surface(trial.held, trial.fingertip), trial.position)
     return blow_momentum(grip, trial.firm, excess, slide)
 
 

@@ -70,13 +70,11 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The random draw of one trial: friction, mass, grip position, firm force and vibration."""
+    """The random draw of one trial: object, grip position, firm force and vibration."""
 
-    held: Object
+    held: Object  # with the friction and mass of the trial
     fingertip: Parameters
     seed: int
-    friction: float  # factor
-    mass: float  # factor
     position: tuple[float, float]  # m, of the grip relative to the object's centre
     firm: float  # force of a firm grip, relative to the least that holds
     vibration: Vibration
@@ -106,15 +104,20 @@ class Trial:
         )
         x, y = (random.uniform(-1, 1, 2) * np.minimum(OFFSET, (held.width / 4, held.reach / 2))).tolist()
         vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
-        held = replace(held, stiffness=held.stiffness * conditions.stiffness)
+        held = replace(
+            held,
+            friction=held.friction * friction,
+            mass=held.mass * mass,
+            stiffness=held.stiffness * conditions.stiffness,
+        )
         fingertip = replace(fingertip, tilt_stiffness=fingertip.tilt_stiffness * conditions.tilt)
         firm = float(random.uniform(*FIRM))
-        return cls(held, fingertip, seed, friction, mass, (x, y), firm, vibration, conditions)
+        return cls(held, fingertip, seed, (x, y), firm, vibration, conditions)
 
     @property
     def least_force(self) -> float:
         """Least force that holds the object (N)."""
-        return least_force(self.held, self.fingertip, friction=self.friction, mass=self.mass)
+        return least_force(self.held, self.fingertip)
 
     @property
     def expected_force(self) -> float:
@@ -129,8 +132,6 @@ class Trial:
             self.seed,
             lift=lift,
             taps=taps,
-            friction=self.friction,
-            mass=self.mass,
             grip=self.position,
             vibration=self.vibration,
         )

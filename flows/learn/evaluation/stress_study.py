@@ -5,17 +5,16 @@ compared with the label by arm speed, and with the true sliding of the contact: 
 changes the label alone.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias, cast
 
-import numpy as np
 import polars as pl
 
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Move, Plan, Scene, Vibration
+from connectors.sim.scene import PaperStrokes, Scene
 from flows.learn.evaluation.evaluation_study import Evaluation, Progress, judge_all, method_results
 from flows.learn.evaluation.folds import Fold
 from flows.learn.evaluation.methods import Candidate, Method, baselines, trained_methods
@@ -121,21 +120,6 @@ class StressField:
         return self.values[0]
 
 
-@dataclass(frozen=True, slots=True)
-class Scaled:
-    """A plan with all normal forces and all speeds multiplied."""
-
-    plan: Plan
-    force: float = 1.0
-    speed: float = 1.0
-
-    def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield the moves of the plan, with the same durations and directions."""
-        for move in self.plan.moves(random):
-            force = None if move.force is None else move.force * self.force
-            yield replace(move, force=force, speed=move.speed * self.speed)
-
-
 def stressed(scene: Scene, field: str, value: float) -> Scene:
     """Return a scene under one of the stresses `FIELDS`."""
     return scene if value == FIELDS[field].nominal else FIELDS[field].change(scene, value)
@@ -171,8 +155,13 @@ def _stick_slip(scene: Scene, value: float) -> Scene:
 
 
 def _vibration(scene: Scene, value: float) -> Scene:
-    vibration = scene.vibration or Vibration(0.0)
-    return replace(scene, vibration=replace(vibration, amplitude=vibration.amplitude + value))
+    return _changed(scene, "vibration", amplitude=scene.vibration.amplitude + value)
+
+
+def _scaled(scene: Scene, force: float = 1.0, speed: float = 1.0) -> Scene:
+    """Return a scene with all normal forces and the speed of its strokes multiplied."""
+    plan = cast("PaperStrokes", scene.plan)
+    return _changed(scene, "plan", force=force * plan.force, speed=plan.speed and speed * plan.speed)
 
 
 def _stream(stream: str) -> dict[str, StressField]:
@@ -208,13 +197,13 @@ FIELDS: Final[Mapping[str, StressField]] = {
     "friction": StressField(_friction, (1, 0.7, 0.5, 0.3, 0.15), "friction", "x"),
     "stick_slip": StressField(_stick_slip, (1, 0.75, 0.5, 0.25, 0), "stick-slip", "x"),
     "force": StressField(
-        lambda scene, x: replace(scene, plan=Scaled(scene.plan, x)),
+        lambda scene, x: _scaled(scene, force=x),
         (1, 2, 4, 0.5, 0.25, 0.1),
         "grip force",
         "x",
     ),
     "slip_speed": StressField(
-        lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x)),
+        lambda scene, x: _scaled(scene, speed=x),
         (1, 0.6, 0.4, 0.2, 0.08),
         "slip speed",
         "mm/s",

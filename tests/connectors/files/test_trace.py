@@ -101,11 +101,6 @@ def test_the_batches_of_any_size_are_the_whole_trace(write: Write, length: int, 
     assert concat(Touch, batches).counts.tolist() == trace.touch.counts.tolist()
 
 
-def test_blank_lines_are_ignored(write: Write) -> None:
-    path = write(HEADER, "0,1,2,3,4,5,6", "", "1,1,2,3,4,5,6", "")
-    assert Trace(path).touch.time.tolist() == [0, 1_000_000_000]
-
-
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
 LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
@@ -302,7 +297,7 @@ def test_labels_may_have_other_values(
 def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object]) -> None:
     time = np.arange(100) * 10_000_000
     columns = {"time_ns": time, "cell0": np.arange(100), "cell1": np.arange(100.0), "state": ["slip"] * 100}
-    trace = Trace(kind(columns), ColumnMap.parse("label=state"), name="made.bin", group="wood")
+    trace = Trace(kind(columns), ColumnMap.parse("label=state"), name="made.bin", about={"group": "wood"})
     assert trace.touch.time.tolist() == time.tolist()
     assert set(trace.labels.tolist()) == {1}
     assert trace.describe()["trace"] == "made.bin"

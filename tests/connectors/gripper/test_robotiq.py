@@ -1,4 +1,3 @@
-from dataclasses import replace
 from math import inf
 from struct import unpack
 
@@ -6,25 +5,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.gripper.robotiq import FAULTS, Fingers, Phase, Status, force_register, register_force
+from connectors.gripper.robotiq import FAULTS, Status, force_register, register_force
 
 
 @pytest.mark.parametrize(
     ("data", "status"),
     [
-        ("11 00" + " 00" * 14, Status(True, phase=Phase(1))),
-        ("31 00" + " 00" * 14, Status(True, phase=Phase(3))),
+        ("11 00" + " 00" * 14, Status(active=True)),
+        ("31 00" + " 00" * 14, Status(active=True, ready=True)),
         (
             "39 C0 00 00 B8 0B 00 BD 0E 00 BA 0B 00 89 00 00",
-            Status(True, True, Phase(3), Fingers(0), 0, (0xB8, 0xBD, 0xBA)),
+            Status(True, True, 0, (0xB8, 0xBD, 0xBA)),
         ),
         (
             "B9 EA 00 FF BC 00 00 C1 00 00 BD 00 00 89 00 00",
-            Status(True, True, Phase(3), Fingers(2), 0, (0xBC, 0xC1, 0xBD)),
+            Status(True, True, 0, (0xBC, 0xC1, 0xBD)),
         ),
         (
             "F9 FF 00 00 07 00 00 06 00 00 06 00 00 89 00 00",
-            Status(True, True, Phase(3), Fingers(3), 0, (7, 6, 6)),
+            Status(True, True, 0, (7, 6, 6)),
         ),
     ],
 )
@@ -38,16 +37,6 @@ def test_any_eight_registers_are_a_status(values: list[int]) -> None:
     assert bool(status.reason) == bool(status.fault)
     with pytest.raises(ValueError, match="a status of 7 registers"):
         Status.decode(values[:-1])
-
-
-def test_fingers_that_stop_before_the_target_detect_an_object() -> None:
-    held = Status(active=True, go=True, phase=Phase.READY, fingers=Fingers.ALL_STOPPED)
-    others = {"fingers": Fingers.MOVING, "go": False, "phase": Phase.CHANGING, "active": False}
-    assert held.object_detected
-    assert replace(held, fingers=Fingers.SOME_STOPPED).object_detected
-    assert not replace(held, fingers=Fingers.ARRIVED).object_detected
-    for name, value in others.items():
-        assert not replace(held, **{name: value}).object_detected  # type: ignore[arg-type]
 
 
 def test_faults_that_need_a_reset_are_recognised() -> None:

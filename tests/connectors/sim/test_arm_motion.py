@@ -7,17 +7,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from connectors.sim.arm_motion import Controller, PlannedArm, in_base
-from connectors.sim.scene import MotionKind, Move, Moves, Scene
+from connectors.sim.scene import MotionKind, Move, Scene
 from operators.errors import ParameterError
 
-PLAN = Moves(
-    (
-        Move("hold", 0.5, force=2.0),
-        Move("translation", 0.9, 0.3, 45.0, 0.1),
-        Move("rotation", 0.7, 0.2, speed=1.0),
-        Move("translation", 0.05, 0.0, 180.0, 0.1),
-        Move("lift", 0.5, force=0.0),
-    )
+PLAN = (
+    Move("hold", 0.5, force=2.0),
+    Move("translation", 0.9, 0.3, 45.0, 0.1),
+    Move("rotation", 0.7, 0.2, speed=1.0),
+    Move("translation", 0.05, 0.0, 180.0, 0.1),
+    Move("lift", 0.5, force=0.0),
 )
 FINE = np.arange(0, PLAN_SECONDS := 2.65, 1e-4)
 
@@ -49,7 +47,7 @@ def test_force_goes_from_grip_to_grip_without_a_jump() -> None:
 
 
 def test_a_tap_pushes_once_along_its_direction() -> None:
-    push = PlannedArm(Scene(Moves((Move("tap", 0.5, 0.2, 90.0, tap=5.0),))), 0).at(FINE)[0][:, 4:]
+    push = PlannedArm(Scene((Move("tap", 0.5, 0.2, 90.0, tap=5.0),)), 0).at(FINE)[0][:, 4:]
     assert push[:, 1].max() == pytest.approx(5.0)
     assert np.abs(push[:, 0]).max() < 1e-12
     assert push[:, 1].sum() * 1e-4 == pytest.approx(5.0 * 0.01 * 2 / 3, rel=1e-3)

@@ -4,16 +4,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from connectors.sim.finger import Finger
-from connectors.sim.scene import Faults, Move, Moves, Scene, Timing, Vibration
+from connectors.sim.scene import Faults, Move, Scene, Timing, Vibration
 from operators.batch import Touch, Truth, concat
 
-STROKE = Moves(
-    (
-        Move("hold", 0.3, force=0.0),
-        Move("hold", 0.5, force=2.0),
-        Move("translation", 0.6, 0.1, 30.0, 0.1),
-        Move("rotation", 0.5, 0.1, speed=1.0),
-    )
+STROKE = (
+    Move("hold", 0.3, force=0.0),
+    Move("hold", 0.5, force=2.0),
+    Move("translation", 0.6, 0.1, 30.0, 0.1),
+    Move("rotation", 0.5, 0.1, speed=1.0),
 )
 
 

@@ -21,24 +21,6 @@ def trace(folder: Path, *rows: str, header: str = HEADER) -> str:
     return str(path)
 
 
-def shaking(folder: Path, samples: int = 300) -> str:
-    """Write a zeroed trace that is static and then shakes."""
-    rows = [
-        f"{k / 100},{','.join(str(-100 - (300 * (k % 3) if k > samples // 2 else 0)) for _ in range(6))}"
-        for k in range(samples)
-    ]
-    return trace(folder, *rows)
-
-
-def test_a_trace_replayed_through_the_live_flow_gives_slip_events(tmp_path: Path) -> None:
-    done = slipflow("run", "live", "--replay", shaking(tmp_path), "--json")
-    assert done.returncode == 0, done.stderr
-    assert "slip onset" in done.stderr
-    [summary] = json.loads(done.stdout)["sessions"]
-    assert summary["sources"]["touch"]["rows"] == 300
-    assert summary["sinks"]["console"]["rows"] > 0
-
-
 def test_a_live_run_prints_one_json_object() -> None:
     done = slipflow("run", "live", "--for", "100ms", "--json")
     found = json.loads(done.stdout)

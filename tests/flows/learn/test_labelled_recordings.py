@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from connectors import SimulatedRig
-from connectors.sim.scene import Move, Moves, Scene
+from connectors.sim.scene import Move, Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
@@ -35,14 +35,12 @@ from tests.storage.made import record
 
 Part = TypeVar("Part")
 SCENE = Scene(
-    Moves(
-        (
-            Move("hold", 1.2, force=0.0),
-            Move("hold", 0.8, force=0.5),
-            Move("translation", 0.9, 0.3, 0.0, 0.1),
-            Move("translation", 0.9, 0.3, 45.0, 0.1),
-            Move("hold", 1.0, force=0.0),
-        )
+    (
+        Move("hold", 1.2, force=0.0),
+        Move("hold", 0.8, force=0.5),
+        Move("translation", 0.9, 0.3, 0.0, 0.1),
+        Move("translation", 0.9, 0.3, 45.0, 0.1),
+        Move("hold", 1.0, force=0.0),
     )
 )
 START, REST = 2.3, (3.1, 3.2)  # s, of the first stroke's motion; before the second's

@@ -19,7 +19,6 @@ from operators.batch import Labelled, Reals, concat
 from storage import Session
 from tests.flows.lab.recipes.source_format import BEGIN, grasps_csv, strokes_csv
 
-REAL = Path(__file__).parents[5] / "shared" / "real"
 FILES = {
     "data/one.csv": b"t,a,b\n" + b"".join(b"%.2f,%d,%d\n" % (i / 100, i % 9, i % 7) for i in range(60)),
     "two.csv": b"t,a,b\n" + b"".join(b"%.2f,%d,%d\n" % (i / 100, i % 5, 3) for i in range(40)),
@@ -151,12 +150,6 @@ def copied(
     return out / "out"
 
 
-def converted(name: str) -> dict[str, pl.DataFrame]:
-    if not (REAL / name).is_dir():
-        pytest.skip(f"no real recordings at {REAL / name}: the recipe {name} is tested on drawn columns only")
-    return {path.stem: pl.read_parquet(path) for path in sorted((REAL / name).glob("*.parquet"))}
-
-
 @pytest.mark.parametrize(("recipe", "files"), [(strokes.STROKES, 47), (grasps.GRASPS, 21)])
 def test_a_recipe_states_source_licence_and_checksums(recipe: DatasetRecipe, files: int) -> None:
     checksums = [line.split()[1] for line in recipe.registry.read_text().splitlines()]
@@ -217,24 +210,3 @@ def test_grasps_join_the_files_of_a_trial(tmp_path: Path, monkeypatch: pytest.Mo
     files["data_set/data_sample_trial/slip_label.csv"] = b"slip,fail\n" + b"0.0,0.0\n" * 89
     with pytest.raises(InputError, match=r"slip_label\.csv: has 89 rows, .*robot_state\.csv has 90"):
         copied(grasps.GRASPS, files, tmp_path / "short", monkeypatch)
-
-
-def test_the_real_strokes_are_as_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = dict([*converted("strokes").items()][::6])
-    files = {f"csv/{name}.csv": strokes_csv(frame) for name, frame in frames.items()}
-    for name, session in sessions(copied(strokes.STROKES, files, tmp_path, monkeypatch)).items():
-        rows, frame = samples(session), frames[name]
-        np.testing.assert_array_equal(counts(session), frame.select("^b[0-5]$").to_numpy())
-        np.testing.assert_allclose(rows.speed, frame["speed"], atol=1e-5)  # w has four decimals there
-        assert (rows.label != frame["label"].to_numpy()).mean() < 0.002
-
-
-def test_the_real_grasps_are_as_converted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = {name.removeprefix("data_sample_"): frame for name, frame in converted("grasps").items()}
-    found = sessions(copied(grasps.GRASPS, grasp_files(frames), tmp_path, monkeypatch))
-    assert sum(int(samples(each).label.sum()) for each in found.values()) == 196
-    for name, session in found.items():
-        rows, frame = samples(session), frames[name]
-        np.testing.assert_array_equal(counts(session), frame.select("^b[0-5]$").to_numpy())
-        np.testing.assert_array_equal(rows.label, frame["label"])
-        np.testing.assert_allclose(rows.speed, frame["arm_speed"], atol=2e-6)  # rounded there

@@ -6,6 +6,7 @@ import polars as pl
 import pytest
 
 from connectors.sim.paper_plan import PaperPlan
+from connectors.sim.scene import PaperStrokes
 from flows.learn.evaluation import evaluation_figures, stress_study
 from flows.learn.evaluation.evaluation_report import stress_report
 from flows.learn.evaluation.evaluation_study import Evaluation
@@ -21,7 +22,7 @@ from flows.learn.labelled_recordings import simulated_recordings
 from flows.learn.measures import BALANCED, judged
 from flows.report.results import estimates, joined
 
-TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
+TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, strokes=PaperStrokes(rounds=1))
 SEED = 7
 
 
