@@ -18,7 +18,7 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_560,
     "product": 32_857,
     "product files": 218,
-    "tests": 34_859,
+    "tests": 34_858,
     "commands": 16,
     "options": 84,
     "words": 37_710,

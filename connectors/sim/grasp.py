@@ -39,7 +39,7 @@ def least_force(held: Object, parameters: Parameters | None = None, *, passive: 
 
     >>> from connectors.sim.objects import OBJECTS
     >>> round(least_force(OBJECTS["box"]), 2)
-    1.75
+    1.96
     """
     pad_friction = (parameters or Parameters()).static_friction
     mu = pad_friction + (pad_friction if passive is None else passive)

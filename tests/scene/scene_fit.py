@@ -66,7 +66,8 @@ def constants(plan: PaperPlan) -> dict[str, float]:
     found: dict[str, float] = {}
     for name in CONSTANTS:
         field, _, index = name.partition(".")
-        value: Any = getattr(next(part for part in _parts(plan) if hasattr(part, field)), field)
+        parts = plan, plan.strokes, plan.parameters
+        value: Any = getattr(next(part for part in parts if hasattr(part, field)), field)
         found[name] = float(value[int(index)] if index else value)
     return found
 
@@ -84,17 +85,15 @@ def changed(plan: PaperPlan, steps: Reals) -> PaperPlan:
     return _with(plan, found)
 
 
-def _parts(plan: PaperPlan) -> tuple[PaperPlan, PaperStrokes, Parameters]:
-    return plan, plan.strokes, plan.parameters
-
-
 def _with(plan: PaperPlan, values: Mapping[str, Any]) -> PaperPlan:
     """Return a plan with other values of fields of its parts."""
-    own, strokes, physics = (
-        {name: value for name, value in values.items() if hasattr(part, name)} for part in _parts(plan)
-    )
-    changed = {"strokes": replace(plan.strokes, **strokes), "parameters": replace(plan.parameters, **physics)}
-    return replace(plan, **own, **changed)
+
+    def chosen(part: PaperPlan | PaperStrokes | Parameters) -> dict[str, Any]:
+        return {name: value for name, value in values.items() if hasattr(part, name)}
+
+    strokes = replace(plan.strokes, **chosen(plan.strokes))
+    parameters = replace(plan.parameters, **chosen(plan.parameters))
+    return replace(plan, strokes=strokes, parameters=parameters, **chosen(plan))
 
 
 def fit(

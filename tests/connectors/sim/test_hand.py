@@ -41,7 +41,7 @@ def test_touch_comes_every_ten_milliseconds_from_the_beginning_of_the_run() -> N
 
 
 def test_what_is_commanded_is_gripped_and_lifted() -> None:
-    _, state = _taken(Hand(BOX), 4.7, force=5.0)
+    _, state = _taken(Hand(BOX), 6.2, force=5.0)
     assert state.force == pytest.approx(5.0, rel=0.02)
     assert state.height == pytest.approx(0.05, abs=0.005)
 

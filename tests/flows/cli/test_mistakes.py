@@ -89,7 +89,7 @@ MISTAKES = [
     ("import lab.csv lab.csv out --session x", "left out if there are several files"),
     ("import lab.csv lab.csv", "OUT is 'lab.csv', must be a folder: the last argument is"),
     ("import lab.csv lab.csv out", "has the same session name as lab.csv"),
-    ("simulate out --plan papre", "plan is 'papre', must be one of paper, wide, slow, tiny"),
+    ("simulate out --plan papre", "plan is 'papre', must be one of paper, wide, slow, calm, tiny"),
     ("verify nowhere --repair", "nowhere: there is no such folder"),
 ]
 

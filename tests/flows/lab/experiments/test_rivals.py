@@ -1,6 +1,6 @@
 import numpy as np
 
-from flows.lab.experiments.study import DEFAULT, METHODS, RULES, THRESHOLDS, Method, StepThreshold
+from flows.lab.experiments.study import DEFAULT, METHODS, RIVALS, RULES, THRESHOLDS, Method, StepThreshold
 from operators import Grip, StepGrip
 from storage import load_debounce
 
@@ -12,7 +12,7 @@ def test_a_step_above_the_threshold_within_30_ms_is_slip() -> None:
 
 
 def test_the_rivals_have_thresholds_of_their_own_and_the_papers_rule() -> None:
-    assert [method.detector for method in METHODS] == [DEFAULT, *THRESHOLDS]
+    assert [method.detector for method in METHODS] == [DEFAULT, *RIVALS]
     for method in METHODS[1:]:
         detector, controller = method.load()
         assert (detector.name, type(controller)) == (method.detector, StepGrip)
