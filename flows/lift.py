@@ -28,8 +28,8 @@ def lift(
 ) -> Flow:
     """Grip an object, detect slip, and raise the force until the slip stops.
 
-    Without hardware, a simulated object is lifted after 4.5 s. With hardware, another program moves the arm. A
-    Robotiq 3-finger gripper has a minimum force of 15 N. The hand must be open during the first second.
+    Without hardware, a simulated object is lifted after 4.5 s. With hardware, another program moves the arm.
+    A Robotiq 3-finger gripper has a minimum force of 15 N. The hand must be open during the first second.
 
     Args:
         detector: Name of a detector or weights file.
