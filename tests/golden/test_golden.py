@@ -1,4 +1,4 @@
-"""The studies give the numbers of golden.json, which the code before the redesign printed."""
+"""The studies give the numbers of golden.json, which `tests.golden.values` prints in the environment below."""
 
 import json
 import os

@@ -108,7 +108,7 @@ class _Uncompiled(_Windowed):
 def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Windowed]) -> None:
     rng, tcn = np.random.default_rng(0), load_detector("tcn")
     shape = tcn.length + 400, 6
-    counts, valid = rng.integers(-500, 50, shape).astype(np.int16), rng.random(shape) > 0.3
+    counts, valid = rng.integers(-500, 50, shape).astype(np.int16), rng.random(shape) > 0.4
     touch = Zeroed(np.arange(len(counts)), counts, counts, valid, finger=6)
     found, expected = (Score(each, hop).push(touch) for each in (tcn, kind(tcn, length=tcn.length)))
     np.testing.assert_allclose(found.probability, expected.probability, atol=1e-5)

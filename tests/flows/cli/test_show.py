@@ -49,7 +49,7 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
-    rows: Any = recorded.window(2_000, 3_000, 1000)["rows"]
+    rows: Any = recorded.window(3_000, 4_000, 1000)["rows"]
     assert len(rows["touch 0"]["t"]) == pytest.approx(100, abs=2)
     assert len(rows["scores 0"]["t"]) == pytest.approx(100, abs=2)
     assert len(rows["speed every"]["t"]) == pytest.approx(125, abs=2)
