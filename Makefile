@@ -76,7 +76,7 @@ models:  ## train the models in storage/trained and those that its pages compare
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
 	{ echo "train $(DATA) -o models/tcn.safetensors"; \
-	  for filters in 16 8 4; do \
+	  for filters in 8; do \
 	    echo "train $(DATA) --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
 	  for network in paper_tcn frequency_cnn; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
@@ -86,7 +86,7 @@ models:  ## train the models in storage/trained and those that its pages compare
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 
 detector-pages:  ## print the tables and figures of docs/explanations/detectors into models/pages, after `make models`: half an hour
-	slipflow evaluate models/paper-0 --chart --out models/pages
+	slipflow evaluate models/paper-0 --chart --method models/tcn_8.safetensors --out models/pages
 	slipflow evaluate --stress $(addprefix --method ,tcn paper_tcn psd) --out models/pages
 	cp models/pages/*.svg docs/explanations/detectors/
 
