@@ -1,4 +1,4 @@
-"""The studies give the numbers of golden.json, which `tests.golden.values` prints in the environment below."""
+"""The studies give the numbers of golden.json: `tests.golden.values` prints them in this environment."""
 
 import json
 import os

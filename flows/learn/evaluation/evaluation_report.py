@@ -43,8 +43,8 @@ EVENTS_TEXT: Final = (
 _EVENTS_MIN: Final = "events/min"
 MOTIONS_TEXT: Final = "F1, %, by motion and surface, as in the paper's Table III (cylinders by axis)."
 SLIDING_TEXT: Final = (
-    "True sliding: the contact has moved by 0.45 mm or more in 150 ms (3 mm/s); between that and rest, samples do "
-    "not count. Lead: median time from an event to the change of the arm-speed label."
+    "True sliding: the contact has moved by 0.45 mm or more in 150 ms (3 mm/s); between that and rest, "
+    "samples do not count. Lead: median time from an event to the change of the arm-speed label."
 )
 GROUPS_TEXT: Final = "Balanced accuracy, %, on each surface or object that is held out, and on all of them."
 SPEED_TEXT: Final = (
