@@ -17,7 +17,7 @@ import numpy as np
 from operators import Score, Touch, Zero, Zeroed, concat, ms
 from operators.batch import Reals
 from storage import load_detector
-from tests.benchmarks.bench_engine import LENGTH, plain, streams
+from tests.benchmarks.bench_engine import plain, streams
 from tests.benchmarks.machine import print_head
 from tests.benchmarks.peers.environments import PINS, PeerError, Variant, carry_out, take_turns
 
@@ -56,8 +56,9 @@ def judged(touch: Touch) -> Reals:
     """What the shipped detector says of the whole stream at once."""
     zero = Zero(baseline=400, spike=inf)
     zeroed = concat(Zeroed, [zero.push(touch), zero.flush()])
-    scores = Score(load_detector("tcn")).push(zeroed).probability
-    assert len(scores) == len(touch) - LENGTH + 1
+    tcn = load_detector("tcn")
+    scores = Score(tcn).push(zeroed).probability
+    assert len(scores) == len(touch) - tcn.length + 1
     return scores
 
 

@@ -26,9 +26,13 @@ class Live:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.records: list[Record] = job.records()
-        self.expected = len(job.time) * (job.time.shape[1] - LENGTH + 1)  # events
+        self.expect(LENGTH)
         self.fingers, self.delays, self.scores = list[int](), list[int](), list[float]()
         self.cpu = self.wall = 0.0  # s, from the beginning to the last event
+
+    def expect(self, length: int) -> None:
+        """Each fingertip's events begin with its `length`-th sample."""
+        self.expected = len(self.job.time) * (self.job.time.shape[1] - length + 1)
 
     def begin(self) -> None:
         """The stream begins; called by what feeds it, once the engine runs."""

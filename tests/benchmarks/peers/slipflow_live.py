@@ -71,7 +71,10 @@ def run(live: Live, detector: str) -> None:
 
     async def carry() -> None:
         flow, source = Flow("path"), Fingertips(live)
-        score = StepEnergy() if detector == "energy" else Score(load_detector(detector))
+        score: StepEnergy | Score = StepEnergy()
+        if detector != "energy":
+            score = Score(load_detector(detector))
+            live.expect(score.detector.length)
         events = flow.source(source) | Zero(baseline=BASELINE, spike=inf) | score
         events.to(Told(live, source))
         await LiveRunner(flow, "path").execute()
