@@ -32,12 +32,12 @@ SomeTouch = TypeVar("SomeTouch", bound=Touch)
 
 
 def network(filters: int) -> Tcn:
-    """Our TCN with random weights: a receptive field of 100 samples."""
+    """Our TCN with random weights, and the receptive field of the shipped one."""
     rng = np.random.default_rng([0, filters])
-    sizes = shapes(taps=8, filters=filters, units=24, blocks=3)
+    sizes = shapes(taps=8, filters=filters, units=24, blocks=4)
     weights = {name: rng.normal(size=shape) / np.sqrt(np.prod(shape[:-1])) for name, shape in sizes.items()}
     scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
-    return Tcn(weights | scales | {"dilations": np.array([1, 2, 4])})
+    return Tcn(weights | scales | {"dilations": np.array([1, 2, 4, 8])})
 
 
 def touch(kind: type[SomeTouch], counts: Counts) -> SomeTouch:
