@@ -1,8 +1,7 @@
 """Thresholds of the methods of the robot experiments: `python -m tests.scene.tune_experiments`, or `--help`.
 
-Each method runs the trials of random validation objects at several thresholds. The best one has the highest
-mean of both success rates, judged strictly. No report uses these seeds. The thresholds are constants of
-`flows.lab.experiments.study`.
+Each method runs the trials of random validation objects, which no report uses, at several thresholds. The
+best one has the highest mean of both strict success rates; `flows.lab.experiments.study` states it.
 """
 
 import argparse
@@ -26,12 +25,10 @@ THRESHOLDS: Final = (0.3, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
 
 def successes(methods: Sequence[Method], task: tuple[str, int]) -> list[list[bool]]:
     """Run one trial with each method at each threshold; return (methods, thresholds) strict successes."""
-    experiment, seed = task
-    trial = Trial.draw(RANDOM, seed, Conditions())
     loaded = [method.load() for method in methods]
     setups = [(detector, replace(rule, threshold=t)) for detector, rule in loaded for t in THRESHOLDS]
-    found = [outcome.success for _, outcome in EXPERIMENTS[experiment](trial, setups)]
-    return np.reshape(found, (len(methods), len(THRESHOLDS))).tolist()
+    found = EXPERIMENTS[task[0]](Trial.draw(RANDOM, task[1], Conditions()), setups)
+    return np.reshape([each.success for _, each in found], (len(methods), len(THRESHOLDS))).tolist()
 
 
 def main() -> None:

@@ -4,7 +4,6 @@ A live program is run as ``python -m tests.benchmarks.peers.<name> JOB RESULT DE
 the touch alone, whose stamps say when each sample is due. Its path is that of detection: counts to zero, the
 score of the window, the event, which is that score; the arm's motion has no part in it. The feeder stamps a
 sample when it hands it over, the sink takes the time when the event is there, both in `perf_counter_ns`.
-The first `LENGTH` - 1 samples of each fingertip complete no window: they warm up.
 """
 
 import gc
@@ -26,13 +25,9 @@ class Live:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.records: list[Record] = job.records()
-        self.expect(LENGTH)
+        self.expected = len(job.time) * (job.time.shape[1] - LENGTH + 1)  # events, of full windows
         self.fingers, self.delays, self.scores = list[int](), list[int](), list[float]()
         self.cpu = self.wall = 0.0  # s, from the beginning to the last event
-
-    def expect(self, length: int) -> None:
-        """Each fingertip's events begin with its `length`-th sample."""
-        self.expected = len(self.job.time) * (self.job.time.shape[1] - length + 1)
 
     def begin(self) -> None:
         """The stream begins; called by what feeds it, once the engine runs."""

@@ -11,7 +11,7 @@ from flows.run.live_runner import LiveRunner
 from operators import Clock, Run, Score, Scores, Sink, Source, Touch, Zero
 from storage import load_detector
 from tests.benchmarks.bench_engine import StepEnergy
-from tests.benchmarks.peers.job import BASELINE
+from tests.benchmarks.peers.job import BASELINE, LENGTH
 from tests.benchmarks.peers.live import Live, carry_out_live
 
 
@@ -71,10 +71,9 @@ def run(live: Live, detector: str) -> None:
 
     async def carry() -> None:
         flow, source = Flow("path"), Fingertips(live)
-        score: StepEnergy | Score = StepEnergy()
-        if detector != "energy":
-            score = Score(load_detector(detector))
-            live.expect(score.detector.length)
+        score = StepEnergy() if detector == "energy" else Score(load_detector(detector))
+        length = score.detector.length if isinstance(score, Score) else LENGTH
+        live.expected -= len(live.job.time) * (length - LENGTH)
         events = flow.source(source) | Zero(baseline=BASELINE, spike=inf) | score
         events.to(Told(live, source))
         await LiveRunner(flow, "path").execute()
