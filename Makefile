@@ -70,14 +70,13 @@ models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
 models: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 calm-3 calm-4 grasps-3 grasps-4 grasps-5)
 models: PAPER := train models/paper-0 --method
-models:  ## train the models in storage/trained and those that its pages compare: two hours on two cores; trace=FILE: scores on a real trace
+models:  ## train the models in storage/trained and those that its pages compare: an hour on two cores; trace=FILE: scores on a real trace
 	@deploy/prepare test
 	mkdir -p models
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
 	{ echo "train $(DATA) -o models/tcn.safetensors"; \
-	  for filters in 8; do \
-	    echo "train $(DATA) --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
+	  echo "train $(DATA) --filters 8 -o models/tcn_8.safetensors"; \
 	  for network in paper_tcn frequency_cnn; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
 	} | xargs -P 2 -L 1 slipflow

@@ -20,16 +20,16 @@ class SlidingMotion(Operator[Truth, Motion]):
 
     The velocity's first component is the mean sliding speed of the contact over the last `span`, the others
     are 0, and the pose is unknown. So stick-slip is one slip, and all evidence for a label lies in the past.
-    Between slip and rest the speed is NaN, and the label unknown: if it is below `speed`, but over the last
-    `calm` above a third of it.
+    Between slip and rest the speed is NaN, so that the label is unknown: the mean over `span` does not exceed
+    `speed`, but the mean over `rest` exceeds a third of it.
 
     Args:
         speed: Mean speed from which on the contact slips, m/s; that of `Label`.
         span: Time over which the speed is the mean, ns.
-        calm: Time over which a contact at rest has hardly slid, ns.
+        rest: Time over which a contact at rest has hardly slid, ns.
 
     Raises:
-        ParameterError: if a parameter is not above 0, or `calm` is shorter than `span`.
+        ParameterError: if a parameter is not above 0, or `rest` is shorter than `span`.
 
     >>> truth = Truth(np.arange(4) * 10 * ms, np.array([0, 0.05, 0, 0.1]), np.ones(4), np.zeros((4, 3)))
     >>> SlidingMotion(span=20 * ms).push(truth).velocity[:, 0]
@@ -38,16 +38,16 @@ class SlidingMotion(Operator[Truth, Motion]):
 
     speed: float = 0.003  # as in the paper's labels
     span: int = 150 * ms  # stick-slip has pauses of 50 to 100 ms
-    calm: int = 250 * ms
+    rest: int = 250 * ms
 
     def __post_init__(self) -> None:
         check_above("SlidingMotion", "speed", self.speed, 0, "m/s")
         check_above("SlidingMotion", "span", self.span, 0, "ns")
-        check_above("SlidingMotion", "calm", self.calm, self.span - 1, "ns")
+        check_above("SlidingMotion", "rest", self.rest, self.span - 1, "ns")
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step from truth to motion."""
-        settings = {"speed": float(self.speed), "span": self.span, "calm": self.calm}
+        settings = {"speed": float(self.speed), "span": self.span, "rest": self.rest}
         state = {
             "times": np.zeros(_ROWS, np.int64),  # ns
             "travels": np.zeros(_ROWS),  # m, that the contact has slid until then
@@ -65,7 +65,7 @@ def _step(settings: Record, state: Record, row: Record, out: Record) -> bool:
     state.times[state.rows % _ROWS], state.travels[state.rows % _ROWS] = row.time, travel
     state.rows += 1
     speed = (travel - _before(state, row.time - settings.span)) / (settings.span / 1e9)
-    slow = (travel - _before(state, row.time - settings.calm)) / (settings.calm / 1e9)
+    slow = (travel - _before(state, row.time - settings.rest)) / (settings.rest / 1e9)
     out.time = out.device_time = row.time
     for axis in range(6):
         out.velocity[axis], out.pose[axis] = 0.0, nan

@@ -145,8 +145,7 @@ class Barometers:
         size *= np.where(random.random(rows) < 0.7, 1.0, -1.0)
         size[random.random(rows) >= probability] = 0
         size[1:] += size[:-1] / 2
-        glitches: Reals = size[:, None] * random.uniform(0.3, 1.3, shape)
-        return glitches
+        return np.asarray(size[:, None] * random.uniform(0.3, 1.3, shape))
 
     def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
         """Return raw ADC counts (k, 6) at instants (k,) (s), `aged` (s) apart."""

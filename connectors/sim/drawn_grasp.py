@@ -24,10 +24,11 @@ from operators.batch import Touch, Truth, concat
 RATE: Final = 100.0  # Hz
 SECONDS: Final = 6.5  # of a grasp; it ends earlier if the object is dropped
 CLOSING: Final = 1.0  # s, when the hand closes, after the baseline
-SHARES: Final = {"hit": 0.5, "weak": 0.35, "restless": 0.15}  # kinds of grasps
-SOFT: Final = 0.35  # share of blows that are to move nothing
-STRONGEST: Final = 10.0  # N, of the gripper
-_SHARES: Final = (0.4, 0.2, 0.2, 0.2)  # more planes: half of their loaded cells read 0
+KINDS: Final = {"hit": 0.5, "weak": 0.35, "restless": 0.15}  # shares of grasps
+SOFT_SHARE: Final = 0.35  # of blows that are to move nothing
+STRONGEST: Final = 10.0  # N, of the gripper; assumed
+OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object's centre in x and y; assumed
+_SURFACE_SHARES: Final = (0.4, 0.2, 0.2, 0.2)  # more planes: half of their loaded cells read 0
 # constants of the fingertip that differ between grasps, but not between strokes: spread of their logarithm
 _SPREADS: Final = {
     "tilt_stiffness": 0.5,
@@ -46,7 +47,7 @@ def simulate_grasp(seed: int, number: int) -> tuple[Touch, Truth]:
         Raw counts and the true sliding and force, with a row for each sample, from time 0 on.
     """
     random = np.random.default_rng([seed, 11, number])
-    kind = random.choice(list(SHARES), p=list(SHARES.values()))
+    kind = random.choice(list(KINDS), p=list(KINDS.values()))
     grasp, gripper = _draw_grasp(random, kind)
     touches: list[Touch] = []
     states: list[GraspState] = []
@@ -75,15 +76,14 @@ def _draw_grasp(random: np.random.Generator, kind: str) -> tuple[Grasp, "_Random
     start = float(random.uniform(1.9, 2.6))
     distance, speed = float(random.uniform(0.03, 0.07)), log_uniform(random, 0.025, 0.1)
     lift = Travel(start, distance, speed, log_uniform(random, 0.02, 1.2))
-    position = tuple(
-        (random.uniform(-1.2, 1.2, 2) * np.minimum((0.004, 0.006), (held.width / 4, held.reach / 2))).tolist()
-    )
-    blows = kind != "weak"
+    position = draw_position(random, held, most=1.2)
     grasp = Grasp(
         held,
         parameters,
         int(random.integers(2**31)),
-        taps=list(_draw_taps(random, held, parameters, position, gripper, lift.end)) if blows else (),
+        taps=list(_draw_taps(random, held, parameters, position, gripper, lift.end))
+        if kind != "weak"
+        else (),
         lift=lift,
         passive=passive,
         grip=position,
@@ -95,9 +95,15 @@ def _draw_grasp(random: np.random.Generator, kind: str) -> tuple[Grasp, "_Random
     return grasp, gripper
 
 
+def draw_position(random: np.random.Generator, held: Object, *, most: float = 1.0) -> tuple[float, float]:
+    """Draw where the pad grips an object, relative to its centre (m, m); `most` is a factor of the range."""
+    x, y = (random.uniform(-most, most, 2) * np.minimum(OFFSET, (held.width / 4, held.reach / 2))).tolist()
+    return x, y
+
+
 def draw_object(random: np.random.Generator) -> Object:
     """Draw an object from ranges wider than those of the six objects."""
-    curvature = cast("Curvature", random.choice(PaperPlan().surfaces, p=_SHARES))
+    curvature = cast("Curvature", random.choice(PaperPlan().surfaces, p=_SURFACE_SHARES))
     radius = log_uniform(random, 0.02, 0.09)
     round_ = curvature in ("sphere", "cylinder_y")
     length = 2 * radius if curvature in ("sphere", "cylinder_x") else log_uniform(random, 0.07, 0.3)
@@ -140,7 +146,7 @@ def _draw_taps(
         top = random.random() < 0.5
         excess = firm - 1 if top else math.sqrt(firm**2 - 1)
         momentum = blow_momentum(grip, firm, excess, log_uniform(random, 0.0003, 0.006))
-        if random.random() < SOFT:
+        if random.random() < SOFT_SHARE:
             momentum *= log_uniform(random, 0.05, 0.6)
         seconds = 0.01 if random.random() < 0.6 else log_uniform(random, 0.005, 0.02)
         if top:

@@ -156,9 +156,9 @@ class Finger:
     def _uneven(self, drive: Reals) -> Reals:
         """Return the factor of the normal force at the next steps (steps,): a stiff arm follows no bumps."""
         steps = np.hypot(drive[:, 0], drive[:, 1]) * self._p.step
-        path = np.cumsum(np.append(self._path, steps))[1:]  # added in order, however it is cut
-        self._path = float(path[-1]) if len(path) else self._path
-        first, second = (np.sin(2 * math.pi * path / length) for length in self._p.uneven_lengths)
+        path = np.cumsum(np.append(self._path, steps))  # added in order, however it is cut
+        self._path = float(path[-1])
+        first, second = (np.sin(2 * math.pi * path[1:] / length) for length in self._p.uneven_lengths)
         return np.asarray(1 + self._p.unevenness / 2 * (first - second))
 
 

@@ -18,7 +18,7 @@ from connectors.sim.body import GRAVITY, GripModel
 from connectors.sim.contact import FingerState
 from connectors.sim.finger import contact_model, pad, vibration_velocity
 from connectors.sim.objects import Object
-from connectors.sim.scene import STILL, Faults, Parameters, Scene, Travel, Vibration
+from connectors.sim.scene import NO_VIBRATION, Faults, Parameters, Scene, Travel, Vibration
 from operators.batch import Reals, Touch, s
 
 RATE: Final = 10.0  # N/s, of a gripper; assumed
@@ -167,7 +167,7 @@ class Grasp:
         lift: Travel | None = None,
         passive: float | None = None,
         grip: tuple[float, float] = (0.0, 0.0),
-        vibration: Vibration = STILL,
+        vibration: Vibration = NO_VIBRATION,
     ) -> None:
         scene = surface(held, parameters or Parameters())
         p = scene.parameters

@@ -1,7 +1,7 @@
 """Recording plan of the paper ("Under Pressure", 2021) as simulated scenes, and a wider variation of it.
 
 Each recording drags one fingertip over one surface at one speed, twice in each of eight directions, or
-rotates it in both directions, with pauses; the arm always vibrates. The defaults give 45 minutes, 54 % of
+rotates it in both directions, with pauses; the arm always vibrates. The defaults give 50 minutes, 55 % of
 them static. In the wider variation the grip also changes between strokes, or the finger is tapped or lifted.
 Split by recording, never by window.
 """
@@ -78,8 +78,6 @@ class PaperPlan:
 
 
 SLOWEST, FASTEST = 0.005, 0.15  # m/s, varied speeds of strokes
-STROKES = (0.3, 3.0)  # s, varied mean duration of strokes
-PAUSES = (0.25, 2.0)  # s, varied mean standstill before a stroke
 TILT_SPREAD = 0.008  # rad, standard deviation of the pad's tilt about x and y
 APEX_SPREAD = 0.0018  # m, standard deviation of the apex of a curved surface
 
@@ -95,9 +93,9 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     plan = replace(
         plan,
         force=plan.force * log_normal(random, 0.6),
-        stroke=log_uniform(random, *STROKES),
+        stroke=log_uniform(random, 0.3, 3.0),
         stroke_spread=0.4,
-        pause=log_uniform(random, *PAUSES),
+        pause=log_uniform(random, 0.25, 2.0),
         disturbed=True,
     )
     if plan.speed is not None and random.random() < 0.4:

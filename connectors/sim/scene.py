@@ -138,7 +138,7 @@ class Vibration:
     direction_deg: float = 0.0
 
 
-STILL: Final = Vibration(0.0)
+NO_VIBRATION: Final = Vibration(0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +207,7 @@ class Scene:
     tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope of the pad along x and y
     offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP, the axis of rotations, to the pad's centre
     acceleration: float = 1.0  # m/s2 of the arm at the ends of a stroke
-    vibration: Vibration = STILL
+    vibration: Vibration = NO_VIBRATION
     touch: Timing = Timing(100.0)
     motion: Timing = Timing(125.0, latency=0.07)
     faults: Faults = Faults()
@@ -282,16 +282,13 @@ def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
     return across / (1 + sqrt(max(0.0, 1 - max(curvatures) * across)))
 
 
-_WANDERING: Final = 1.0  # s, in which a latency changes
-
-
 class Sampler:
     """Generator of the sampling instants and timestamps of one stream."""
 
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
         self._jitter, self._loss, self._slow = random.spawn(3)
-        self._kept = exp(-1 / (timing.rate * _WANDERING))  # part of the latency's deviation after a sample
+        self._kept = exp(-1 / timing.rate)  # part of a latency's deviation after a sample; 1/e after 1 s
         self._left = self._kept * self._slow.standard_normal(1)  # of the latest deviation
         self._taken = 0
         self._latest = int(np.iinfo(np.int64).min)  # ns
@@ -322,5 +319,4 @@ class Sampler:
 
         noise = sqrt(1 - self._kept**2) * self._slow.standard_normal(samples)
         found, self._left = lfilter([1.0], [1.0, -self._kept], noise, zi=self._left)
-        wandered: Reals = found
-        return wandered
+        return np.asarray(found)

@@ -14,7 +14,7 @@ import polars as pl
 
 from connectors.sim.finger import Finger, simulate_scene
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import STILL, Move, Scene, Vibration
+from connectors.sim.scene import NO_VIBRATION, Move, Scene, Vibration
 from flows.learn.labelled_recordings import scene_seed, simulated_recording
 from flows.report.table import Table, Value
 from operators import SLIP, Debounce, Score, Slips, Touch, Zero, Zeroed, concat, ms
@@ -62,7 +62,7 @@ def onsets(zero: Zero, touch: Touch) -> int:
 def prevented() -> Table:
     """Return false onsets per hour for each bit, without and with the test."""
     rows = list[list[Value]]()
-    still, shaken = held(STILL), held(SHAKEN)
+    still, shaken = held(NO_VIBRATION), held(SHAKEN)
     for bit in range(16):
         row: list[Value] = [str(bit)]
         for counts in (still, shaken):

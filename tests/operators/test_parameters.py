@@ -41,7 +41,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         *({"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"limit": nan}, {"rotation": -0.1}, {"within": -1}),
     ],
     MaskLifted: [{"contact_pose": BASE, "margin": -0.001}],
-    SlidingMotion: [{"speed": -0.1}, {"span": 0}, {"calm": 1}],
+    SlidingMotion: [{"speed": -0.1}, {"span": 0}, {"rest": 1}],
     Resample: [{"rate": 0}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
     Pool: [{"gain": 0.0}, {"gain": inf}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
     Window: [{"length": 0}, {"hop": 0}],

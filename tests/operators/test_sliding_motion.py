@@ -68,7 +68,7 @@ def test_samples_without_truth_are_unknown() -> None:
 @given(st.lists(st.sampled_from([0.0, 0.002, 0.004, 0.1]), min_size=1, max_size=60), st.integers(1, 25))
 def test_the_speed_is_the_mean_of_the_latest_rows(speeds: list[float], rows: int) -> None:
     span = rows * PERIOD
-    found = SlidingMotion(span=span, calm=span).push(truth(np.array(speeds))).velocity[:, 0]
+    found = SlidingMotion(span=span, rest=span).push(truth(np.array(speeds))).velocity[:, 0]
     travel = np.concatenate([[0.0], np.cumsum(speeds[1:]) * 0.01])  # m; the first row has no time before it
     mean = (travel - travel[np.maximum(np.arange(len(speeds)) - rows, 0)]) / (span / 1e9)
     unknown = np.isnan(found)

@@ -21,7 +21,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from connectors.sim.grasp import Tap, blow_momentum, grip_model, surface
-from connectors.sim.scene import Travel
+from connectors.sim.scene import Travel, log_uniform
 from connectors.sim.simulated_rig import SLIDING
 from flows.lab.experiments.trial import HELD, MOVED, PROMPT, STILL, Outcome, Trace, Trial, control_trial
 from operators.batch import Reals, s
@@ -56,8 +56,10 @@ class _Blow(NamedTuple):
 def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, Outcome]]:
     """Run one tap trial; the grip force is constant, so a rule only sets how slips register."""
     trace = trial.hold(_draw_blows(trial), TAP_END)
-    scored = {id(detector): trace.scored(detector) for detector in {id(d): d for d, _ in methods}.values()}
-    return [(scored[id(detector)], judge_tap(scored[id(detector)], rule)) for detector, rule in methods]
+    detectors = {id(detector): detector for detector, _ in methods}  # one may come with several rules
+    traces = {key: trace.scored(detector) for key, detector in detectors.items()}
+    scored = [(traces[id(detector)], rule) for detector, rule in methods]
+    return [(each, judge_tap(each, rule)) for each, rule in scored]
 
 
 def _draw_blows(trial: Trial) -> list[Tap]:
@@ -73,10 +75,8 @@ def _draw_blows(trial: Trial) -> list[Tap]:
 
 def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float:
     """Draw a momentum (N s); `excess` is the friction left to resist the blow, relative to the weight."""
-    low, high = SLIDES
-    slide = low * (high / low) ** float(random.uniform()) / 1000  # m
     grip = grip_model(trial.held, surface(trial.held, trial.fingertip), trial.position)
-    return blow_momentum(grip, trial.firm, excess, slide)
+    return blow_momentum(grip, trial.firm, excess, log_uniform(random, *SLIDES) / 1000)
 
 
 def judge_tap(trace: Trace, rule: GripController) -> Outcome:

@@ -8,7 +8,7 @@ from typing import Final, Self
 import numpy as np
 
 from connectors.gripper.robotiq import FULL, PACE, SETTLE
-from connectors.sim.drawn_grasp import draw_fingertip, draw_object
+from connectors.sim.drawn_grasp import STRONGEST, draw_fingertip, draw_object, draw_position
 from connectors.sim.grasp import Grasp, GraspState, Tap, least_force
 from connectors.sim.objects import OBJECTS, Object
 from connectors.sim.scene import Parameters, Travel, Vibration
@@ -20,7 +20,6 @@ from operators.grip import GripController
 
 BASELINE: Final = 1.0  # s with an open gripper before it closes
 SPREAD: Final = 0.1  # mass and friction vary by +-10 % from trial to trial; assumed
-OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object's centre in x and y; assumed
 VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's recordings; amplitude assumed
 
 FIRM: Final = (2.6, 3.2)  # range of a firm grip's force, relative to the least; no finger slides in a lift
@@ -44,7 +43,7 @@ SCANS: Final = 100  # samples of the open gripper at least: a detector's first w
 # scene, and cannot reduce its force without opening. The model has its steps, refresh rate and delay, but
 # for small forces, and can reduce them.
 LATENCY: Final = 0.008  # s: 3 ms to convert, 4 ms to read on a 100 kHz bus, 1 ms from command to gripper
-SPAN: Final = 10.0  # N, for the 255 steps of its register; assumed
+SPAN: Final = STRONGEST  # N, for the 255 steps of its register
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,7 @@ class Trial:
             factor * float(random.uniform(1 - SPREAD, 1 + SPREAD))
             for factor in (conditions.friction, conditions.mass)
         )
-        x, y = (random.uniform(-1, 1, 2) * np.minimum(OFFSET, (held.width / 4, held.reach / 2))).tolist()
+        position = draw_position(random, held)
         vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
         held = replace(
             held,
@@ -112,7 +111,7 @@ class Trial:
         )
         fingertip = replace(fingertip, tilt_stiffness=fingertip.tilt_stiffness * conditions.tilt)
         firm = float(random.uniform(*FIRM))
-        return cls(held, fingertip, seed, (x, y), firm, vibration, conditions)
+        return cls(held, fingertip, seed, position, firm, vibration, conditions)
 
     @property
     def least_force(self) -> float:

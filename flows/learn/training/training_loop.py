@@ -48,9 +48,8 @@ class Crops:
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
         self._offsets = torch.arange(length, device=device)
         _, of_recording = np.unique([each.dataset for each in usable], return_inverse=True)
-        sizes = np.bincount(of_recording, weights=[*map(len, first)]).astype(
-            np.int64
-        )  # crops of each dataset
+        crops = np.bincount(of_recording, weights=[*map(len, first)])  # of each dataset
+        sizes = crops.astype(np.int64)
         self._sizes, self._starts = (torch.as_tensor(each) for each in (sizes, np.cumsum(sizes) - sizes))
 
     def draw(self, crops: int, generator: torch.Generator) -> Tensor:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.finger import Finger
-from connectors.sim.scene import STILL, Curvature
+from connectors.sim.scene import NO_VIBRATION, Curvature
 from connectors.sim.simulated_arm import STIFFNESS, SimulatedArm, start_pose
 from connectors.ur.ur_state import Pose
 from flows.graph import Flow
@@ -128,7 +128,7 @@ def made(
         arm._surface = path.series[0].surface.at(0.0, 0.0, above)
         if steady:
             for finger in arm._fingertips:
-                finger._scene = replace(finger._scene, vibration=STILL)
+                finger._scene = replace(finger._scene, vibration=NO_VIBRATION)
         collector = Collector(path, arm, arm.fingertips, arm.motion, out, clock)
         acting = asyncio.create_task(act_in_contact(arm))
         await collector.collect()
