@@ -73,7 +73,7 @@ class Event(Document, frozen=True, kw_only=True):
     state: Literal["onset", "end"]
     time: Annotated[int, Meta(ge=-INT64, le=INT64)] = field(name="sample_time_ns")  # of the deciding sample
     probability: Fraction | None = field(name="p")  # of slip
-    latency: float | None = field(name="latency_ms")  # from the sample to the event; None: replay
+    latency: float | None = field(name="latency_ms")  # from the sample to the event
     threshold: Fraction | None = None  # probability from which a sample counts as slip
     consecutive: Number | None = None  # samples required for an onset
     model: Model = Model("unknown")

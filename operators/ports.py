@@ -198,16 +198,12 @@ class Sink(Endpoint, ABC, Generic[Taken]):
     capacity: int = 4096  # batches in the queue
     shared: bool = False  # True: several processes may write to the destination at once, each in its own run
     records: bool = False  # True: stores the run's rows, so dropped rows are lost; status displays warn
+    live_only: bool = False  # True: a replay is an error, as old rows would move hardware or look new
 
     @property
     @abstractmethod
     def destination(self) -> str:
         """Path or address that the sink writes to; unique in a flow."""
-
-    @property
-    def replay_destination(self) -> str:
-        """Destination in a replay; it differs if readers could mistake replayed rows for live ones."""
-        return self.destination
 
     @property
     def pending(self) -> int:
@@ -221,10 +217,7 @@ class Sink(Endpoint, ABC, Generic[Taken]):
 
     @abstractmethod
     async def open(self, run: Run) -> None:
-        """Prepare for writing. An exception ends the run before it starts.
-
-        A sink that moves hardware must refuse a run that has a `recording`.
-        """
+        """Prepare for writing. An exception ends the run before it starts."""
 
     def take(self, batch: Taken) -> bool:
         """Write one batch without waiting, or return False to get it through `write`; same exceptions.

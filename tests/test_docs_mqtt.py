@@ -5,7 +5,6 @@ import json
 import re
 import sys
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar, Self
@@ -18,12 +17,12 @@ from jsonschema import Draft7Validator
 from connectors import Consumer, Event, Mqtt
 from connectors.events import encode
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
-from operators.batch import Clocks, Faults, Slips, ms, s
+from operators.batch import Faults, Slips, ms
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.asyncapi import DOCUMENT, problems
 from tests.connectors.mqtt.broker_process import Received, TestBroker
-from tests.pages import ROOT, block, commands, table
+from tests.pages import ROOT, block, table
 from tests.waiting import until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
@@ -61,7 +60,7 @@ def topic(row: dict[str, str]) -> str:
 
 
 def messages(broker: TestBroker, run: Run) -> list[Received]:
-    """All messages of a run with a fault, a clock, slips and a request for missed events."""
+    """All messages of a run with a fault, slips and a request for missed events."""
     everything, events = broker.listen("slip/#"), broker.listen(f"{RIG}/+/event", f"{RIG}/replay/logger-1")
     run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=run.clock.now() - 5 * ms)
     run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
@@ -69,7 +68,6 @@ def messages(broker: TestBroker, run: Run) -> list[Received]:
 
     async def body() -> None:
         await sink.write(Faults(now, cell, np.array([FaultKind.STUCK], np.int8), np.array([True]), finger=0))
-        await sink.write(Clocks(now, np.array([3 * s]), np.array([5e-5]), np.array([0.004])))
         await sink.write(slips(1, 0, 1, 0))
         event = json.loads((await asyncio.to_thread(events.next)).payload)
         asked = {"epoch": event["data"]["epoch"], "from": 1, "to": 1, "reply_to": f"{RIG}/replay/logger-1"}
@@ -136,27 +134,6 @@ def test_the_examples_of_the_page_are_read_and_written() -> None:
     assert json.loads(closing.encode()) == answer
     [component] = shown("discovery")["components"].values()
     assert component["state_topic"] in {topic(row) for row in table(PAGE, "## Topics")}
-
-
-def test_a_replay_publishes_as_another_rig(broker: TestBroker, run: Run) -> None:
-    rows = table(PAGE, "## Topics")
-    [command] = [words for words in commands(PAGE) if "--rig" in words]
-    followed = f"slip/v1/lab/{command[command.index('--rig') + 1]}"
-    replay, listener = replace(run, recording="stroke-9", live=False), broker.listen("slip/#")
-
-    async def body() -> None:
-        await sink.write(slips(1, 0))
-
-    sink = Mqtt(broker.url, rig="rig")
-    use(sink, replay, body)
-    found = {received.topic: received for received in listener.rest()}
-    unasked = [topic(row) for row in rows if not row["topic"].startswith("`replay/")]
-    assert found.keys() == {each.replace(RIG, followed) for each in unasked}
-    event, info = (json.loads(found[f"{followed}/{name}"].payload) for name in ("0/event", "info"))
-    assert event["source"] == f"/{'/'.join(followed.split('/')[2:])}/0"
-    assert event["data"]["session"] == info["session"] == run.session
-    assert info["recording"] == "stroke-9"
-    assert event["data"]["latency_ms"] is None
 
 
 # --- the files -------------------------------------------------------------------------------------------

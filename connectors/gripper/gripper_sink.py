@@ -24,7 +24,7 @@ from connectors.gripper.robotiq import (
     register_force,
 )
 from operators.batch import Commands
-from operators.errors import EndpointError, FlowError, ParameterError
+from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
@@ -55,8 +55,7 @@ class Gripper(Sink[Commands]):
     """Sink that sets the grip force of a Robotiq 3-finger gripper in its basic mode; the newest command wins.
 
     Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers close with
-    the first commanded force, and stop at an object. Closing the sink leaves them as they are. The sink
-    refuses to start in a replay, paced or not.
+    the first commanded force, and stop at an object. Closing the sink leaves them as they are.
 
     A command is executed on arrival, whatever its timestamp. A force of NaN has no effect. A
     force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
@@ -88,6 +87,7 @@ class Gripper(Sink[Commands]):
 
     extra = "gripper"
     lossless = False  # only the newest command matters
+    live_only = True
 
     def __post_init__(self) -> None:
         if not self.host:
@@ -158,12 +158,8 @@ class Gripper(Sink[Commands]):
         """Connect, and activate the gripper if needed.
 
         Raises:
-            FlowError: in a replay.
             EndpointError: if the gripper cannot be reached or activated.
         """
-        if run.recording is not None or not run.live:
-            reason = "a replay must not move a gripper: remove this sink, or run the flow live"
-            raise FlowError(run.flow, self.destination, reason)
         self._reset()
         self._waiting = asyncio.get_running_loop().time()
         try:

@@ -15,7 +15,7 @@ from connectors.events import Event
 from connectors.mqtt.broker import Broker, Message, Pauses
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
-from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_topic
+from connectors.mqtt.rig_names import NAME_MAX, is_topic_level, rig_topic
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
 from storage.background_task import BackgroundTask
@@ -38,9 +38,7 @@ class _Reply(Document, frozen=True):
 
 
 class Consumer(AsyncIterator[Event]):
-    """Slip events of the rigs that match `site` and `rig`, each once; ``+`` matches any live rig.
-
-    A replay publishes old events, so it is followed only if `rig` is its full name.
+    """Slip events of the rigs that match `site` and `rig`, each once; ``+`` matches any.
 
     Events arrive as soon as the broker delivers them; a missed event is fetched from the rig and arrives
     late, after newer ones. Events that the rig no longer keeps are reported as lost. Malformed messages and
@@ -75,7 +73,6 @@ class Consumer(AsyncIterator[Event]):
         self._topic = rig_topic("Consumer", site, rig, wildcard="+")
         check_choice("Consumer", "since", since, ("now", "start"))
         self._everything, self._report = since == "start", report
-        self._with_replays = rig != "+"
         self._position_file = Path(position_file) if position_file else None
         self._position = Position(everything=self._everything)
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
@@ -168,8 +165,6 @@ class Consumer(AsyncIterator[Event]):
         if not (topic.isprintable() and is_topic_level(site) and is_topic_level(name)):
             reason = f"site and rig of a topic must be printable text of 1 to {NAME_MAX} characters"
             raise InputError(f"{topic!a:.200}", reason)
-        if is_replay(name) and not self._with_replays:
-            return rig, None
         reply = ["replay", self._reply_name]
         if rest == ["head"]:
             self._change(self._position.announce(rig, read_heads(payload, topic)))

@@ -13,9 +13,9 @@ from connectors.events import Event, Fault, Model, encode, faults, finger_name, 
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
-from connectors.mqtt.rig_names import SUFFIX, host_rig, name_in_run, outbox_path, replay_name, rig_topic
+from connectors.mqtt.rig_names import host_rig, outbox_path, rig_topic
 from connectors.mqtt.sender import Sender
-from operators.batch import Clocks, Faults, Slips, ms, s
+from operators.batch import Faults, Slips, ms
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.extras import software_version
@@ -29,7 +29,7 @@ _SINK: Final = ("rows", "queued", "dropped", "failures")  # counters in a report
 
 
 @dataclass(eq=False)
-class Mqtt(Sink[Slips | Faults | Clocks]):
+class Mqtt(Sink[Slips | Faults]):
     """Slip events and the state of each fingertip over MQTT 5, without losing an event.
 
     Events are numbered and stored in the outbox, a folder that is kept between runs, before they are sent.
@@ -44,12 +44,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     and stored once the disk works; they may be lost if the process is killed before. Closing waits until all
     events are stored. Faults mark later events as degraded and appear in the health document.
 
-    A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
-    rig do not receive old events. A live rig cannot have such a name.
-
     Raises:
         ParameterError: if a parameter is out of range.
     """
+
+    live_only = True
 
     url: str  # see `connectors.mqtt.broker.Broker`
     site: str = "lab"
@@ -62,7 +61,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
 
     def __post_init__(self) -> None:
         self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
-        self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
+        self._topic = rig_topic("Mqtt", self.site, self.rig)
         try:
             stated = Model(**{"id": "unknown", **self.model})  # which has no other keys
             self._model = msgspec.convert(stated.values(), Model)
@@ -77,12 +76,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     @property
     def destination(self) -> str:
         """Broker and topic."""
-        return self._destination
-
-    @property
-    def replay_destination(self) -> str:
-        """Broker and topic in a replay."""
-        return f"{self._broker}/{rig_topic('Mqtt', self.site, replay_name(self.rig))}"
+        return f"{self._broker}/{self._topic}"
 
     @property
     def pending(self) -> int:
@@ -103,8 +97,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
 
         for finding in await asyncio.to_thread(check_disk, self._outbox_path()):
             yield finding
-        topic = f"{rig_topic('Mqtt', self.site, self.rig)}/doctor"
-        async for finding in diagnose_broker(self._broker, topic, clock):
+        async for finding in diagnose_broker(self._broker, f"{self._topic}/doctor", clock):
             yield finding
 
     async def open(self, run: Run) -> None:
@@ -114,18 +107,14 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             EndpointError: if another run uses the outbox, or with `connect_required` if the broker is
                 unreachable or refuses the client.
             InputError: if the outbox is another kind of file, or a file with credentials cannot be read.
-            ParameterError: if a live rig has the name of a replay.
         """
-        self._run, self._name = run, name_in_run(run, "Mqtt", self.rig)
-        self._topic = rig_topic("Mqtt", self.site, self._name)
+        self._run = run
         self._faults: dict[str, set[Fault]] = {}  # by finger
-        self._health = HealthReports(run)
-        self._clock: dict[str, Json] | None = None  # newest state of the device clock
         self._published: dict[str, int] = {}  # time (ns) of the event in the published state, by finger
-        self._outbox = Outbox(self._outbox_path(replay=run.recording is not None))
+        self._outbox = Outbox(self._outbox_path())
         await self._outbox.open()
-        # the same in each live run, so that a new connection cancels the previous will
-        identifier = f"slipflow/{self.site}/{self._name}"
+        # the same in each run, so that a new connection cancels the previous will
+        identifier = f"slipflow/{self.site}/{self.rig}"
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents, self._report)
         online = self._status("online", run.clock.now())
         try:
@@ -136,19 +125,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             await self._outbox.close()
             raise
 
-    async def write(self, batch: Slips | Faults | Clocks) -> None:
+    async def write(self, batch: Slips | Faults) -> None:
         """Store the events of a batch in the outbox, or raise EndpointError if disk and memory fail."""
         if isinstance(batch, Faults):
             known = self._faults.setdefault(finger_name(batch.finger), set())
             for _, fault, begins in faults(batch):
                 (known.add if begins else known.discard)(fault)
-        elif isinstance(batch, Clocks):
-            self._clock = {  # from the newest row
-                "time_ns": batch.time.item(-1),
-                "offset_ms": batch.offset.item(-1) / ms,
-                "drift_ppm": round(batch.drift.item(-1) * 1e6, 3),
-                "residual_ms": round(batch.residual.item(-1) * 1e3, 3),
-            }
         else:
             await self._outbox.append(list(self._events(batch)))
 
@@ -164,11 +146,8 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                     text = "%s: %d unsent events remain in %s; the next run sends them"
                     log.warning(text, self._broker, unsent, self._outbox.path)
 
-    def _outbox_path(self, *, replay: bool = False) -> Path:
-        if self.outbox is None:
-            return outbox_path(self.site, replay_name(self.rig) if replay else self.rig)
-        path = Path(self.outbox)
-        return path.with_stem(path.stem + SUFFIX) if replay else path
+    def _outbox_path(self) -> Path:
+        return outbox_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
 
     def _degraded(self, finger: str) -> tuple[Fault, ...]:
         return tuple(sorted(self._faults.get(finger, ()), key=lambda fault: (fault.barometer, fault.kind)))
@@ -180,7 +159,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             latency = self._run.latency(slip.time)
             yield Event(
                 site=self.site,
-                rig=self._name,
+                rig=self.rig,
                 finger=finger,
                 epoch="",
                 seq=0,
@@ -228,7 +207,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         return self._about_run(
             "info",
             flow=self._run.flow,
-            recording=self._run.recording,
             sources={name: dict(description) for name, description in self._run.describe.items()},
             model=self._model.values(),
             threshold=self.threshold,
@@ -250,44 +228,28 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         faults: dict[str, Json] = {
             finger: [each.values() for each in self._degraded(finger)] for finger in self._faults
         }
-        reports = self._health.next()
-        return self._about_run("health", **reports, degraded=faults, clock=self._clock, outbox=outbox)
+        return self._about_run("health", **health(self._run), degraded=faults, outbox=outbox)
 
 
-class HealthReports:
-    """Health reports of one run.
+def health(run: Run) -> dict[str, Json]:
+    """Return the state of the sources and sinks of a run, and the newest steps of the host clock.
 
-    A rate covers the time since the previous report. A source has no rate in its first report with rows. It
-    is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or ``down``.
+    A source is ``up``, ``stale`` (it has not failed, but was silent for `Source.stale_after`) or ``down``.
     """
-
-    def __init__(self, run: Run) -> None:
-        self._run, self._time, self._rows = run, run.start, dict.fromkeys(run.sources, 0)
-
-    def next(self) -> dict[str, Json]:
-        """Return a report of the current state."""
-        run, now = self._run, self._run.clock.now()
-        elapsed, before = (now - self._time) / s, self._rows
-        self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
-        rates = {
-            name: round((rows - before[name]) / elapsed, 3)
-            for name, rows in self._rows.items()
-            if before.get(name) and elapsed
+    now = run.clock.now()
+    sources: dict[str, Json] = {
+        name: {
+            "state": "up" if source.up else "stale" if source.stale else "down",
+            "lag_ms": (now - source.newest) / ms if source.newest else None,
+            "rows": source.rows,
+            "late": source.late,
+            "gaps": len(source.gaps),
         }
-        sources: dict[str, Json] = {
-            name: {
-                "state": "up" if source.up else "stale" if source.stale else "down",
-                "rate_hz": rates.get(name),
-                "lag_ms": (now - source.newest) / ms if source.newest else None,
-                "rows": source.rows,
-                "late": source.late,
-                "gaps": len(source.gaps),
-            }
-            for name, source in run.sources.items()
-        }
-        sinks: dict[str, Json] = {
-            name: {key: getattr(sink, key) for key in _SINK} | {"error": sink.error or None}
-            for name, sink in run.sinks.items()
-        }
-        steps = [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]]
-        return {"time_ns": now, "sources": sources, "sinks": sinks, "clock_steps": steps}
+        for name, source in run.sources.items()
+    }
+    sinks: dict[str, Json] = {
+        name: {key: getattr(sink, key) for key in _SINK} | {"error": sink.error or None}
+        for name, sink in run.sinks.items()
+    }
+    steps = [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]]
+    return {"time_ns": now, "sources": sources, "sinks": sinks, "clock_steps": steps}

@@ -1,4 +1,4 @@
-"""Names of a rig: its topic, its name in replays, and the folder of its outbox."""
+"""Names of a rig: its topic, and the folder of its outbox."""
 
 import os
 import re
@@ -9,9 +9,7 @@ from typing import Final
 from urllib.parse import quote
 
 from operators.errors import ParameterError
-from operators.ports import Run
 
-SUFFIX: Final = "-replay"  # suffix of the rig name in replays; live rigs may not use it
 NAME_MAX: Final = 64  # characters of a site or a rig, so that all topics below them fit
 _FILE_NAME_MAX: Final = 200  # bytes; the limit of file systems is 255
 
@@ -40,30 +38,6 @@ def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -
 def is_topic_level(name: str) -> bool:
     """Return True if `name` can be a site or a rig."""
     return 0 < len(name) <= NAME_MAX and name.isprintable() and not set(name) & set("/+#")
-
-
-def replay_name(rig: str) -> str:
-    """Return the name of a rig in replays, which separates old events from live ones."""
-    return rig.removesuffix(SUFFIX) + SUFFIX
-
-
-def is_replay(rig: str) -> bool:
-    """Return True if `rig` is the name of a replay."""
-    return rig.endswith(SUFFIX)
-
-
-def name_in_run(run: Run, owner: str, rig: str) -> str:
-    """Return the name under which `rig` publishes in a run, live or replay.
-
-    Raises:
-        ParameterError: naming `owner`, if the run is live and `rig` is the name of a replay.
-    """
-    if run.recording is not None:
-        return replay_name(rig)
-    if is_replay(rig):
-        must_be = f"a name that does not end in {SUFFIX}, the suffix of replays"
-        raise ParameterError(owner, "rig", rig, must_be)
-    return rig
 
 
 def outbox_path(site: str, rig: str) -> Path:

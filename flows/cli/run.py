@@ -133,14 +133,12 @@ async def execute(
 
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
-    from flows.run.replay_runner import first_time, log_replay_destinations, replayed, replayed_recording
+    from flows.run.replay_runner import first_time, replayed
     from flows.run.supervision import signals_to
 
     log_models(flow)
     clock = None if recording is None else LoopClock(first_time(recording), pace)
     flow = flow if recording is None else replayed(flow, recording)
-    if replayed_recording(flow) is not None:
-        log_replay_destinations(flow)
     session = f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
     live = LiveRunner(flow, session, clock=clock, duration=limit)
     with signals_to(live.stop), logged(live.run):  # the log announces a run that signals already end

@@ -20,9 +20,7 @@ def watch(
     ] = "mqtt://localhost",
     *,
     site: Annotated[str, typer.Option(help="Show only this site; +: all sites.")] = "+",
-    rig: Annotated[
-        str, typer.Option(help="Show only this rig; +: all live rigs. A replay is shown only if it is named.")
-    ] = "+",
+    rig: Annotated[str, typer.Option(help="Show only this rig; +: all rigs.")] = "+",
     since: Annotated[
         str,
         typer.Option(
@@ -39,7 +37,7 @@ def watch(
 ) -> None:
     """Print slip events from an MQTT broker, each once.
 
-    Fetches missed events from the rigs, and reports events that are lost. Each line of a live rig shows the
+    Fetches missed events from the rigs, and reports events that are lost. Each line shows the
     times from the decisive sample to the event, by the rig's clock, and to its arrival here, by this
     machine's clock, if it was within a day. Reconnects to a broker that it has reached once; exits 2 if it
     cannot reach it at the start. Stops at Ctrl-C.
@@ -71,14 +69,13 @@ def watch(
 def _line(event: "Event", now: int) -> str:
     """Return the line of an event that arrived at `now` (ns)."""
     from connectors.events import timestamp
-    from connectors.mqtt.rig_names import is_replay
 
     where = f"{event.site}/{event.rig} finger {event.finger}"
     probability = "" if event.probability is None else f"  p {event.probability:.2f}"
     quality = f"  {event.quality}: {event.reason}" if event.reason else ""
     when = timestamp(event.time)[:23].replace("T", " ")
     delays = [] if event.latency is None else [f"sensor to event {event.latency:.1f} ms"]
-    if not is_replay(event.rig) and abs(now - event.time) < _DAY:
+    if abs(now - event.time) < _DAY:
         delays.append(f"sensor to here {(now - event.time) / 1e6:.1f} ms")
     delay = f"  {', '.join(delays)}" if delays else ""
     return f"{when}  {where}  slip {event.state:5}{probability}{delay}{quality}"

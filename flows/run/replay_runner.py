@@ -16,7 +16,7 @@ from flows.graph.node import Node, Part, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.log_events import contained, reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Clocks, Faults, Labelled, Motion, Scores, Slips, Touch
-from operators.errors import InputError
+from operators.errors import FlowError, InputError
 from operators.operator import LateRowFilter
 from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
@@ -55,23 +55,29 @@ def replayed_recording(flow: Flow) -> str | None:
     return next((name for name in names if name is not None), None)
 
 
-def log_replay_destinations(flow: Flow) -> None:
-    """Log the destinations that differ between a replay and a live run."""
-    for node, sink in flow.sinks().items():
-        if (destination := sink.replay_destination) != sink.destination:
-            text = f"{node.name}: the replay is written to {destination}"
-            warn("replay_destination", text, sink=node.name, destination=destination)
+def check_sinks_of_replay(flow: Flow) -> None:
+    """Check that no sink of a flow is for live runs only; a FlowError names those that are."""
+    if found := [node.name for node, sink in flow.sinks().items() if sink.live_only]:
+        reason = "is for live runs: remove it to replay a recording"
+        raise FlowError(flow.name, ", ".join(found), reason)
 
 
 def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:
-    """Return the state of a run that begins now, without the status of its sources and sinks."""
+    """Return the state of a run that begins now, without the status of its sources and sinks.
+
+    Raises:
+        FlowError: if it replays a recording, and a sink is for live runs only.
+    """
+    recording = replayed_recording(flow)
+    if recording is not None:
+        check_sinks_of_replay(flow)
     return Run(
         session,
         flow.name,
         clock,
         clock.now(),
         live=live,
-        recording=replayed_recording(flow),
+        recording=recording,
         declaration=tuple(streams(flow.nodes)),
         describe={node.name: node.describe() for node in flow.sources()},
         sink_types=compiled.sink_types,
@@ -87,7 +93,7 @@ class ReplayRunner:
     can be repeated. A batch has at most `rows` rows.
 
     Raises:
-        FlowError: if the flow is wired wrongly.
+        FlowError: if the flow is wired wrongly, or has a sink for live runs only.
         InputError: if the recording lacks a stream.
     """
 

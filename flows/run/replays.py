@@ -29,7 +29,7 @@ from flows.graph.node import Node
 from flows.graph.validation import validate
 from flows.run.executor import LocalProcesses, map_tasks
 from flows.run.log_events import reason_of
-from flows.run.replay_runner import ReplayRunner, first_time, log_replay_destinations, replayed
+from flows.run.replay_runner import ReplayRunner, check_sinks_of_replay, first_time, replayed
 from flows.run.run_summary import Summary
 from flows.run.session_output import new_session, remove_partial
 from operators.errors import FlowError, InputError, SlipflowError
@@ -151,7 +151,6 @@ class Replays:
         if executor is not None and (exclusive := self.exclusive_sinks):
             reason = "cannot be shared by processes: replay with --jobs 1 and without --cluster"
             raise FlowError(self.flow.name, ", ".join(exclusive), reason)
-        log_replay_destinations(self.flow)
         local = executor is None or isinstance(executor, LocalProcesses)
         source = self._source if local else self._source.with_files()
         paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
@@ -241,16 +240,18 @@ def session_of(recording: Path) -> str:
 
 
 def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
-    """Check that a flow is valid and does not record into a dataset that it replays.
+    """Check that a flow is valid, takes recordings, and does not record into a dataset that it replays.
 
     The fingertips of its sources are checked for a live run only: a replay has those of its recordings.
 
     Raises:
-        FlowError: if the flow is wired wrongly.
+        FlowError: if the flow is wired wrongly, or has a sink for live runs only and there are recordings.
         InputError: if a recording is in the dataset of a sink.
     """
     paths = list(paths)
     validate(flow, fingertips=not paths)
+    if paths:
+        check_sinks_of_replay(flow)
     written = {*_roots(flow).values()}
     for path in paths:
         if written & set(path.resolve().parents):

@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors import Consumer, Mqtt
-from connectors.mqtt.mqtt_sink import HealthReports
+from connectors.mqtt.mqtt_sink import health
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
-from operators import EVERY, SLIP, STATIC, Batch, Clocks, Faults, Motion, Operator, Slips, Touch, Zero, Zeroed
+from operators import EVERY, SLIP, STATIC, Batch, Faults, Motion, Operator, Slips, Touch, Zero, Zeroed
 from operators.batch import ms, s
 from operators.errors import EndpointError
 from storage import Dataset
@@ -95,7 +95,7 @@ class Alternating(Operator[Zeroed, Slips]):
 class ReportingMqtt(Mqtt):
     """Event sink that prints the events that it has accepted, by a write that survives a kill."""
 
-    async def write(self, batch: Slips | Faults | Clocks) -> None:
+    async def write(self, batch: Slips | Faults) -> None:
         """Publish a batch and print its events."""
         await super().write(batch)
         if isinstance(batch, Slips):
@@ -154,23 +154,22 @@ async def fill(place: str, how: str, full: str, room: str) -> None:
     folder, produced, alerts = Path(place), np.zeros(2, np.int64), TestSink()
     recorder = DatasetOfFew(folder / "data", part_span=300 * ms)
     runner = LiveRunner(recording(recorder, (RATE, RATE), produced, alerts), SESSION)
-    reports = HealthReports(runner.run)
     running = asyncio.create_task(runner.execute())
     await asyncio.sleep(0.7)
     set_full(folder, how)
     before = len(alerts.written)
     await asyncio.sleep(float(full))
-    during, health = len(alerts.written) - before, reports.next()
+    during, while_full = len(alerts.written) - before, health(runner.run)
     set_free(folder, how)
     await asyncio.sleep(float(room))
-    after = reports.next()
+    after = health(runner.run)
     runner.stop()
     run = await running
     report = {
         "produced": produced.tolist(),
         "alerts": len(alerts.rows(Slips, 0)),
         "during": during,
-        "health": health["sinks"],
+        "health": while_full["sinks"],
         "after": after["sinks"],
         "sink": {name: asdict(sink) for name, sink in run.sinks.items()},
     }

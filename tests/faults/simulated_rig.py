@@ -11,7 +11,7 @@ import numpy as np
 from connectors import Mqtt
 from connectors.events import Event
 from operators import Operator, Slips, Touch
-from operators.batch import Batch, Clocks, Faults, ms
+from operators.batch import Batch, Faults, ms
 from operators.ports import Clock, Source
 from storage.dataset import Dataset, Recordable
 from tests.faults.simulated_process import current
@@ -126,7 +126,7 @@ class WatchedMqtt(Mqtt):
 
     rig_run: RigRun
 
-    async def write(self, batch: Slips | Faults | Clocks) -> None:
+    async def write(self, batch: Slips | Faults) -> None:
         new = [(self.rig_run.session, str(batch.finger), time) for time in batch.time.tolist()]
         self.rig_run.started_events |= set(new)
         try:

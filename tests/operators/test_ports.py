@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from flows.graph.testing import TestSink, TestSource
+from flows.graph.testing import TestSource
 from operators.batch import Touch, ms
 from operators.ports import Run
 
@@ -17,6 +17,5 @@ def test_replayed_rows_have_no_latency(run: Run, *, live: bool) -> None:
     assert replay.latency(run.clock.now() - 3 * ms) is None
 
 
-def test_by_default_a_source_is_new_and_a_sink_has_one_destination() -> None:
+def test_by_default_a_source_is_new() -> None:
     assert TestSource(Touch).recording is None
-    assert TestSink("the attic").replay_destination == "the attic"

@@ -1,6 +1,5 @@
 import asyncio
 import logging
-from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
 
@@ -9,7 +8,7 @@ import pytest
 from connectors import Gripper
 from connectors.gripper.robotiq import Request, register_force
 from flows.run.diagnosis import diagnose
-from operators import EndpointError, FlowError, ParameterError
+from operators import EndpointError, ParameterError
 from tests.connectors.gripper.gripper_lab import commands, lab
 from tests.emulators.gripper import RELEASED
 
@@ -171,19 +170,6 @@ async def test_closing_sends_the_newest_force_or_raises() -> None:
         with pytest.raises(EndpointError, match="is not ready for the newest command"):
             await gripper.close()
         await gripper.close()  # nothing is left to be done
-
-
-async def test_no_replay_moves_the_gripper() -> None:
-    async with lab() as at:
-        paced = replace(at.run, recording="grasp-1")
-        for run in (paced, replace(paced, live=False), replace(at.run, live=False)):
-            gripper = at.gripper()
-            with pytest.raises(
-                FlowError, match=r"^flow 'live': modbus://.*: a replay must not move a gripper: remove"
-            ):
-                await gripper.open(run)
-            await gripper.close()
-        assert not at.asked
 
 
 @pytest.mark.parametrize(

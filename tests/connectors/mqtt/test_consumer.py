@@ -70,22 +70,6 @@ async def test_a_consumer_follows_all_rigs_or_one(broker: TestBroker, links: lis
     assert not any(link.alive for link in links)
 
 
-async def test_a_replay_is_followed_only_by_its_name(broker: TestBroker) -> None:
-    expected = [publish(broker, 1, "a-replay", "-r"), publish(broker, 2, "b", "-r")]
-    broker.publish("slip/v1/lab/a-replay/head", '{"epoch": "ab", "last_seq": 9}', "-r")
-    reports = list[str]()
-    async with Consumer(broker.url, "lab", "a-replay") as events:
-        assert await anext(events) == expected[0]
-    async with Consumer(broker.url, "lab", since="start", report=reports.append) as events:
-        await until(lambda: len(inside(events, "_link", "_received")) == 3)
-        assert await anext(events) == expected[1]
-        publish(broker, 3, "a-replay")
-        later = publish(broker, 3, "b")
-        assert await anext(events) == later
-        assert inside(events, "_position").rigs == [("lab", "b")]
-    assert not reports
-
-
 async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: TestBroker) -> None:
     reports = list[str]()
     bad = [

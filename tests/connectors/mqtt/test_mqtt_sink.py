@@ -13,10 +13,11 @@ from connectors.events import CONTENT_TYPE, Fault, Model
 from connectors.mqtt import broker_link as link
 from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
-from operators.batch import Clocks, Faults, ms, s
+from connectors.mqtt.mqtt_sink import health
+from operators.batch import Faults, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
-from operators.ports import Run
+from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.connectors.mqtt.made import opened, slips
 from tests.inside import inside
@@ -102,16 +103,12 @@ async def test_events_and_health_tell_which_faults_last(
         await sink.write(slips(1, finger=1))
         await sink.write(fault(3, FaultKind.STUCK, begins=False))
         await sink.write(slips(0))
-        offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
-        await sink.write(Clocks(np.array([NOW]), offset, drift, residual))
         health = broker.listen(f"{RIG}/health")
         reports = [read(await asyncio.to_thread(health.next)) for _ in range(3)]
     assert event(listener).degraded == (Fault(1, "dead"), Fault(3, "stuck"))
     assert event(listener, "1").degraded == ()
     assert event(listener).degraded == (Fault(1, "dead"),)
     assert reports[-1]["degraded"] == {"0": [{"barometer": 1, "kind": "dead"}]}
-    clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
-    assert reports[-1]["clock"] == clock
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
@@ -201,16 +198,6 @@ def test_a_run_without_the_right_to_publish_does_not_start(
         assert not links[0].alive
 
 
-def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None:
-    sink, again = Mqtt("mqtt://127.0.0.1:1", rig="rig"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
-    assert sink.destination == f"mqtt://127.0.0.1:1/{RIG}"
-    replays = {sink.replay_destination, again.destination, again.replay_destination}
-    assert replays == {f"{sink.destination}-replay"}
-    refused = "rig is 'rig-replay', must be a name that does not end in -replay"
-    with pytest.raises(ParameterError, match=refused):
-        asyncio.run(again.open(run))
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -230,3 +217,23 @@ def test_parameters_out_of_range_are_rejected(name: str, value: Any) -> None:
     parameters: dict[str, Any] = {"url": "mqtt://localhost", name: value}
     with pytest.raises(ParameterError, match=f"^Mqtt: {name} is "):
         Mqtt(**parameters)
+
+
+def test_a_health_report_has_lag_gaps_dropped_rows_and_the_newest_clock_steps(run: Run) -> None:
+    gap = Gap(91 * s, 92 * s, "unplugged")
+    run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
+    run.sources["motion"], run.sources["force"] = SourceStatus(), SourceStatus(stale=True)
+    counters: dict[str, Any] = {"rows": 9, "queued": 1, "dropped": 3, "failures": 2}
+    run.sinks["dataset"], run.sinks["mqtt"] = SinkStatus(**counters, error="disk full"), SinkStatus()
+    run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
+    report: Any = health(run)
+    assert report["time_ns"] == NOW
+    silent = {"lag_ms": None, "rows": 0, "late": 0, "gaps": 0}
+    assert report["sources"] == {
+        "touch": {"state": "up", "lag_ms": 5, "rows": 10, "late": 2, "gaps": 1},
+        "motion": {"state": "down", **silent},
+        "force": {"state": "stale", **silent},
+    }
+    assert report["sinks"]["dataset"] == {**counters, "error": "disk full"}
+    assert report["sinks"]["mqtt"]["error"] is None
+    assert report["clock_steps"] == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]

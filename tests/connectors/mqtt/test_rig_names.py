@@ -1,23 +1,10 @@
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from connectors import Mqtt
 from connectors.mqtt import rig_names
-from connectors.mqtt.rig_names import host_rig, is_replay, name_in_run, outbox_path, replay_name, rig_topic
-from operators.errors import ParameterError
-from operators.ports import Run
-
-
-@pytest.mark.parametrize("live", [True, False])
-@pytest.mark.parametrize("rig", ["ur10", "ur10-replay", "replay", "-replay"])
-def test_a_replay_never_has_the_name_of_a_live_rig(run: Run, rig: str, *, live: bool) -> None:
-    name = name_in_run(replace(run, recording="stroke", live=live), "Mqtt", rig)
-    assert name == replay_name(rig)
-    assert is_replay(name)
-    with pytest.raises(ParameterError, match=f"^Mqtt: rig is '{name}', must be a name that does not end in"):
-        name_in_run(run, "Mqtt", name)
+from connectors.mqtt.rig_names import host_rig, outbox_path, rig_topic
 
 
 @pytest.mark.parametrize(

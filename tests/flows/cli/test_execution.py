@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from connectors import Replay, Trace
+from connectors import Trace
 from flows.cli.run import execute, report_run
 from flows.cli.terminal import Format
 from flows.graph import Flow
@@ -27,23 +27,6 @@ def flow() -> tuple[Flow, TestSink]:
     made, sink = Flow("pressed"), TestSink()
     made.source(TestSource(Touch)).to(sink)
     return made, sink
-
-
-@pytest.mark.virtual
-@pytest.mark.parametrize("declared", [False, True])
-async def test_a_replay_names_another_destination_at_its_start(
-    trace: Trace, *, declared: bool, caplog: pytest.LogCaptureFixture
-) -> None:
-    class Moved(TestSink):
-        @property
-        def replay_destination(self) -> str:
-            return "the attic"
-
-    made, sink = Flow("pressed"), Moved()
-    made.source(Replay(trace, Touch) if declared else TestSource(Touch)).to(sink)
-    run = await execute(made, recording=None if declared else trace)
-    assert [status.rows for status in run.sinks.values()] == [200]
-    assert [text for text in caplog.messages if "the replay is written to the attic" in text]
 
 
 @pytest.mark.virtual

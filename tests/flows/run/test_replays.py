@@ -1,4 +1,5 @@
 import sys
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
@@ -7,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from connectors import Event
+from connectors import Gripper, Mqtt
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.executor import workers
-from flows.run.replay_runner import ReplayRunner
+from flows.run.live_runner import LiveRunner
+from flows.run.replay_runner import ReplayRunner, replayed
 from flows.run.replays import FlowSource, Replayed, Replays, check_outputs, recordings
 from flows.run.replays import replay as replay_task
 from operators import Debounce, Score, Touch, Zero
@@ -20,7 +22,6 @@ from operators.errors import FlowError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
 from storage import Session
 from storage.layout import session_folder
-from tests.connectors.mqtt.broker_process import TestBroker
 from tests.flows.run.recorder import Recorder
 from tests.storage.made import session_names
 
@@ -172,31 +173,30 @@ def test_an_error_of_a_sink_ends_its_own_replay_only_and_leaves_no_session(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["dataset.json", "sessions"]
 
 
-def test_a_sink_that_publishes_as_one_rig_needs_one_process(
-    felt: str, four: list[Path], tmp_path: Path
-) -> None:
-    replays = Replays(source(felt, out=str(tmp_path), broker="mqtt://localhost"), four)
-    assert replays.exclusive_sinks == ["mqtt"]
+def test_a_sink_that_is_not_shared_needs_one_process(felt: str, four: list[Path], tmp_path: Path) -> None:
+    replays = Replays(source(felt, out=str(tmp_path), spoilt="true"), four)
+    [name] = replays.exclusive_sinks
     with (
         workers(2) as executor,
-        pytest.raises(FlowError, match="mqtt: cannot be shared by processes: replay"),
+        pytest.raises(FlowError, match=f"{name}: cannot be shared by processes: replay"),
     ):
         list(replays.run(executor))
 
 
-@pytest.mark.broker
-def test_recordings_are_published_in_order_as_one_rig_and_the_destination_is_logged_once(
-    felt: str, four: list[Path], tmp_path: Path, broker: TestBroker, caplog: pytest.LogCaptureFixture
+def test_a_flow_with_a_sink_for_live_runs_cannot_be_replayed(
+    felt: str, four: list[Path], tmp_path: Path
 ) -> None:
-    listener = broker.listen("slip/v1/lab/+/0/event")
-    found = replay(felt, four[:2], tmp_path / "out", broker=broker.url)
-    assert [each.error for each in found] == ["", ""]
-    assert caplog.messages == [f"mqtt: the replay is written to {broker.url}/slip/v1/lab/rig-replay"]
-    events = [Event.decode(received.payload.encode()) for received in listener.rest()]
-    assert {each.rig for each in events} == {"rig-replay"}
-    assert len({(each.epoch, each.seq) for each in events}) == len(events)  # each replay numbers its own
-    assert [each.session for each in events] == sorted(each.session or "" for each in events)
-    assert {each.session for each in events} == {path.name for path in four[:2]}
+    publishing, recording = source(felt, out=str(tmp_path), broker="mqtt://localhost"), Session.open(four[0])
+    ways: list[Callable[[], object]] = [
+        lambda: Replays(publishing, four),
+        lambda: ReplayRunner(publishing.flow(), recording, "again"),
+        lambda: LiveRunner(replayed(publishing.flow(), recording), "again"),
+    ]
+    for way in ways:
+        with pytest.raises(FlowError, match=r"^flow 'felt': mqtt: is for live runs: remove it to replay"):
+            way()
+    assert Mqtt.live_only
+    assert Gripper.live_only
 
 
 def test_an_interrupted_replay_leaves_no_part_of_a_session(
