@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 log = logging.getLogger("slipflow")
 
 CHECK_EVERY = 3.0  # s, between checks of all rigs for missed events
-LARGE = 65_536  # bytes of a position, of about 600 epochs, which is not saved with each event
-SAVE_EVERY = 0.2  # s, between saves of a large position
 REQUESTS_MAX = 100  # requests per check
 MALFORMED_MAX = 20  # malformed messages that are reported per connection
 
@@ -45,8 +43,7 @@ class Consumer(AsyncIterator[Event]):
     lost connections are reported too; the consumer reconnects.
 
     With `position_file` it resumes at the saved position. The position is saved when the loop requests the
-    next event, so after a crash the event in progress is delivered again, and with more than about 600
-    epochs of all rigs those of the last 0.2 s: deduplicate on `Event.identifier`.
+    next event, so after a crash the event in progress is delivered again: deduplicate on `Event.identifier`.
     One consumer at a time can use a file. The events of a new rig start with its next one (``since="now"``),
     or with the oldest that it keeps (``since="start"``).
 
@@ -249,8 +246,6 @@ class Consumer(AsyncIterator[Event]):
         while self._changed:
             self._changed = False
             try:
-                payload = self._position.encode()
-                await asyncio.to_thread(put, path, payload)
-                await asyncio.sleep(SAVE_EVERY if len(payload) > LARGE else 0.0)
+                await asyncio.to_thread(put, path, self._position.encode())
             except OSError as error:
                 self._report(f"{path}: cannot be written: {os_error_reason(error)}")

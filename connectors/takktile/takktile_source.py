@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import replace
-from pathlib import Path
 from typing import Final, cast
 
 import numpy as np
@@ -18,7 +17,6 @@ from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Finding, Json, Source
 
 VALID_LEAST: Final = 0.5  # smallest share of valid samples of a cell
-ADAPTERS: Final = Path("/sys/class/i2c-dev")
 
 
 class TakkTile(Source[Touch]):
@@ -123,8 +121,7 @@ class TakkTile(Source[Touch]):
             others = await asyncio.to_thread(_answering_rows, self.path, clock.now)
         if failure and not others:
             raise failure
-        about = (f"{name} {value}" for name, value in _adapter(self.path).items() if value is not None)
-        yield Finding(self.path, f"opens; {', '.join(about) or 'its speed is unknown'}")
+        yield Finding(self.path, "opens")
         for index, row in enumerate(self._schedule.rows):
             fault = _row_fault(self._schedule.coefficients[index], index, scans, others)
             text = fault or f"{BAROMETERS} cells answer"
@@ -149,24 +146,11 @@ class TakkTile(Source[Touch]):
         return {
             "sensor": "TakkTile 2x3",
             "bus": self.path,
-            **_adapter(self.path),
             "rows": list(schedule.rows),
             "fingers": list(self._fingers),
             "coefficients": cast("dict[str, Json]", {str(f): each for f, each in self.coefficients.items()}),
             "scans": cast("dict[str, Json]", schedule.counted),
         }
-
-
-def _adapter(path: str) -> dict[str, Json]:
-    """Return the name of an adapter and its configured bus speed, as reported by Linux."""
-    folder = ADAPTERS / Path(path).name
-    about: dict[str, Json] = {"adapter": None, "bus_hz": None}
-    try:
-        about["adapter"] = (folder / "name").read_text().strip()
-        about["bus_hz"] = int.from_bytes((folder / "device/of_node/clock-frequency").read_bytes(), "big")
-    except OSError:  # no such bus, or no speed configured
-        pass
-    return about
 
 
 def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:

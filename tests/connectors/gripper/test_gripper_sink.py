@@ -36,25 +36,6 @@ async def test_requests_and_answers_equal_the_frames_in_the_manual() -> None:
     assert gripped.hex(" ").upper() == end
 
 
-async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() -> None:
-    async with lab(contact=51) as at:
-        gripper = at.gripper()
-        await gripper.open(at.run)
-        await asyncio.sleep(10)
-        assert at.writes == [Request(active=True)]
-        assert gripper.describe()["force_n"] is None
-        await gripper.write(commands(30.0))
-        await asyncio.sleep(10)
-        assert at.writes[1:] == [Request(active=True, force=85)]
-        assert at.forces == [register_force(85)]
-        assert gripper.status
-        about = gripper.describe()
-        assert (about["positions"], about["fault"]) == ([51, 51, 51], "")
-        assert about["force_n"] == register_force(85)
-        await gripper.close()
-        assert gripper.status is None
-
-
 async def test_a_ready_gripper_keeps_its_object() -> None:
     async with lab() as at:
         for force in (20.0, None, 30.0):

@@ -1,6 +1,5 @@
 import asyncio
 import signal
-import socket
 import threading
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
@@ -28,14 +27,6 @@ async def use(broker: Broker | str, *topics: str) -> None:
             await deliver(link, topic)
     finally:
         await link.disconnect()
-
-
-async def test_a_connection_sets_tcp_nodelay_and_short_timeouts(broker: TestBroker) -> None:
-    link = await connect(Broker.parse(broker.url), "test")
-    client, paho = inside(link, "_client"), inside(link, "_paho")
-    assert paho.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-    assert client.timeout == paho.connect_timeout == module.TIMEOUT
-    await link.disconnect()
 
 
 @asynccontextmanager

@@ -1,6 +1,5 @@
 import asyncio
 import shutil
-import textwrap
 from collections.abc import Callable
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
@@ -58,16 +57,6 @@ async def take(events: Consumer, count: int) -> list[int]:
 
 def publishing(broker: TestBroker, run: Run, **options: Any) -> AbstractAsyncContextManager[Mqtt]:
     return opened(Mqtt(broker.url, "lab", "ur10", **options), run)
-
-
-async def test_a_consumer_follows_all_rigs_or_one(broker: TestBroker, links: list[Link]) -> None:
-    expected = [publish(broker, 1, "a", "-r"), publish(broker, 2, "b", "-r")]
-    async with Consumer(broker.url) as events:
-        found = [await anext(events), await anext(events)]
-    assert sorted(found, key=lambda event: event.seq) == expected
-    async with Consumer(broker.url, "lab", "b") as events:
-        assert await anext(events) == expected[1]
-    assert not any(link.alive for link in links)
 
 
 async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: TestBroker) -> None:
@@ -187,18 +176,3 @@ def test_invalid_parameters_are_rejected(parameters: dict[str, Any]) -> None:
     options: dict[str, Any] = {"url": "mqtt://localhost", **parameters}
     with pytest.raises(ParameterError, match=r"^Consumer: "):
         Consumer(**options)
-
-
-def test_the_example_runs(
-    broker: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    publish(broker, 7, "ur10", "-r")
-    assert Consumer.__doc__
-    _, _, rest = Consumer.__doc__.partition("        async with")
-    example = textwrap.dedent("        async with" + rest.partition("\n\n")[0])
-    code = "\n".join(["async def main():", textwrap.indent(example, "    "), "            break"])
-    names: dict[str, Any] = {"Consumer": Consumer}
-    exec(code.replace("mqtt://localhost", broker.url), names)  # noqa: S102 - our own docstring
-    asyncio.run(names["main"]())
-    assert capsys.readouterr().out == "1 0 onset\n"

@@ -72,22 +72,6 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> Peer:
     return broker
 
 
-async def test_events_are_sent_once_in_order_and_documents_after_their_acknowledgement(
-    tmp_path: Path, peer: Peer
-) -> None:
-    async with opened(tmp_path) as (sending, outbox):
-        await sending.start("me", WILL, ONLINE)
-        assert peer.got == [("status", "online")]
-        await outbox.append([EVENT] * 3)
-        await outbox.append([EVENT])
-        await until(lambda: not outbox.waiting and ("head", "4") in peer.got)
-    for number in range(1, 5):
-        if ("head", str(number)) in peer.got:
-            assert peer.got.index(("head", str(number))) > peer.got.index(("0/event", str(number)))
-    assert peer.events() == ["1", "2", "3", "4"]
-    assert peer.got[-1] == ("status", "offline")
-
-
 @pytest.mark.parametrize("refused", ["head", "1/event"])
 async def test_events_wait_for_a_refused_event_but_not_for_a_refused_document(
     tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture, refused: str

@@ -11,7 +11,7 @@ import pytest
 from smbus2 import SMBus
 
 from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
-from connectors.takktile.takktile_protocol import Coefficients, Reading
+from connectors.takktile.takktile_protocol import Coefficients
 from operators.batch import Counts, us
 from tests.connectors.takktile.takktile_rig import PATH, Bus
 from tests.emulators.i2c_bus import Cell, Defect, Fingertip, served
@@ -59,23 +59,6 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
     rig = Rig()
     with served(rig.bus, PATH):
         yield rig
-
-
-def test_an_emulated_cell_shows_its_previous_sample_until_a_conversion_ends() -> None:
-    cell = Cell(bytes(8), 3000, lambda now: (now, 500))
-    for begun in (100, 5000):
-        cell.write(b"\x12\1", begun)
-        for now, seen in ((begun + 2999, 0 if begun == 100 else 100), (begun + 3000, begun % 1024)):
-            cell.write(b"\0", now)
-            assert Reading.decode(cell.read(4, now)).pressure == seen
-
-
-def test_two_connected_cells_answer_together_as_the_logical_and(rig: Rig) -> None:
-    with SMBus(PATH) as client:
-        for cell, data in ((0, 0b1100), (1, 0b1010)):
-            rig.bus.fingertips[0].cells[cell].registers[0] = data
-            client.write_quick(cell)
-        assert client.read_i2c_block_data(CELL, 0, 1) == [0b1000]
 
 
 def invalid(scan: Scan) -> list[tuple[int, int]]:

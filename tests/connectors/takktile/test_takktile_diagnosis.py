@@ -28,7 +28,7 @@ async def found(*rows: int) -> list[Finding]:
 @pytest.mark.usefixtures("bus")
 async def test_cells_and_rate_of_working_fingertips_are_good() -> None:
     opened, *rows, rate = await found(0, 5)
-    assert opened == Finding(PATH, "opens; its speed is unknown")
+    assert opened == Finding(PATH, "opens")
     assert rows == [Finding(f"{PATH} row {row}", "6 cells answer") for row in (0, 5)]
     assert (rate.subject, rate.text.endswith(" rows per second of 50")) == (PATH, rate.state == "good")
 

@@ -6,7 +6,6 @@ import logging
 import threading
 from collections.abc import AsyncGenerator, Iterator
 from contextlib import aclosing
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -203,16 +202,6 @@ async def test_the_description_is_live_and_plain_data(bus: Bus) -> None:
     after = json.loads(json.dumps(dict(described)))
     assert after["coefficients"]["4"][1] == pytest.approx([2010.75, -2.37585, -0.92047, 7.9012e-4], rel=1e-4)
     assert after["scans"]["made"] >= 5
-
-
-def test_the_linux_adapter_is_described(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("connectors.takktile.takktile_source.ADAPTERS", tmp_path)
-    assert TakkTile().describe()["adapter"] is None
-    (tmp_path / "i2c-1/device/of_node").mkdir(parents=True)
-    (tmp_path / "i2c-1/name").write_text("bcm2835 (i2c@7e804000)\n")
-    assert TakkTile().describe()["adapter"] == "bcm2835 (i2c@7e804000)"
-    (tmp_path / "i2c-1/device/of_node/clock-frequency").write_bytes((400_000).to_bytes(4, "big"))
-    assert TakkTile().describe()["bus_hz"] == 400_000
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 
 from connectors import UrMotion
 from connectors.ur import rtde
-from connectors.ur.rtde import Kind, Version, pack
+from connectors.ur.rtde import Version
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
@@ -186,24 +186,6 @@ async def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
     assert (np.diff(motion.device_time) > 0).all()
     assert len(motion) > 9 * 125
     assert here.source.describe()["connections"] == 3
-
-
-async def test_a_controller_that_floods_messages_neither_delays_the_run_nor_loses_packages(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    def flood(here: Lab) -> None:
-        for client in here.controller.clients:
-            client.transport.write(1000 * pack(Kind.TEXT, b"\x05hello\x04RTDE\1"))
-        asyncio.get_running_loop().call_later(0.02, flood, here)
-
-    with caplog.at_level(logging.WARNING):
-        run, sink, here = await live(flood, 7)
-    motion = sink.rows(Motion)
-    assert (np.diff(motion.device_time) == 8 * ms).all()
-    assert len(motion) > 6.9 * 125
-    assert motion.time[-1] - run.start < 7.1 * s
-    assert cast("int", here.source.describe()["messages"]) > 300_000
-    assert len(caplog.records) == rtde.TEXTS + 1
 
 
 # --- parameters ---

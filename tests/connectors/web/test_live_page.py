@@ -15,7 +15,7 @@ from connectors.web.access import TOKEN
 from operators.batch import Touch, Zeroed, ms, s
 from operators.errors import ParameterError
 from operators.ports import Run
-from tests.connectors.web.reading import listening, slip, touched
+from tests.connectors.web.reading import listening, slip
 from tests.waiting import PATIENCE
 
 Frames: TypeAlias = AsyncIterator[dict[str, Any]]
@@ -43,26 +43,6 @@ async def first_with(frames: Frames, name: str) -> Any:
 def rows(time: Any, cells: int = 6) -> Zeroed:
     counts = np.full((len(time), cells), -7, np.int16)
     return Zeroed(time, counts, counts, counts < 0, finger=0)
-
-
-async def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
-    async with opened(run) as (page, _):
-        await page.write(touched(NOW - 20 * ms, -5))
-        await page.write(slip(NOW - 10 * ms, 1))
-        async with listening(page.url) as frames:
-            frame = await anext(frames)
-            about = frame["run"]
-            assert (about["session"], about["flow"], about["threshold"]) == ("run1", "live", 0.78)
-            assert (about["recording"], about["start"], about["zeroed"]) == (None, 90_000, True)
-            assert frame["rows"]["touch 0"]["v"] == [[-5] * 6]
-            assert [event["latency"] for event in frame["events"]] == [10.0]
-            for finger in range(3):  # arrive together, so they share a frame
-                await page.write(touched(NOW, -9, finger=finger))
-            frame = await anext(frames)
-            assert {name: each["t"] for name, each in frame["rows"].items()} == {
-                f"touch {finger}": [10_000] for finger in range(3)
-            }
-            assert (frame["slipping"], frame["events"], "run" in frame) == (["0"], [], False)
 
 
 async def test_a_browser_that_does_not_ask_costs_nothing_and_gets_the_last_30_s_later(run: Run) -> None:
