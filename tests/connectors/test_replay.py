@@ -1,6 +1,5 @@
 import asyncio
-from collections.abc import Iterator, Mapping
-from typing import TypeVar, cast
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -9,34 +8,19 @@ from hypothesis import strategies as st
 
 from connectors import Replay
 from flows.run.clocks import EventClock
-from operators.batch import Batch, Motion, Scores, concat, ms, s
+from operators.batch import Motion, Scores, concat, ms, s
 from operators.errors import InputError
-from operators.ports import Description, Recording
-
-SomeBatch = TypeVar("SomeBatch", bound=Batch)
+from tests.flows.run.live import Memory
 
 
-class Recorded:
+def recorded(times: Mapping[int, list[int]]) -> Memory:
     """Scores of several fingertips."""
-
-    name = "recorded"
-
-    def __init__(self, times: Mapping[int, list[int]]) -> None:
-        self.streams = {
-            finger: Scores(np.array(time, np.int64), np.linspace(0, 1, len(time)), finger=finger)
+    return Memory(
+        *(
+            Scores(np.array(time, np.int64), np.linspace(0, 1, len(time)), finger=finger)
             for finger, time in times.items()
-        }
-
-    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        return tuple(self.streams) if kind is Scores else ()
-
-    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        assert kind is Scores
-        stream = self.streams[finger]
-        return (cast("SomeBatch", stream[i : i + rows]) for i in range(0, len(stream), rows))
-
-    def describe(self) -> Description:
-        return {"rig": "ur10"}
+        )
+    )
 
 
 def replay(source: Replay[Scores], clock: EventClock) -> list[tuple[int, Scores]]:
@@ -58,21 +42,20 @@ times = st.lists(st.integers(0, 10**12), min_size=1, max_size=30).map(sorted)
 
 @given(times, st.integers(0, 10**15))
 def test_all_rows_are_replayed_with_their_recorded_timestamps(time: list[int], start: int) -> None:
-    recording = Recorded({0: time})
-    replayed = replay(Replay(recording, Scores), EventClock(start))
-    assert rows(replayed) == (time, recording.streams[0].probability.tolist())
+    replayed = replay(Replay(recorded({0: time}), Scores), EventClock(start))
+    assert rows(replayed) == (time, np.linspace(0, 1, len(time)).tolist())
 
 
 def test_each_row_is_a_batch_when_it_is_due_and_streams_of_one_origin_stay_synchronous() -> None:
-    source = Replay(Recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
+    source = Replay(recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
     due = [(100 * s + time, 1) for time in (0, 10 * ms, 30 * ms)]
     assert [(now, len(batch)) for now, batch in replay(source, EventClock(100 * s))] == due
-    late = Replay(Recorded({0: [9 * s]}), Scores, origin=7 * s)
+    late = Replay(recorded({0: [9 * s]}), Scores, origin=7 * s)
     assert [now for now, _ in replay(late, EventClock(0))] == [2 * s]
 
 
 def test_the_chosen_fingertips_are_merged_by_timestamp() -> None:
-    recording = Recorded({0: [0, 2, 4], 1: [1, 2, 3]})
+    recording = recorded({0: [0, 2, 4], 1: [1, 2, 3]})
     both, one = Replay(recording, Scores), Replay(recording, Scores, (1,))
     assert (both.fingers, one.fingers) == ((0, 1), (1,))
     found = [(batch.time.item(), batch.finger) for _, batch in replay(both, EventClock(0))]
@@ -81,8 +64,8 @@ def test_the_chosen_fingertips_are_merged_by_timestamp() -> None:
 
 
 def test_a_missing_stream_cannot_be_replayed() -> None:
-    recording: Recording = Recorded({0: [0]})
-    with pytest.raises(InputError, match=r"^recorded: has no Motion stream$"):
+    recording = recorded({0: [0]})
+    with pytest.raises(InputError, match=r"^memory: has no Motion stream$"):
         _ = Replay(recording, Motion).fingers
-    with pytest.raises(InputError, match=r"^recorded: has no Scores stream of finger 3; its fingers are 0$"):
+    with pytest.raises(InputError, match=r"^memory: has no Scores stream of finger 3; its fingers are 0$"):
         _ = Replay(recording, Scores, (0, 3)).fingers

@@ -1,4 +1,4 @@
-"""Emulated Robotiq 3-Finger gripper: mechanism, Modbus TCP server, and faults on command.
+"""Emulated Robotiq 3-Finger gripper: mechanism, Modbus server in memory, and faults on command.
 
 The three fingers close as one at a constant speed and stop where they meet the object, which they grip with
 the requested force from that instant on. They are self-locking: a larger force grips harder, a smaller one
@@ -7,21 +7,22 @@ a request. Only the basic mode is emulated.
 """
 
 import asyncio
-import socket
 import struct
 from collections import deque
 from collections.abc import Callable
 from enum import IntEnum
-from typing import Any, Final, NamedTuple, Self, cast
+from typing import Any, Final, Self
 
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from connectors.gripper.robotiq import FULL, PORT, SETTLE, STATUS, UNIT, register_force
+from connectors.gripper.robotiq import FULL, SETTLE, STATUS, UNIT, Request, register_force
 from operators.batch import s
 from storage.background_task import BackgroundTask
 
+HOST: Final = "__pymodbus_nullmodem"  # pymodbus' transport without sockets, for virtual time
+PORT: Final = 5020
 CLOSING: Final = 1.4  # s from open to closed
 NOT_ACTIVATED: Final = 7  # fault
 ACTIVATING: Final = 5  # fault
@@ -41,18 +42,9 @@ class Phase(IntEnum):
     READY = 3
 
 
-class Asked(NamedTuple):
-    """A request, as it is written to the registers."""
-
-    active: bool = False
-    go: bool = False
-    position: int = 0
-    force: int = 0
-
-    @classmethod
-    def decode(cls, data: bytes) -> Self:
-        """Return the request in the bytes from register 0 on; those after the sixth are for other modes."""
-        return cls(bool(data[0] & 1), bool(data[0] & 1 << 3), data[3], data[5])
+def asked(data: bytes) -> Request:
+    """Return the request in the bytes from register 0 on; those after the sixth are for other modes."""
+    return Request(bool(data[0] & 1), data[5] if data[0] & 1 << 3 else None)
 
 
 class Mechanism:
@@ -65,19 +57,19 @@ class Mechanism:
         self.forces = list[float]()  # N, on the object, in order; 0: it was released
         self._contact, self._activation = contact, round(activation * s)
         self._time, self._position = now, 0.0
-        self._pending = deque[tuple[int, Asked]]()  # (time of effect in ns, request)
+        self._pending = deque[tuple[int, Request]]()  # (time of effect in ns, request)
         self.power_up()
 
     def power_up(self) -> None:
         """Reset the registers; the fingers stay where they are."""
-        self._asked, self._phase, self._fault, self._until = Asked(), Phase.RESET, 0, 0
+        self._asked, self._phase, self._fault, self._until = Request(), Phase.RESET, 0, 0
         self._pending.clear()
 
     def fail(self, fault: int) -> None:
         """Set a fault, one of `connectors.gripper.robotiq.FAULTS`, until it is reset."""
         self._phase, self._fault = Phase.RESET, fault
 
-    def request(self, request: Asked, now: int) -> None:
+    def request(self, request: Request, now: int) -> None:
         """Accept a request; it takes effect after `SETTLE`."""
         self._pending.append((now + round(SETTLE * s), request))
 
@@ -97,30 +89,30 @@ class Mechanism:
     def registers(self, now: int) -> bytes:
         """Return the 16 bytes of the status' registers at an instant; the motors report no current."""
         self.advance(now)
-        asked, at = self._asked, round(self._position)
-        if not asked.active:
-            fault = NOT_ACTIVATED if asked.go else self._fault
-            return bytes([self._phase << 4, 0, fault, asked.position]) + bytes(12)
-        go = asked.go and self._phase is Phase.READY
+        closes, at = self._asked.force is not None, round(self._position)
+        position = FULL if closes else 0  # requested
+        if not self._asked.active:
+            fault = NOT_ACTIVATED if closes else self._fault
+            return bytes([self._phase << 4, 0, fault, position]) + bytes(12)
+        go = closes and self._phase is Phase.READY
         fingers = MOVING
-        if go and at == asked.position:
+        if go and at == position:
             fingers = ARRIVED
         elif go and self.forces and self.forces[-1]:
             fingers = STOPPED
         axes = fingers * 0b010101 | 0b11000000 if go else 0
-        fault = self._fault or (asked.go and self._phase is Phase.ACTIVATING) * ACTIVATING
+        fault = self._fault or (closes and self._phase is Phase.ACTIVATING) * ACTIVATING
         gripper = 1 | go << 3 | self._phase << 4 | fingers << 6
-        return bytes([gripper, axes, fault, asked.position, at, 0, 0, at, 0, 0, at, 0, 0, SCISSOR, 0, 0])
+        return bytes([gripper, axes, fault, position, at, 0, 0, at, 0, 0, at, 0, 0, SCISSOR, 0, 0])
 
     def _move(self, until: int) -> None:
         elapsed, self._time = max(0, until - self._time), max(self._time, until)
         if self._phase is Phase.ACTIVATING and until >= self._until:
             self._phase = Phase.READY
-        elif self._phase is Phase.READY and self._asked.go:
-            end = min(self._asked.position, self._contact)
-            self._position = min(self._position + FULL / CLOSING * elapsed / s, end)
-            if self._position == end < self._asked.position:
-                self._grip(max(register_force(self._asked.force), *self.forces[-1:], 0.0))
+        elif self._phase is Phase.READY and (force := self._asked.force) is not None:
+            self._position = min(self._position + FULL / CLOSING * elapsed / s, self._contact)
+            if self._position == self._contact < FULL:
+                self._grip(max(register_force(force), *self.forces[-1:], 0.0))
 
     def _grip(self, force: float) -> None:
         if force != (self.forces[-1] if self.forces else 0.0):
@@ -131,16 +123,14 @@ class GripperServer:
     """Gripper that serves clients in an `async with` block, and can refuse (`refusing`) or be `silent`.
 
     Clients write the request from register 0 on (function 16) and read the status (function 4); other
-    functions and other units are refused. Inside the block, `port` is the actual one. `trace` is called with
-    each packet, and whether it is sent, and returns the packet.
+    functions and other units are refused. `trace` is called with each packet, and whether it is sent, and
+    returns the packet.
     """
 
     refusing = silent = False
 
-    def __init__(
-        self, *, now: Callable[[], int], host: str = "127.0.0.1", port: int = PORT, **mechanism: Any
-    ) -> None:
-        self.mechanism, self.host, self.port = Mechanism(now(), **mechanism), host, port
+    def __init__(self, *, now: Callable[[], int], **mechanism: Any) -> None:
+        self.mechanism = Mechanism(now(), **mechanism)
         self.trace: Callable[[bool, bytes], bytes] = lambda _, data: data
         self._now, self._written = now, bytearray(2 * STATUS)
         self._server: ModbusTcpServer | None = None
@@ -150,13 +140,11 @@ class GripperServer:
         """Listen, and start the mechanism."""
         data = SimData(0, count=STATUS, datatype=DataType.REGISTERS)
         devices = [SimDevice(UNIT, data, action=self._answer), SimDevice(0, data, action=_refuse)]
-        server = ModbusTcpServer(devices, address=(self.host, self.port))
+        server = ModbusTcpServer(devices, address=(HOST, PORT))
         server.trace_packet = self._pass_on
         await server.serve_forever(background=True)
         self._server = server
-        if isinstance(server.transport, asyncio.Server):
-            self.port = server.transport.sockets[0].getsockname()[1]
-        self._running = BackgroundTask(f"{self.host}:{self.port}", "the gripper", self._run())
+        self._running = BackgroundTask(HOST, "the gripper", self._run())
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -165,7 +153,7 @@ class GripperServer:
             await self._running.end()
         if self._server:
             self._server.close()
-            await asyncio.sleep(0)  # lets the sockets close
+            await asyncio.sleep(0)  # lets the connections close
         self._server = None
 
     def restart(self, *, drop: bool = True) -> None:
@@ -174,10 +162,7 @@ class GripperServer:
         self.mechanism.power_up()
         self._written[:] = bytes(len(self._written))
         for client in list(self._server.active_connections.values()) if drop and self._server else []:
-            transport = cast("asyncio.Transport", client.transport)
-            if connected := transport.get_extra_info("socket"):  # reset the connection
-                connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            transport.abort()
+            client.transport.abort()
 
     async def _run(self) -> None:
         while True:
@@ -200,7 +185,7 @@ class GripperServer:
         if function == WRITE and written is not None:
             data = b"".join(int(value).to_bytes(2, "big") for value in written)
             self._written[2 * address : 2 * address + len(data)] = data
-            self.mechanism.request(Asked.decode(bytes(self._written)), self._now())
+            self.mechanism.request(asked(bytes(self._written)), self._now())
         elif function == READ:
             current[:STATUS] = struct.unpack(f">{STATUS}H", self.mechanism.registers(self._now()))
         else:

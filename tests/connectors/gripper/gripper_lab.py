@@ -14,10 +14,7 @@ from flows.run.clocks import LoopClock
 from operators import s
 from operators.batch import Commands
 from operators.ports import Run
-from tests.emulators.gripper import Asked, GripperServer
-
-IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' transport without sockets, for virtual time
-PORT = 5020
+from tests.emulators.gripper import HOST, PORT, GripperServer, asked
 
 
 @dataclass
@@ -31,7 +28,7 @@ class Lab:
 
     def gripper(self, **parameters: Any) -> Gripper:
         """Return a sink."""
-        return Gripper(self.server.host, self.server.port, **parameters)
+        return Gripper(HOST, PORT, **parameters)
 
     @asynccontextmanager
     async def gripping(self, force: float | None = None, **parameters: Any) -> AsyncGenerator[Gripper]:
@@ -48,8 +45,7 @@ class Lab:
     @property
     def writes(self) -> list[Request]:
         """Requests to the gripper."""
-        asked = [Asked.decode(data[-6:]) for _, data in self.asked if data[5] == 16]
-        return [Request(each.active, each.force if each.go else None) for each in asked]
+        return [asked(data[-6:]) for _, data in self.asked if data[5] == 16]
 
     @property
     def forces(self) -> list[float]:
@@ -58,22 +54,22 @@ class Lab:
 
 
 @asynccontextmanager
-async def lab(host: str = IN_MEMORY, port: int = PORT, **parameters: Any) -> AsyncGenerator[Lab]:
+async def lab(**parameters: Any) -> AsyncGenerator[Lab]:
     """Serve a gripper for a block."""
-    loop, asked, answered = asyncio.get_running_loop(), list[tuple[float, bytes]](), list[bytes]()
+    loop, received, answered = asyncio.get_running_loop(), list[tuple[float, bytes]](), list[bytes]()
     begun = loop.time()
-    server = GripperServer(host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters)
+    server = GripperServer(now=lambda: round((loop.time() - begun) * s), **parameters)
 
     def listen(sending: bool, data: bytes) -> bytes:
         if sending:
             answered.append(data[2:])
         elif data:
-            asked.append((loop.time(), data[2:]))
+            received.append((loop.time(), data[2:]))
         return data
 
     server.trace = listen
     async with server:
-        yield Lab(server, Run("run1", "live", LoopClock(), 0), asked, answered)
+        yield Lab(server, Run("run1", "live", LoopClock(), 0), received, answered)
 
 
 def commands(*forces: float) -> Commands:
