@@ -11,6 +11,7 @@ import pytest
 from connectors import Gripper, Mqtt
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
+from flows.run.clocks import EventClock
 from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, replayed
@@ -190,7 +191,7 @@ def test_a_flow_with_a_sink_for_live_runs_cannot_be_replayed(
     ways: list[Callable[[], object]] = [
         lambda: Replays(publishing, four),
         lambda: ReplayRunner(publishing.flow(), recording, "again"),
-        lambda: LiveRunner(replayed(publishing.flow(), recording), "again"),
+        lambda: LiveRunner(replayed(publishing.flow(), recording), "again", clock=EventClock(0)),
     ]
     for way in ways:
         with pytest.raises(FlowError, match=r"^flow 'felt': mqtt: is for live runs: remove it to replay"):
