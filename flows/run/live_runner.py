@@ -42,7 +42,7 @@ class LiveRunner:
         duration: End of the run after this time, ns; default: when all sources end.
 
     Raises:
-        FlowError: if the flow is wired wrongly.
+        FlowError: if the flow is wired wrongly, or replays a recording into a sink for live runs only.
     """
 
     def __init__(
