@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_233,
-    "connectors": 11_189,
+    "operators": 5_226,
+    "connectors": 11_094,
     "storage": 3_883,
     "flows": 12_548,
-    "product": 32_853,
+    "product": 32_751,
     "product files": 218,
-    "tests": 34_858,
+    "tests": 34_377,
     "commands": 16,
     "options": 84,
-    "words": 37_686,
+    "words": 37_477,
 }
 
 
