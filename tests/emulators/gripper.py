@@ -11,7 +11,7 @@ import struct
 from collections import deque
 from collections.abc import Callable
 from enum import IntEnum
-from typing import Any, Final, Self
+from typing import Any, Final, Self, cast
 
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
@@ -162,7 +162,7 @@ class GripperServer:
         self.mechanism.power_up()
         self._written[:] = bytes(len(self._written))
         for client in list(self._server.active_connections.values()) if drop and self._server else []:
-            client.transport.abort()
+            cast("asyncio.Transport", client.transport).abort()
 
     async def _run(self) -> None:
         while True:
