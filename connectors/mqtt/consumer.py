@@ -248,4 +248,6 @@ class Consumer(AsyncIterator[Event]):
             try:
                 await asyncio.to_thread(put, path, self._position.encode())
             except OSError as error:
+                self._changed = True
                 self._report(f"{path}: cannot be written: {os_error_reason(error)}")
+                return  # the next check tries again

@@ -127,7 +127,7 @@ async def test_dropped_messages_are_reported_and_their_events_fetched(
     assert all("the consumer is behind: " in report for report in reports)
 
 
-async def test_an_unwritable_position_file_is_reported_and_events_continue(
+async def test_an_unwritable_position_file_is_reported_and_written_once_it_can_be(
     broker: TestBroker, tmp_path: Path
 ) -> None:
     reports, folder = list[str](), tmp_path / "there"
@@ -137,6 +137,9 @@ async def test_an_unwritable_position_file_is_reported_and_events_continue(
         publish(broker, 1)
         publish(broker, 2)
         assert await take(events, 2) == [1, 2]
+        await until(lambda: bool(reports))
+        folder.mkdir()
+    assert (folder / "position").exists()
     assert set(reports) == {f"{folder}/position: cannot be written: No such file or directory"}
 
 
