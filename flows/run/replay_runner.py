@@ -56,18 +56,18 @@ def replayed_recording(flow: Flow) -> str | None:
 
 
 def check_sinks_of_replay(flow: Flow) -> None:
-    """Check that no sink of a flow is for live runs only; a FlowError names those that are."""
+    """Check that a flow can be replayed.
+
+    Raises:
+        FlowError: naming the sinks that are for live runs only.
+    """
     if found := [node.name for node, sink in flow.sinks().items() if sink.live_only]:
         reason = "is for live runs: remove it to replay a recording"
         raise FlowError(flow.name, ", ".join(found), reason)
 
 
 def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:
-    """Return the state of a run that begins now, without the status of its sources and sinks.
-
-    Raises:
-        FlowError: if it replays a recording, and a sink is for live runs only.
-    """
+    """Return the state of a run that begins now, without the status of its sources and sinks."""
     recording = replayed_recording(flow)
     if recording is not None:
         check_sinks_of_replay(flow)
