@@ -8,7 +8,6 @@ from operators.batch import (
     STATIC,
     UNKNOWN,
     Batch,
-    Clocks,
     Commands,
     Episodes,
     Faults,
@@ -28,7 +27,7 @@ from operators.batch import (
     us,
 )
 from operators.debounce import Debounce
-from operators.device_clock import DeviceClock, WatchClock
+from operators.device_clock import DeviceClock
 from operators.errors import (
     BatchError,
     EndpointError,
@@ -77,7 +76,6 @@ __all__ = [
     "BatchError",
     "Clock",
     "ClockStep",
-    "Clocks",
     "Commands",
     "Debounce",
     "DeviceClock",
@@ -120,7 +118,6 @@ __all__ = [
     "StepGrip",
     "Touch",
     "Truth",
-    "WatchClock",
     "Window",
     "Windows",
     "Zero",

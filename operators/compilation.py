@@ -24,21 +24,18 @@ log = logging.getLogger("slipflow.compilation")
 
 
 class _Announcer(event.Listener):
-    """Listener that logs the compilations of this process; loading cached code is not logged."""
+    """Listener that logs the first compilation of this process; loading cached code is not logged."""
 
-    compiled = begun = 0  # functions
+    begun = False
 
     def on_start(self, event: object) -> None:
         """Log the first compilation."""
         if not self.begun:
             log.info("compiling for this machine: up to a minute, once; later runs load the result")
-        self.begun += 1
+        self.begun = True
 
     def on_end(self, event: object) -> None:
-        """Log every tenth compilation."""
-        self.compiled += 1
-        if self.compiled % 10 == 0:
-            log.info("compiling: %d functions are ready", self.compiled)
+        """Log nothing."""
 
 
 _ADDRESS: Final = re.compile(" at 0x[0-9a-f]+")  # differs in each process

@@ -18,11 +18,11 @@ References:
 
 from dataclasses import dataclass
 from math import inf
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
-from operators.batch import Clocks, Motion, Reals, Times, s
+from operators.batch import Motion, Reals, s
 from operators.checks import check_at_least
 from operators.operator import Operator
 from operators.steps import END, Record, RowType, Steps, copy
@@ -31,15 +31,6 @@ BLOCKS: Final = 60  # per window; the least late row of each block is kept
 PAUSE: Final = 5  # windows without rows, after which a new epoch starts
 DRIFT: Final = 200e-6  # s/s, largest drift; crystals stay below
 _SPAN: Final = 5 * s  # minimum span of rows for a drift estimate
-
-Envelope: TypeAlias = tuple[Times, Reals, Reals]  # integers, reals, (2, BLOCKS) x and y of each kept row
-
-# Integers: window and largest jump (ns); number of the epoch; stamps of the newest row and of the epoch's
-# first row (ns); current block; x and y of the block's least late row; number of kept rows.
-_WINDOW, _JUMP, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEAST_Y, _KEPT = range(11)
-# Reals: offset (ns) and slope of the line at the epoch's first row; its shift in this block, at most 0 (ns);
-# lateness of the block's least late row (ns).
-OFFSET, SLOPE, _LOWERED, _LEAST = range(4)
 
 
 @dataclass
@@ -74,162 +65,78 @@ class DeviceClock(Operator[Motion, Motion]):
     jump: int = 2 * s
 
     def __post_init__(self) -> None:
-        check_window("DeviceClock", self.window, self.jump)
+        check_at_least("DeviceClock", "window", self.window, BLOCKS, "ns")
+        check_at_least("DeviceClock", "jump", self.jump, 0, "ns")
 
     def steps(self, *given: RowType) -> Steps:
-        """Return the step."""
-        return Steps(state={**envelope(self.window, self.jump), "newest": -END}, step=_host_times)
+        """Return the step, with the envelope as its state.
+
+        Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before
+        it. A row below the line lowers it. At the end of the block the line is fitted again.
+        """
+        return Steps(
+            settings={"window": self.window, "jump": self.jump},
+            state={
+                "begun": 0,  # there is an epoch
+                "device": 0,  # ns, stamp of the newest row
+                "arrival": 0,  # ns, of the newest row
+                "origin": 0,  # ns, stamp of the epoch's first row
+                "began": 0,  # ns, arrival of that row
+                "block": 0,  # number of the current block
+                "least_x": 0,  # ns, of the block's least late row
+                "least_y": 0,  # ns, of that row
+                "lateness": inf,  # ns, of that row
+                "kept": 0,  # number of blocks that are kept
+                "x": np.zeros(BLOCKS),  # ns, of the least late row of each
+                "y": np.zeros(BLOCKS),  # ns
+                "offset": 0.0,  # ns, of the line at the epoch's first row
+                "slope": 0.0,
+                "lowered": 0.0,  # ns, shift of the line in this block, at most 0
+                "newest": -END,  # ns, host time of the newest row
+            },
+            step=_host_time,
+        )
 
 
-def _host_times(settings: Record, state: Record, row: Record, out: Record) -> bool:
+def _host_time(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    """Give the row its host time, no later than its arrival."""
     copy(out, row)
-    clock = state.integers, state.reals, state.kept
-    state.newest = out.time = max(state.newest, host_time(row.device_time, row.time, clock))
-    return True
-
-
-@dataclass
-class WatchClock(Operator[Motion, Clocks]):
-    """Report the offset and drift of the device's clock periodically and at the end of each epoch.
-
-    Takes the same input as `DeviceClock` and uses the same envelope. The residual is the mean lateness of
-    the rows since the last report.
-
-    Args:
-        window: As in `DeviceClock`, ns.
-        every: Interval of the reports in device time, ns.
-
-    Raises:
-        ParameterError: if a parameter is invalid.
-
-    >>> arrivals = np.arange(3) * 8 * 10**6
-    >>> motion = Motion(1_000 * s + arrivals, arrivals, np.zeros((3, 6)), np.zeros((3, 6)))
-    >>> clock = WatchClock(every=16 * 10**6)
-    >>> (clock.push(motion).offset // s).tolist()
-    [1000]
-    """
-
-    window: int = 120 * s
-    every: int = 5 * s
-
-    def __post_init__(self) -> None:
-        check_at_least("WatchClock", "every", self.every, 1, "ns")
-        check_window("WatchClock", self.window, DeviceClock.jump)
-
-    def steps(self, *given: RowType) -> Steps:
-        """Return the functions that take motion and give reports."""
-        state = {
-            "since": 0,  # ns, device stamp of the first row since the last report
-            "rows": 0,  # since then
-            "late": 0,  # ns, their total lateness
-            "mapped": 0,  # ns, host time of the newest row
-            "report": np.zeros((), RowType(Clocks).packed),  # the newest
-            "waits": 0,  # the report was not given yet
-            "ended": 0,
-        }
-        clock = envelope(self.window, DeviceClock.jump)
-        return Steps({"every": self.every}, {**clock, **state}, takes=(_watch,), give=_give_report, held=1)
-
-
-def _watch(settings: Record, state: Record, row: Record) -> None:
-    clock, stamp = (state.integers, state.reals, state.kept), row.device_time
-    if state.rows and (stamp - state.since >= settings.every or starts_epoch(stamp, row.time, clock)):
-        _report(state)
-    if not state.rows:
-        state.since = stamp
-    state.mapped = host_time(stamp, row.time, clock)
-    state.rows += 1
-    state.late += row.time - state.mapped
-
-
-def _report(state: Record) -> None:
-    report = state.report
-    report.time = max(report.time, state.mapped)
-    report.offset, report.drift = state.mapped - state.integers[DEVICE], state.reals[SLOPE]
-    report.residual = state.late / state.rows / s
-    state.rows = state.late = 0
-    state.waits = 1
-
-
-def _give_report(settings: Record, state: Record, out: Record) -> bool:
-    if state.ended and state.rows:
-        _report(state)
-    if not state.waits:
-        return False
-    copy(out, state.report)
-    state.waits = 0
-    return True
-
-
-def check_window(owner: str, window: int, jump: int) -> None:
-    """Check the parameters of an envelope, ns.
-
-    Raises:
-        ParameterError: if a parameter is invalid.
-    """
-    check_at_least(owner, "window", window, BLOCKS, "ns")
-    check_at_least(owner, "jump", jump, 0, "ns")
-
-
-def envelope(window: int, jump: int) -> dict[str, Any]:
-    """Return the initial state of the running envelope of a stream.
-
-    Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
-    A row below the line lowers it. At the end of the block the line is fitted again.
-
-    Args:
-        window: Length, ns of device time.
-        jump: Largest disagreement on an interval, ns.
-    """
-    integers = np.zeros(11, np.int64)
-    integers[_WINDOW], integers[_JUMP], integers[EPOCH] = window, jump, -1
-    return {"integers": integers, "reals": np.zeros(4), "kept": np.zeros((2, BLOCKS))}
-
-
-def starts_epoch(device: int, arrival: int, state: Envelope) -> bool:
-    """Return whether the next row, with these stamps (ns), starts an epoch."""
-    integers = state[0]
-    step = device - integers[DEVICE]
-    continuous = 0 <= step <= PAUSE * integers[_WINDOW]
-    agrees = abs(arrival - integers[_ARRIVAL] - step) <= integers[_JUMP]
-    return integers[EPOCH] < 0 or not (continuous and agrees)
-
-
-def host_time(device: int, arrival: int, state: Envelope) -> int:
-    """Return the host time (ns) of the next row, no later than its arrival."""
-    integers, reals, _ = state
-    if starts_epoch(device, arrival, state):
-        integers[EPOCH] += 1
-        integers[_ORIGIN], integers[_BEGAN], integers[_BLOCK], integers[_KEPT] = device, arrival, 0, 0
-        reals[OFFSET], reals[SLOPE], reals[_LOWERED], reals[_LEAST] = 0.0, 0.0, 0.0, inf
-    integers[DEVICE], integers[_ARRIVAL] = device, arrival
-    x = device - integers[_ORIGIN]
-    y = arrival - integers[_BEGAN] - x
-    block = x * BLOCKS // integers[_WINDOW]
-    if block != integers[_BLOCK]:
-        integers[_BLOCK] = block
+    device, arrival = row.device_time, row.time
+    step = device - state.device
+    continuous = 0 <= step <= PAUSE * settings.window
+    agrees = abs(arrival - state.arrival - step) <= settings.jump
+    if not (state.begun and continuous and agrees):  # begin an epoch
+        state.begun, state.origin, state.began = 1, device, arrival
+        state.block = state.kept = 0
+        state.offset = state.slope = state.lowered = 0.0
+        state.lateness = inf
+    state.device, state.arrival = device, arrival
+    x = device - state.origin
+    y = arrival - state.began - x
+    block = x * BLOCKS // settings.window
+    if block != state.block:
+        state.block = block
         _fit(state)
-    lateness = y - (reals[OFFSET] + reals[SLOPE] * x)
-    if lateness < reals[_LEAST]:
-        integers[_LEAST_X], integers[_LEAST_Y], reals[_LEAST] = x, y, lateness
-        reals[_LOWERED] = min(reals[_LOWERED], lateness)
-    shift = round(float(reals[OFFSET] + reals[SLOPE] * x + reals[_LOWERED]))
-    time: int = min(arrival, integers[_BEGAN] + x + shift)
-    return time
+    lateness = y - (state.offset + state.slope * x)
+    if lateness < state.lateness:
+        state.least_x, state.least_y, state.lateness = x, y, lateness
+        state.lowered = min(state.lowered, lateness)
+    shift = round(float(state.offset + state.slope * x + state.lowered))
+    state.newest = out.time = max(state.newest, min(arrival, state.began + x + shift))
+    return True
 
 
-def _fit(state: Envelope) -> None:
+def _fit(state: Record) -> None:
     """Fit the line to the newest blocks."""
-    integers, reals, kept = state
-    count = integers[_KEPT]
+    count = state.kept
     if count == BLOCKS:
         count -= 1
         for block in range(count):
-            kept[0, block], kept[1, block] = kept[0, block + 1], kept[1, block + 1]
-    kept[0, count], kept[1, count] = integers[_LEAST_X], integers[_LEAST_Y]
-    integers[_KEPT] = count + 1
-    reals[OFFSET], reals[SLOPE] = line(kept[0, : count + 1], kept[1, : count + 1], DRIFT)
-    reals[_LOWERED], reals[_LEAST] = 0.0, inf
+            state.x[block], state.y[block] = state.x[block + 1], state.y[block + 1]
+    state.x[count], state.y[count] = state.least_x, state.least_y
+    state.kept = count + 1
+    state.offset, state.slope = line(state.x[: count + 1], state.y[: count + 1], DRIFT)
+    state.lowered, state.lateness = 0.0, inf
 
 
 def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:

@@ -6,10 +6,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import Touch, Windows
+from operators.batch import Counts, Flags, Touch, Windows
 from operators.checks import check_at_least
 from operators.operator import Operator
-from operators.row_queues import Tail
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
@@ -35,7 +34,8 @@ class Window(Operator[Touch, Windows]):
 
     length: int = 100
     hop: int = 1
-    _tail: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
+    # counts and valid of the newest rows, which the next windows need
+    _kept: tuple[Counts, Flags] | None = field(default=None, init=False, repr=False, compare=False)
     _due: int = field(default=0, init=False, repr=False)  # samples until the next window is complete
 
     def __post_init__(self) -> None:
@@ -45,35 +45,24 @@ class Window(Operator[Touch, Windows]):
 
     def process(self, batch: Touch) -> Windows:
         """Return the windows whose newest sample is in the batch."""
-        tail, due, size, hop = self._tail, self._due, len(batch), self.hop
-        tail.append(batch)
-        if size < due:
-            self._due -= size
-            windows = Windows.empty()
-        else:
-            block, count = tail.block, (size - due) // hop + 1
-            newest = tail.stop - size + due - 1  # of the first window
-            windows = Windows(
-                block.time[newest : newest + (count - 1) * hop + 1 : hop],
-                self._overlapping(block.counts, newest, count),
-                self._overlapping(block.valid, newest, count),
-                finger=batch.finger,
-            )
-            self._due += count * hop - size
-        spare = len(tail) - max(self.length - self._due, 0)
-        if spare > 0:
-            tail.drop(spare)
+        older = self._kept or (batch.counts[:0], batch.valid[:0])
+        counts, valid = np.concatenate((older[0], batch.counts)), np.concatenate((older[1], batch.valid))
+        size, due, hop, windows = len(batch), self._due, self.hop, Windows.empty()
+        self._due -= size
+        if size >= due:
+            count = (size - due) // hop + 1
+            first = len(counts) - size + due - self.length  # oldest row of the first window
+            views = self._overlapping(counts, first, count), self._overlapping(valid, first, count)
+            windows = Windows(batch.time[due - 1 :: hop], *views, finger=batch.finger)
+            self._due += count * hop
+        spare = len(counts) - max(self.length - self._due, 0)
+        self._kept = counts[spare:], valid[spare:]
         return windows
 
-    def _overlapping(self, rows: NDArray[Scalar], newest: int, count: int) -> NDArray[Scalar]:
-        # (count, length, 6), ten times as fast as sliding_window_view
+    def _overlapping(self, rows: NDArray[Scalar], first: int, count: int) -> NDArray[Scalar]:
+        # (count, length, cells), ten times as fast as sliding_window_view
         row, item = rows.strides
-        windows = np.ndarray(
-            (count, self.length, rows.shape[1]),
-            rows.dtype,
-            rows,
-            (newest + 1 - self.length) * row,
-            (self.hop * row, row, item),
-        )
+        shape = count, self.length, rows.shape[1]
+        windows = np.ndarray(shape, rows.dtype, rows, first * row, (self.hop * row, row, item))
         windows.flags.writeable = False
         return windows

@@ -6,7 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
+from operators.batch import Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
 from operators.checks import check_at_least, check_between
 from operators.errors import EndpointError
 from operators.ports import Clock, Finding, Run, Sink
@@ -15,7 +15,7 @@ from storage.files import check_disk
 from storage.journal import APPEND_AT, Journal
 from storage.writer import SessionWriter
 
-Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
+Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Episodes | Truth
 
 PART_ROWS_MAX: Final = 1_000_000  # below the limit of readers
 APPEND_INTERVAL: Final = 0.05  # s; a row waits no longer for the journal

@@ -7,7 +7,6 @@
     sessions/<session>/touch/part-000000.parquet    rows as received; likewise motion
     sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
     sessions/<session>/slips.parquet                slip events; likewise faults.parquet
-    sessions/<session>/clocks.parquet               offset and drift of a device's clock
     sessions/<session>/episodes.parquet             motions of the arm
     sessions/<session>/truth/part-000000.parquet    state of a simulated contact at each touch row
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
@@ -32,7 +31,6 @@ from typing import Final
 
 from operators.batch import (
     Batch,
-    Clocks,
     Episodes,
     Faults,
     Labelled,
@@ -94,10 +92,9 @@ MOTION: Final = Table("motion", Motion, finger=False)
 SAMPLES: Final = Table("samples", Labelled, frozenset({"temperature", "pose", "matched"}))
 SLIPS: Final = Table("slips", Slips, parted=False)
 FAULTS: Final = Table("faults", Faults, parted=False)
-CLOCKS: Final = Table("clocks", Clocks, finger=False, parted=False)
 EPISODES: Final = Table("episodes", Episodes, finger=False, parted=False)
 TRUTH: Final = Table("truth", Truth)
-TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS, CLOCKS, EPISODES, TRUTH)
+TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS, EPISODES, TRUTH)
 TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
     {table.kind: table for table in TABLES} | {Zeroed: TOUCH}
 )

@@ -15,7 +15,7 @@ from flows.graph.drawing import streams
 from flows.graph.node import Node, Part, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.log_events import contained, reason_of, warn
-from operators.batch import ANNOTATIONS, Batch, Clocks, Faults, Labelled, Motion, Scores, Slips, Touch
+from operators.batch import ANNOTATIONS, Batch, Faults, Labelled, Motion, Scores, Slips, Touch
 from operators.errors import FlowError, InputError
 from operators.operator import LateRowFilter
 from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
@@ -215,7 +215,7 @@ def first_time(recording: Recording, flow: Flow | None = None) -> int:
     Raises:
         InputError: if there is no row.
     """
-    kinds: tuple[type[Batch], ...] = Touch, Motion, Labelled, Scores, Slips, Faults, Clocks, *ANNOTATIONS
+    kinds: tuple[type[Batch], ...] = Touch, Motion, Labelled, Scores, Slips, Faults, *ANNOTATIONS
     read = [(kind, recording.fingers(kind)) for kind in kinds]
     if flow is not None:
         read = [(source.kind, source.fingers) for source in flow.sources().values()]

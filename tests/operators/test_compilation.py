@@ -1,4 +1,3 @@
-import logging
 import math
 import os
 import subprocess
@@ -76,19 +75,6 @@ def test_code_that_other_processes_compiled_for_other_types_is_not_mixed_up(tmp_
     )
     assert _run(script, "3").stdout.split() == ["10620.0"]
     assert _run(script, "5", "3").stdout.split() == ["17700.0", "10620.0"]
-
-
-def test_progress_is_logged_once_at_the_start_and_with_every_tenth_function(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    announcer = vars(compilation)["_Announcer"]()
-    with caplog.at_level(logging.INFO, "slipflow.compilation"):
-        for _ in range(25):
-            announcer.on_start(None)
-            announcer.on_end(None)
-    first, *others = caplog.messages
-    assert first.startswith("compiling for this machine: up to a minute, once")
-    assert others == [f"compiling: {number} functions are ready" for number in (10, 20)]
 
 
 def _function(text: str, **scope: object) -> FunctionType:

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Clocks, DeviceClock, Motion, WatchClock, concat, ms, s
+from operators import DeviceClock, Motion, ms, s
 from operators.batch import Reals, Times
-from operators.device_clock import PAUSE, envelope, host_time, line, starts_epoch
+from operators.device_clock import line
 
 START = 1_700_000_000 * s
 UP = 3600 * s  # that the device had been on
@@ -107,33 +107,6 @@ def test_a_way_of_another_length_is_followed(longer: int) -> None:
     assert error[440 * 125 :].max() < 0.1 * ms
 
 
-# --- how the clock stands --------------------------------------------------------------------------------
-
-
-def test_offset_drift_and_residual_are_reported() -> None:
-    stream, true = late(independent, 125.0, 50e-6)
-    watch = WatchClock()
-    clocks = concat(Clocks, [watch.push(stream), watch.flush()])
-    assert len(clocks) == 120
-    settled = clocks[24:]
-    assert np.abs(settled.drift + 50e-6).max() < 3e-6
-    assert np.abs(settled.residual - 0.011).max() < 0.002  # ordered, they are later than their mean of 10 ms
-    offset = np.interp(settled.time, true, true - stream.device_time)
-    assert np.abs(settled.offset - offset).max() < 0.2 * ms
-    assert (np.diff(clocks.time) > 0).all()
-
-
-def test_the_reports_agree_with_the_host_times() -> None:
-    stream, _ = restarted(30 * s, 0)
-    watch = WatchClock()
-    clocks = concat(Clocks, [watch.push(stream), watch.flush()])
-    mapped = DeviceClock().push(stream)
-    rows = mapped.time.searchsorted(clocks.time, "right") - 1
-    assert (clocks.offset == mapped.time[rows] - mapped.device_time[rows]).all()
-    assert len(clocks) == 24
-    assert len(np.unique(clocks.offset // s)) == 2
-
-
 @given(
     rows=st.lists(st.tuples(st.integers(0, 1000), st.integers(-50, 50)), min_size=1, max_size=40),
     limit=st.sampled_from([0.0, 0.01, 10.0]),
@@ -157,23 +130,3 @@ def test_the_line_lies_under_all_rows_and_no_other_lies_higher_in_their_mean(
     for other in {-limit, limit, *(each for each in slopes if abs(each) <= limit)}:
         best = (y - other * x).min() + other * x.mean()
         assert offset + drift * x.mean() >= best - 1e-6
-
-
-@pytest.mark.parametrize(
-    ("device", "arrival", "begins"),
-    [
-        (s, s, False),
-        (s, s + 100 * ms, False),
-        (s, s + 101 * ms, True),  # the clocks disagree
-        (s, s - 101 * ms, True),
-        (-1, s, True),  # the device's went back
-        (PAUSE * 6 * s, PAUSE * 6 * s, False),
-        (PAUSE * 6 * s + 1, PAUSE * 6 * s + 1, True),  # too long a pause
-    ],
-)
-def test_another_clock_and_a_long_pause_begin_an_epoch(device: int, arrival: int, *, begins: bool) -> None:
-    values = envelope(6 * s, 100 * ms)
-    state = values["integers"], values["reals"], values["kept"]
-    assert starts_epoch(5 * s, 1000 * s, state)
-    host_time(5 * s, 1000 * s, state)
-    assert bool(starts_epoch(5 * s + device, 1000 * s + arrival, state)) is begins

@@ -20,7 +20,6 @@ from operators import (
     Score,
     SlidingMotion,
     StepGrip,
-    WatchClock,
     Window,
     Zero,
     ms,
@@ -56,7 +55,6 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         *({"floor": 9, "ceiling": 9}, {"clear_after": -1}),
     ],
     DeviceClock: [{"window": 59}, {"window": 0}, {"jump": -1}],
-    WatchClock: [{"window": 59}, {"every": 0}],
     Grip: [
         *({"force": 11.0}, {"min_force": -1.0}, {"threshold": 0.0}, {"rate": 0.0}, {"consecutive": 0}),
         *({"gain": -1.0}, {"margin": -1.0}, {"release_rate": np.inf}, {"latency": -1}),

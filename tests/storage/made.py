@@ -14,7 +14,6 @@ from operators.batch import (
     MOTIONS,
     AnyBatch,
     Batch,
-    Clocks,
     Episodes,
     Labelled,
     Motion,
@@ -73,7 +72,7 @@ def new_batch(
         else:
             bits = random.bytes(int(np.prod(shape)) * column.dtype.itemsize)
             values.append(np.frombuffer(bits, column.dtype).reshape(shape).copy())
-    return kind(*values, finger=EVERY if issubclass(kind, Motion | Clocks | Episodes) else finger)
+    return kind(*values, finger=EVERY if issubclass(kind, Motion | Episodes) else finger)
 
 
 def new_episodes(*rows: tuple[int, int, str]) -> Episodes:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from operators.batch import (
     Batch,
-    Clocks,
+    Episodes,
     Faults,
     Labelled,
     Motion,
@@ -87,12 +87,12 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
 
 def test_every_batch_goes_to_the_table_of_its_type(tmp_path: Path) -> None:
     kinds, run = [Touch, Motion, Labelled, Slips], new_run()
-    run.sink_types = {str(tmp_path): dict.fromkeys([*kinds, Clocks], (0,)), "elsewhere": {Faults: (0,)}}
+    run.sink_types = {str(tmp_path): dict.fromkeys([*kinds, Episodes], (0,)), "elsewhere": {Faults: (0,)}}
     record(Dataset(tmp_path), run, [new_batch(kind) for kind in kinds])
     session = Session.open(tmp_path)
-    assert session.tables == ("touch", "motion", "samples", "slips", "clocks")
+    assert session.tables == ("touch", "motion", "samples", "slips", "episodes")
     assert [session.fingers(kind) for kind in kinds] == [(0,), (-1,), (0,), (0,)]
-    assert (len(session.frame("clocks")), list(session.read(Clocks, -1))) == (0, [])  # none was found
+    assert (len(session.frame("episodes")), list(session.read(Episodes, -1))) == (0, [])  # none was found
     assert verify(tmp_path).findings == ()
 
 

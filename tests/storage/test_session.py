@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from operators.batch import (
     Batch,
-    Clocks,
     Episodes,
     Faults,
     Labelled,
@@ -33,7 +32,7 @@ from storage.layout import TABLE_OF
 from storage.parts import read_manifest, read_part, write_manifest, write_part
 from tests.storage.made import new_batch, new_episodes, new_run, rows, write
 
-KINDS: list[type[Batch]] = [Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
+KINDS: list[type[Batch]] = [Motion, Labelled, Slips, Faults, Episodes, Truth]
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from flows.lab.collection.arm_path import Line, Step, Turn
 from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
 from flows.run.supervision import signals_to
-from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, WatchClock, Zero, ms, s
+from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, Zero, ms, s
 from operators.batch import Episodes, Reals
 from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Description, Run, Sink
@@ -232,7 +232,6 @@ class Collector(Source[Episodes]):
         label = Label(speed=0.003, rotation=0.2, delay=self.path.plan.label_delay)  # m/s, rad/s; paper
         touch.to(dataset)
         motion.to(dataset)
-        (motion | WatchClock()).to(dataset)
         (samples | label | MaskLifted(self._series.surface.middle)).to(dataset)
         flow.source(self, "collection").to(dataset)
         touch.to(monitor)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from jsonschema import Draft202012Validator
 
-from operators.batch import Batch, Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, ms, s
+from operators.batch import Batch, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, ms, s
 from operators.errors import EndpointError, InputError
 from storage.exports.mcap_file import export, messages, topic
 from storage.hand_labels import LabelSpan
@@ -101,7 +101,6 @@ def test_every_row_of_every_table_is_a_message_of_its_schema_in_time_order(tmp_p
         new_batch(Slips, 4, start=s, finger=2, seed=5),
         new_batch(Faults, 3, start=s, finger=0, seed=6),
         new_batch(Faults, 3, start=s + 1, finger=2, seed=7),
-        new_batch(Clocks, 5, start=s, seed=8),
         new_batch(Episodes, 9, start=s, seed=9),
         new_batch(Truth, 9, start=s, seed=10),
     ]

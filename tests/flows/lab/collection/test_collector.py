@@ -28,7 +28,6 @@ from operators import (
     EVERY,
     SLIP,
     UNKNOWN,
-    Clocks,
     EndpointError,
     Labelled,
     Motion,
@@ -36,7 +35,6 @@ from operators import (
     Run,
     Touch,
     Truth,
-    WatchClock,
     concat,
     s,
 )
@@ -159,16 +157,6 @@ def test_all_strokes_are_recorded_completely(quick: Made) -> None:
     assert (np.diff(touch.time) == s // 100).all()
     assert (np.diff(motion.device_time) == s // 125).all()
     assert not collected.runs[0].sources["touch"].gaps
-
-
-def test_the_arms_clock_is_recorded(quick: Made) -> None:
-    clocks = concat(Clocks, list(quick.session.read(Clocks, EVERY)))
-    motion = concat(Motion, list(quick.session.read(Motion, EVERY)))
-    watch = WatchClock()
-    again = concat(Clocks, [watch.push(motion), watch.flush()])
-    assert len(clocks) == np.ptp(motion.device_time) // (5 * s) + 1
-    for name in ("time", "offset", "drift", "residual"):
-        np.testing.assert_array_equal(getattr(clocks, name), getattr(again, name))
 
 
 def test_labels_equal_the_ground_truth_within_one_sample(quick: Made) -> None:
