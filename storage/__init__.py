@@ -2,7 +2,7 @@
 
 from storage.dataset import Dataset
 from storage.hand_labels import HandLabels, LabelSpan
-from storage.models import identify_detector, load_debounce, load_detector, load_weights, save_weights
+from storage.models import identify_detector, load_debounce, load_detector, save_weights
 from storage.recovery import Recovery, recover
 from storage.session import Session
 from storage.verification import Verified, verify
@@ -17,7 +17,6 @@ __all__ = [
     "identify_detector",
     "load_debounce",
     "load_detector",
-    "load_weights",
     "recover",
     "save_weights",
     "verify",

@@ -29,7 +29,6 @@ PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
 _OF_THE_PATH: Final = {EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM}  # errors, not of the disk
 NO_MEMORY: Final = "cannot be read: there is not enough memory"
-_VALUES_LIMIT: Final = 2_000_000  # of a JSON file; each takes up to 120 bytes of memory
 _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
 FREE_MIN: Final = 1e9  # bytes
 SYNC_MAX: Final = 0.05  # s; on slower disks a power cut costs more rows than `storage.dataset.Dataset` states
@@ -174,13 +173,11 @@ def read_json(path: Path, limit: int = JSON_LIMIT) -> dict[str, Any]:
     """Return the object in a JSON file.
 
     Raises:
-        InputError: if there is no such file, it may not be read, it is not a JSON object, it is larger than
-            `limit` bytes, or it has more than 2,000,000 values.
+        InputError: if there is no such file, it may not be read, it is not a JSON object, or it is larger
+            than `limit` bytes.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     data = read(path, limit)
-    if sum(map(data.count, (b",", b"[", b"{"))) > _VALUES_LIMIT:  # at least one for each value but the first
-        raise InputError(str(path), f"has more than {_VALUES_LIMIT:,} values, the limit for such a file")
     try:
         content: object = json.loads(data, parse_constant=_reject_number)
     except MemoryError as error:

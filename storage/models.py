@@ -33,20 +33,12 @@ PURPOSES: Final = {
 }
 
 
-def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the arrays of a model and its description, from a .safetensors file.
+def read_weights(path: Path, data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """Return the arrays of a model and its description, from the content of its file.
 
     Raises:
-        InputError: if the file is missing, too large or damaged, or an array has values that are not finite.
+        InputError: if the file is damaged, or an array has values that are not finite.
     """
-    path = Path(path)
-    if path.suffix != _SUFFIX:
-        raise InputError(str(path), f"is not a model file: these end in {_SUFFIX}")
-    return _weights(path, files.read(path, LIMIT))
-
-
-def _weights(path: Path, data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """Return the arrays of a model and its description, from the content of its file."""
     try:
         weights = safetensors.load(data)
         size = int.from_bytes(data[:8], "little")  # bytes of the header, which has the description
@@ -98,7 +90,7 @@ def load_detector(name: str | Path) -> Detector:
         known = ", ".join(sorted([*DETECTORS, *shipped_names()]))
         raise InputError(str(name), f"is not a detector: give {known} or a {_SUFFIX} file of weights")
     data = files.read(path, LIMIT)
-    weights, about = _weights(path, data)
+    weights, about = read_weights(path, data)
     card, kind = load_card(path), about.get("detector")
     if "sha256" in card and card["sha256"] != hashlib.sha256(data).hexdigest():
         reason = f"is damaged, or not the model of {path.with_suffix('.json').name}: copy both together"

@@ -86,18 +86,9 @@ def test_the_join_equals_that_of_polars(
 # --- which row -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("how", "row"), [("previous", [2.0, 2.0]), ("nearest", [2.0, 3.0])])
-def test_of_equal_stamps_the_last_up_to_the_touch_and_the_first_after_it_count(
-    how: How, row: list[float]
-) -> None:
-    samples = _join(Align(how=how), _touch(10, 15), _motion(0, 10, 10, 20, 20))
-    assert _rows(samples) == row
-
-
-@pytest.mark.parametrize("how", ["previous", "nearest"])
-def test_a_touch_without_motion_near_enough_is_kept_and_flagged(how: How) -> None:
+def test_a_touch_without_motion_near_enough_is_kept_and_flagged() -> None:
     touch = _touch(0, 100)
-    samples = _join(Align(how=how), touch, _motion(0, 79))
+    samples = _join(Align(), touch, _motion(0, 79))
     assert samples.matched.tolist() == [True, False]
     assert np.isnan(samples.velocity[1]).all()
     assert np.isnan(samples.pose[1]).all()
@@ -108,13 +99,11 @@ def test_a_touch_without_motion_near_enough_is_kept_and_flagged(how: How) -> Non
 
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
-@pytest.mark.parametrize("rows", [1, 3])
-def test_motion_with_a_non_finite_velocity_is_ignored(unknown: float, rows: int) -> None:
+def test_motion_with_a_non_finite_velocity_is_ignored(unknown: float) -> None:
     motion = _motion(0, 9, 18)
     motion.velocity[1, 5] = unknown
     align = Align()
-    for start in range(0, 3, rows):
-        align.push(NO_TOUCH, motion[start : start + rows])
+    align.push(NO_TOUCH, motion)
     assert _rows(align.push(_touch(8.9, 9, 9.1), NO_MOTION)) == [0, 2, 2]
 
 
@@ -136,17 +125,12 @@ def test_a_touch_sample_waits_until_the_touch_stream_is_wait_ahead() -> None:
     assert not samples.matched.any()
 
 
-@pytest.mark.parametrize("rows", [1, 2])
-def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match(rows: int) -> None:
-    align, touch = Align(keep=50 * ms), _touch(49, 50)
+def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match() -> None:
+    align = Align(keep=50 * ms)
     align.push(NO_TOUCH, _motion(*range(0, 101, 10)))
-    samples = [align.push(touch[start : start + rows], NO_MOTION) for start in range(0, 2, rows)]
-    assert concat(Sample, samples).matched.tolist() == [False, True]
+    assert align.push(_touch(49, 50), NO_MOTION).matched.tolist() == [False, True]
 
 
 def test_touch_and_motion_that_come_together_match_however_long_the_span() -> None:
     time = range(0, 100_000, 10)
     assert _join(Align(wait=50 * ms), _touch(*time), _motion(*time)).matched.all()
-
-
-# --- parameters ------------------------------------------------------------------------------------------

@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat
-from operators.batch import Counts, Reals, columns, packed_type
+from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat, ms
+from operators.batch import Counts, Reals, columns
 from operators.column import column
+from tests.storage.made import new_batch, same
 
 KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 
@@ -71,61 +72,30 @@ def _subtypes(kind: type[Batch]) -> list[type[Batch]]:
 ALL = [Batch, *(kind for kind in _subtypes(Batch) if kind.__module__ == Batch.__module__)]
 
 
-def _random(kind: type[Batch], rows: int, cells: int) -> Batch:
-    """A batch with any bits, such as those of NaN."""
-    rng = np.random.default_rng(0)
-    arrays = list[Any]()
-    for each in columns(kind).values():
-        size = rows * int(np.prod(each.sizes(cells)))
-        bits = rng.bytes(size * each.dtype.itemsize)
-        values = rng.random(size) < 0.5 if each.dtype == np.bool_ else np.frombuffer(bits, each.dtype)
-        arrays.append(values.reshape(rows, *each.sizes(cells)))
-    return kind(*arrays, finger=3)
-
-
-def _check_columns(found: Batch, expected: Batch) -> None:
-    assert (type(found.check()), found.finger, len(found)) == (type(expected), expected.finger, len(expected))
-    for name in columns(type(expected)):
-        column, other = getattr(found, name), getattr(expected, name)
-        assert (column.dtype, column.shape, column.tobytes()) == (other.dtype, other.shape, other.tobytes())
-
-
 @pytest.mark.parametrize("cells", [1, 6, 16])
 @pytest.mark.parametrize("kind", ALL)
 def test_packed_rows_keep_all_columns_bit_for_bit(kind: type[Batch], cells: int) -> None:
-    batch = _random(kind, 5, cells)
+    batch = new_batch(kind, 5, cells=cells)
     packed = kind.unpack(batch.packed, batch.finger)
-    _check_columns(packed, batch)
-    _check_columns(kind.unpack(pickle.loads(pickle.dumps(packed)).packed, 3), batch)  # noqa: S301 our own bytes
+    same(packed.check(), batch)
+    same(pickle.loads(pickle.dumps(packed)), batch)  # noqa: S301 our own bytes
     rows = slice(1, 4)
-    _check_columns(packed[rows], batch[rows])
-    _check_columns(packed[np.array([3, 1])], batch[np.array([3, 1])])
-    _check_columns(packed[batch.time > 0], batch[batch.time > 0])
-    _check_columns(concat(kind, [packed[:2], packed[:0], packed[2:]]), batch)
-    _check_columns(concat(kind, [packed[:2], batch[2:]]), batch)  # one of each form
+    same(packed[rows], batch[rows])
+    same(packed[np.array([3, 1])], batch[np.array([3, 1])])
+    same(packed[batch.time % (20 * ms) == 0], batch[batch.time % (20 * ms) == 0])
+    same(concat(kind, [packed[:2], packed[:0], packed[2:]]), batch)
+    same(concat(kind, [packed[:2], batch[2:]]), batch)  # one of each form
 
 
 def test_columns_and_slices_of_packed_rows_are_views() -> None:
-    batch = _random(Labelled, 5, 6)
-    packed = Labelled.unpack(batch.packed, 3)
+    batch = new_batch(Labelled)
+    packed = Labelled.unpack(batch.packed)
     for name in columns(Labelled):
         for rows in (packed, packed[1:3]):
             assert np.shares_memory(getattr(rows, name), batch.packed)
         assert getattr(packed, name) is getattr(packed, name)  # made once
     with pytest.raises(AttributeError):
         packed.probability  # type: ignore[attr-defined]  # noqa: B018
-
-
-@pytest.mark.parametrize("kind", [kind for kind in ALL if kind is not Batch])
-@pytest.mark.parametrize("cells", [1, 16])
-def test_a_subtype_begins_with_the_columns_of_its_base(kind: type[Batch], cells: int) -> None:
-    """So a row is copied to one of the other type at once."""
-    for base in (each for each in kind.__mro__ if issubclass(each, Batch)):
-        ours, theirs = packed_type(kind, cells).fields, packed_type(base, cells).fields
-        assert ours is not None
-        assert theirs is not None
-        assert list(ours.items())[: len(theirs)] == list(theirs.items())
-        assert packed_type(base, cells) is packed_type(base, cells)
 
 
 def test_packed_rows_of_another_type_are_refused() -> None:

@@ -14,20 +14,17 @@ from numba.core.registry import CPUDispatcher
 
 from operators import (
     Align,
-    Batch,
     Debounce,
-    Labelled,
     Motion,
     Sample,
     Scores,
     Touch,
     Zero,
-    Zeroed,
     compilation,
     ms,
     steps,
 )
-from operators.batch import columns, packed_type
+from operators.batch import packed_type
 from operators.compilation import compile_function, compile_program
 from operators.steps import Record
 
@@ -144,21 +141,6 @@ def test_a_step_that_reads_variables_of_the_function_around_it_is_refused() -> N
 
     with pytest.raises(TypeError, match="run reads variables of the function around it: use settings"):
         compile_program(cast("FunctionType", run), [_ROWS], {})
-
-
-@pytest.mark.parametrize("kind", [Zeroed, Labelled])
-def test_a_copy_has_the_common_columns_compiled_and_plain(kind: type[Batch]) -> None:
-    run = _function("def run(rows):\n    copy(rows[0].sample, rows[0].other)", copy=steps.copy)
-    types = [("sample", packed_type(Sample)), ("other", packed_type(kind))]
-    compiled = np.zeros(1, np.dtype(types, align=True))
-    compiled["other"] = np.frombuffer(b"\1" * packed_type(kind).itemsize, packed_type(kind))
-    plain = compiled.copy()
-    run(plain.view(np.recarray))
-    compile_program(run, [compiled], {})(compiled)
-    for name in columns(Sample):
-        expected = compiled["other"][name] if name in columns(kind) else 0
-        np.testing.assert_array_equal(compiled["sample"][name], expected)
-        np.testing.assert_array_equal(plain["sample"][name], expected)
 
 
 def test_rows_of_which_neither_type_begins_with_the_other_are_not_copied() -> None:

@@ -2,8 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from flows.graph.testing import TestSource
-from operators.batch import Touch, ms
+from operators.batch import ms
 from operators.ports import Run
 
 
@@ -15,7 +14,3 @@ def test_a_sample_of_a_live_run_has_a_latency(run: Run) -> None:
 def test_replayed_rows_have_no_latency(run: Run, *, live: bool) -> None:
     replay = replace(run, recording="stroke-9", live=live)
     assert replay.latency(run.clock.now() - 3 * ms) is None
-
-
-def test_by_default_a_source_is_new() -> None:
-    assert TestSource(Touch).recording is None

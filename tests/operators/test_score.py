@@ -3,13 +3,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from operators import ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
 from operators.detectors import Detector
-from operators.score import forward_fill
 from operators.steps import Steps
 from storage import load_detector
 
@@ -119,14 +116,3 @@ def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Win
 def test_other_errors_of_a_streaming_detector_are_raised() -> None:
     with pytest.raises(ModuleNotFoundError, match="torch"):
         Score(_Uncompiled(_Keeper(), missing="torch")).prepare()
-
-
-@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(0, 30))
-def test_an_invalid_value_is_replaced_by_the_last_valid_one_of_its_column(seed: int, rows: int) -> None:
-    rng = np.random.default_rng(seed)
-    values, valid = rng.integers(0, 99, (rows, 3)), rng.random((rows, 3)) < 0.7
-    last = rng.integers(0, 99, 3)
-    found, expected = forward_fill(values, valid, last), last.copy()
-    for row in range(rows):
-        expected[valid[row]] = values[row, valid[row]]
-        np.testing.assert_array_equal(found[row], expected)

@@ -2,28 +2,22 @@
 
 import pickle
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import pytest
 
-from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import TestSink, TestSource
 from operators import (
     UNKNOWN,
     Align,
     Batch,
     BatchError,
     Debounce,
-    Health,
     Label,
     Labelled,
     Motion,
     Operator,
     Pool,
-    Resample,
     Sample,
     Scores,
     Slips,
@@ -33,7 +27,6 @@ from operators import (
     concat,
     ms,
     s,
-    segment,
 )
 from operators.batch import Reals, Times
 from operators.operator import AnyOperator
@@ -126,29 +119,6 @@ def test_a_label_whose_motion_finds_the_queue_full_is_unknown(same: Callable[[Ba
 # --- cells -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("step", "cells"),
-    [
-        (Zero(scans=30), 1),
-        (Pool(gain=-1.7), 9),
-        (Resample(rate=333.0), 1),
-        (Health(dead_after=30 * ms), 9),
-    ],
-)
-def test_other_numbers_of_cells_give_the_bits_of_plain_python(
-    step: Operator[Touch, Batch],
-    cells: int,
-    same: Callable[[Batch, Batch], None],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    touch = _raw(400, cells)
-    found = suite.run(step.reset_copy(), [(touch,)])
-    monkeypatch.setattr(segment, "compiler", lambda: None)
-    same(found, suite.run(step.reset_copy(), [(touch,)]))
-    assert found.cells == (0 if isinstance(step, Health) else cells)
-    assert len(found) > 10
-
-
 def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> None:
     zero = Zero(scans=30)
     zero.push(_raw(3, 6))
@@ -193,22 +163,6 @@ def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(
     assert isinstance(samples, Sample)
     assert samples.matched.all()
     np.testing.assert_array_equal(samples.velocity[:, 0], touch.time // (s // 400) / 1e5)
-
-
-def test_rows_for_all_fingertips_reach_each_of_them(same: Callable[[Batch, Batch], None]) -> None:
-    flow, touch, motion = Flow("both"), _touch(np.array([20]) * ms), _motion(np.array([18, 30]) * ms)
-    sources = flow.source(TestSource(Zeroed, fingers=(3, 5))), flow.source(TestSource(Motion))
-    aligned = sources[0] & sources[1] | PREVIOUS
-    for output in (aligned, aligned | Label()):
-        output.to(TestSink())
-    both = CompiledFlow(flow)
-    for entry in both.entries[:2]:
-        assert both.push({entry: replace(touch, finger=entry[1])}) == []
-    found = [batch for _, batch in both.push({both.entries[2]: motion})]
-    assert [each.finger for each in found if isinstance(each, Labelled)] == [3, 5]
-    expected = PREVIOUS.reset_copy().push(touch, motion)
-    for each in found[::2]:  # the samples
-        same(replace(each, finger=3), expected)
 
 
 # --- operators of users ----------------------------------------------------------------------------------

@@ -58,13 +58,6 @@ def test_nothing_slides_while_no_rows_come() -> None:
     assert operator.push(after).velocity[:, 0].tolist() == [0.0, pytest.approx(0.05 / 15)]
 
 
-def test_samples_without_truth_are_unknown() -> None:
-    rows = truth(np.full(40, 0.05), start=100 * PERIOD)
-    found = labels(rows, touch(np.arange(140) * PERIOD))
-    assert (found[:90] == -1).all()
-    assert (found[102:] == 1).all()
-
-
 @given(st.lists(st.sampled_from([0.0, 0.002, 0.004, 0.1]), min_size=1, max_size=60), st.integers(1, 25))
 def test_the_speed_is_the_mean_of_the_latest_rows(speeds: list[float], rows: int) -> None:
     span = rows * PERIOD

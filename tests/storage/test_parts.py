@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from operators.batch import EVERY, Episodes, Touch
 from operators.errors import BatchError, EndpointError, InputError
 from storage import arrow, parts
-from storage.layout import EPISODES, MOTION, TOUCH, file_name, row_size
+from storage.layout import EPISODES, TOUCH, row_size
 from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
 from storage.schema import from_arrow, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
@@ -126,32 +126,6 @@ def test_other_columns_and_nulls_are_reported_by_name_and_further_ones_ignored(
     assert read_part(tmp_path, part).equals(rows)
     with pytest.raises(InputError, match="has other rows or times than in the manifest"):
         read_part(tmp_path, replace(part, rows=9))
-
-
-times = st.integers(-(2**63), 2**63 - 1)
-
-
-@st.composite
-def listed_parts(draw: st.DrawFn) -> Part:
-    first, last = sorted([draw(times), draw(times)])
-    sha256 = draw(st.binary(min_size=32, max_size=32)).hex()
-    return Part(
-        file_name(MOTION.pattern, draw(st.integers(0, 10_000_000))),
-        draw(st.integers(1, 2**40)),
-        first,
-        last,
-        sha256,
-    )
-
-
-@settings(deadline=None)
-@given(listed=st.lists(listed_parts(), unique_by=lambda part: part.path))
-def test_a_manifest_comes_back_as_it_was_written(
-    tmp_path_factory: pytest.TempPathFactory, listed: list[Part]
-) -> None:
-    folder = tmp_path_factory.getbasetemp()
-    write_manifest(folder, listed)
-    assert list(read_manifest(folder).values()) == listed
 
 
 def test_a_manifest_is_empty_only_where_no_part_exists(tmp_path: Path) -> None:

@@ -1,5 +1,3 @@
-import asyncio
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,7 +25,7 @@ from operators.batch import (
 from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from operators.ports import Recording
-from storage import Dataset, Session, files
+from storage import Session, files
 from storage.layout import TABLE_OF
 from storage.parts import read_manifest, read_part, write_manifest, write_part
 from tests.storage.made import new_batch, new_episodes, new_run, rows, write
@@ -38,19 +36,13 @@ KINDS: list[type[Batch]] = [Motion, Labelled, Slips, Faults, Episodes, Truth]
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
     """Two fingertips in three parts, and an episode."""
-
-    async def main() -> None:
-        sink = Dataset(tmp_path, part_span=100 * ms)
-        await sink.open(new_run(live=False))  # a live one may have longer parts
-        await sink.write(new_episodes((0, 50 * ms, "hold")))
-        for turn in range(3):
-            for finger in (2, 0):
-                batch = new_batch(Touch, 10, start=turn * 100 * ms, finger=finger, seed=turn + 10 * finger)
-                await sink.write(batch)
-        await sink.write(new_batch(Slips, 2))
-        await sink.close()
-
-    asyncio.run(main())
+    touch = [
+        new_batch(Touch, 10, start=turn * 100 * ms, finger=finger, seed=turn + 10 * finger)
+        for turn in range(3)
+        for finger in (2, 0)
+    ]
+    batches = [new_episodes((0, 50 * ms, "hold")), *touch, new_batch(Slips, 2)]
+    write(tmp_path, new_run(live=False), batches).close()
     return tmp_path
 
 
@@ -133,7 +125,7 @@ def test_a_table_it_does_not_hold_is_refused_by_naming_those_it_holds(dataset: P
 
 
 def test_a_dataset_of_several_sessions_lists_them(dataset: Path) -> None:
-    asyncio.run(Dataset(dataset).open(new_run("two")))
+    write(dataset, new_run("two"), [])
     with pytest.raises(
         InputError, match=r"has 2 sessions: give one, such as .*/sessions/two; it has one, two$"
     ):
@@ -172,12 +164,7 @@ def test_a_damaged_part_is_reported_wherever_it_is_read(folder: Path) -> None:
     data[300] ^= 1
     path.write_bytes(data)
     session = Session.open(folder)
-    readers: list[Callable[[], object]] = [
-        lambda: list(session.read(Touch, 0)),
-        lambda: session.fingers(Touch),
-        lambda: session.frame("touch"),
-    ]
-    for read in readers:
+    for read in (lambda: session.fingers(Touch), lambda: session.frame("touch")):
         with pytest.raises(InputError, match=r"part-000001\.parquet: is damaged"):
             read()
 

@@ -9,8 +9,8 @@ from scipy.special import expit, logit
 from flows.learn.labelled_recordings import by_split, load
 from flows.learn.training.trainer import Calibration, calibration_of
 from operators.detectors import FrequencyCnn, PaperTcn, Tcn
-from storage import load_detector, load_weights
-from storage.models import load_card, shipped
+from storage import load_detector
+from storage.models import load_card, read_weights, shipped
 from tests.flows.learn.conftest import Trained
 
 
@@ -33,7 +33,7 @@ def test_a_known_temperature_and_bias_are_found_again(temperature: float, bias: 
 def test_folded_weights_give_the_calibrated_probability(name: str, kind: type[Tcn]) -> None:
     path = shipped(name)
     assert path is not None
-    weights, _ = load_weights(path)
+    weights, _ = read_weights(path, path.read_bytes())
     calibration = Calibration(1.7, -0.4)
     before, after = kind(weights), kind(calibration.fold(weights))
     windows = np.random.default_rng(0).normal(0, 30, (50, before.length, 6)).round().astype(np.int16)
