@@ -28,7 +28,7 @@ class Tcn(ForOneFingertip):
         weights: ``conv{i}/kernel`` (taps, in, filters) and ``conv{i}/bias``, two per block; ``dense0/...``,
             ``dense1/...``, ``out/...``, kernels (in, out); ``dilations`` (blocks,), ``position_scale`` and
             ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them; further
-            arrays, such as those of older models, are ignored.
+            arrays are ignored.
 
     Attributes:
         cells: Number of cells.

@@ -23,6 +23,7 @@ from __future__ import annotations  # they name classes of pyarrow
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 
@@ -187,7 +188,9 @@ def _rows(session: Session, kind: type[SomeBatch], finger: int) -> SomeBatch:
 def _frame_rate(sessions: Sequence[Session], wanted: int | None) -> int:
     """Return the wanted rate, or the lowest of the sessions' samples, in whole Hz."""
     rates = [(found.rate, str(each.folder)) for each in sessions if (found := each.fingertip(Labelled))]
-    lowest, slowest = min(rates)
+    if wanted is None and not rates:
+        raise InputError(str(sessions[0].folder), "has samples of one time only: give a rate")
+    lowest, slowest = min(rates, default=(inf, ""))
     if wanted is None:
         return max(round(lowest), 1)
     if wanted > lowest * (1 + RATE_TOLERANCE):

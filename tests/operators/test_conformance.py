@@ -56,7 +56,7 @@ from operators.detectors import (
     paper_tcn,
     tcn,
 )
-from operators.operator import AnyOperator, input_types, output_type
+from operators.operator import AnyOperator, output_type
 
 Value = TypeVar("Value")
 SomeTouch = TypeVar("SomeTouch", bound=Touch)
@@ -345,12 +345,6 @@ def test_every_public_operator_and_join_is_in_the_table() -> None:
     steps = {kind for kind in public if inspect.isclass(kind) and issubclass(kind, AnyOperator)}
     concrete = {kind for kind in steps if not inspect.isabstract(kind)} - {Operator, Join}
     assert concrete == {type(case.step) for case in CASES}
-
-
-@every
-def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
-    nothing = tuple(kind.empty() for kind in input_types(type(case.step)))
-    same(run(case.step.reset_copy(), [nothing, nothing]), output_type(type(case.step)).empty())
 
 
 @every

@@ -1,13 +1,14 @@
 """Runs, batches and sessions to test with."""
 
 import asyncio
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flows.run.clocks import EventClock
 from operators.batch import (
     BAROMETERS,
     EVERY,
@@ -33,22 +34,12 @@ from storage.writer import SessionWriter
 STREAMS: list[tuple[type[Batch], int]] = [(Touch, 0), (Touch, 1), (Motion, -1), (Labelled, 0), (Slips, 0)]
 
 
-class StoppedClock:
-    """A minute after the run began."""
-
-    def now(self) -> int:
-        return 1_700_000_060 * s
-
-    async def sleep_until(self, time: int) -> None:
-        raise AssertionError(time)
-
-
 def new_run(
     session: str = "one", describe: Mapping[str, Description] | None = None, *, live: bool = True
 ) -> Run:
-    """A run of the flow `slip`."""
-    start = 1_700_000_000 * s + 5
-    return Run(session, "slip", StoppedClock(), start, live=live, describe=dict(describe or {}))
+    """A run of the flow `slip`, which began a minute ago."""
+    start, clock = 1_700_000_000 * s + 5, EventClock(1_700_000_060 * s)
+    return Run(session, "slip", clock, start, live=live, describe=dict(describe or {}))
 
 
 def new_batch(
@@ -111,16 +102,20 @@ def record(
     part_rows: int = 20,
 ) -> Session:
     """Write batches as a session of a dataset, in parts of some rows, and open it."""
+    run_sink(Dataset(root, part_rows=part_rows), new_run(session, {"touch": {"split": split}}), batches)
+    return Session.open(root / "sessions" / session)
+
+
+def run_sink(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
+    """Write batches to a dataset as a runner does."""
 
     async def main() -> None:
-        sink = Dataset(root, part_rows=part_rows)
-        await sink.open(new_run(session, {"touch": {"split": split}}))
+        await dataset.open(run)
         for batch in batches:
-            await sink.write(batch)
-        await sink.close()
+            await dataset.write(batch)
+        await dataset.close()
 
     asyncio.run(main())
-    return Session.open(root / "sessions" / session)
 
 
 def write_pad(root: Path) -> Session:

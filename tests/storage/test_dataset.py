@@ -31,11 +31,11 @@ from operators.batch import (
     s,
 )
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
-from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
+from operators.ports import ClockStep, Gap, Json, SinkStatus, SourceStatus
 from storage import Dataset, Session, files, verify
 from storage.description import describe_dataset, read_dataset
 from tests.storage.disk_steps import each_kind, observed, steps_of
-from tests.storage.made import STREAMS, new_batch, new_run, rows, session_names, side_by_side
+from tests.storage.made import STREAMS, new_batch, new_run, rows, run_sink, session_names, side_by_side
 from tests.waiting import until
 
 
@@ -53,16 +53,6 @@ def held(step: str) -> Generator[tuple[threading.Event, threading.Event]]:
         yield reached, go_on
 
 
-def record(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
-    async def main() -> None:
-        await dataset.open(run)
-        for batch in batches:
-            await dataset.write(batch)
-        await dataset.close()
-
-    asyncio.run(main())
-
-
 @settings(deadline=None, max_examples=40)
 @given(
     cuts=st.lists(st.integers(0, 30), max_size=12), bounds=st.tuples(st.integers(1, 500), st.integers(1, 50))
@@ -73,7 +63,7 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
     span, most = bounds[0] * ms, bounds[1]
     root, whole = tmp_path_factory.mktemp("data"), new_batch(Touch, sum(cuts))
     pieces = [whole[sum(cuts[:n]) : sum(cuts[: n + 1])] for n in range(len(cuts))]
-    record(Dataset(root, part_span=span, part_rows=most), new_run(live=False), pieces)
+    run_sink(Dataset(root, part_span=span, part_rows=most), new_run(live=False), pieces)
     found = concat(Touch, list(Session.open(root).read(Touch, 0, rows=7)))
     assert [getattr(found, name).tobytes() for name in ("time", "counts", "temperature", "valid")] == [
         getattr(whole, name).tobytes() for name in ("time", "counts", "temperature", "valid")
@@ -88,7 +78,7 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
 def test_every_batch_goes_to_the_table_of_its_type(tmp_path: Path) -> None:
     kinds, run = [Touch, Motion, Labelled, Slips], new_run()
     run.sink_types = {str(tmp_path): dict.fromkeys([*kinds, Episodes], (0,)), "elsewhere": {Faults: (0,)}}
-    record(Dataset(tmp_path), run, [new_batch(kind) for kind in kinds])
+    run_sink(Dataset(tmp_path), run, [new_batch(kind) for kind in kinds])
     session = Session.open(tmp_path)
     assert session.tables == ("touch", "motion", "samples", "slips", "episodes")
     assert [session.fingers(kind) for kind in kinds] == [(0,), (-1,), (0,), (0,)]
@@ -165,19 +155,19 @@ def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(tmp_pa
         (Path("/proc/slipflow"), "slipflow: cannot be written: No such file or directory"),
     ):
         with pytest.raises(EndpointError, match=complaint) as error:
-            record(Dataset(place), new_run(), [])
+            run_sink(Dataset(place), new_run(), [])
         assert "\n" not in str(error.value)
     assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_a_session_is_never_written_over(tmp_path: Path) -> None:
-    record(Dataset(tmp_path), new_run(), [new_batch(Touch)])
+    run_sink(Dataset(tmp_path), new_run(), [new_batch(Touch)])
     with pytest.raises(EndpointError, match="already has a session 'one'"):
-        record(Dataset(tmp_path), new_run(), [])
+        run_sink(Dataset(tmp_path), new_run(), [])
     assert len(Session.open(tmp_path).frame("touch")) == 5
     dataset = Dataset(tmp_path)
     for name in ("two", "three"):  # one run after another
-        record(dataset, new_run(name), [new_batch(Zeroed)])
+        run_sink(dataset, new_run(name), [new_batch(Zeroed)])
         [found] = Session.open(tmp_path / "sessions" / name).read(Touch, 0)
         assert type(found) is Zeroed
     assert session_names(tmp_path) == ["one", "three", "two"]
@@ -188,14 +178,14 @@ def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"dataset\.json: has version 1; this slipflow reads version 2: read it with"
     ):
-        record(Dataset(tmp_path), new_run(), [])
+        run_sink(Dataset(tmp_path), new_run(), [])
     assert [path.name for path in tmp_path.iterdir()] == ["dataset.json"]
 
 
 @pytest.mark.parametrize("value", [float("nan"), [float("inf")]])
 def test_a_description_that_cannot_be_json_is_refused_at_the_start(tmp_path: Path, value: Json) -> None:
     with pytest.raises(InputError, match="description of source 'rig': is not JSON"):
-        record(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
+        run_sink(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
     assert session_names(tmp_path) == []
 
 

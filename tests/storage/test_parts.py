@@ -10,8 +10,6 @@ from typing import Any, cast
 
 import pyarrow as pa
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from operators.batch import EVERY, Episodes, Touch
 from operators.errors import BatchError, EndpointError, InputError
@@ -36,14 +34,6 @@ def rows() -> pa.Table:
     return to_arrow(TOUCH, [new_batch(Touch, 10)])
 
 
-@pytest.fixture(scope="session")
-def data(rows: pa.Table, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Content of a part."""
-    folder = tmp_path_factory.mktemp("part")
-    write(folder, rows)
-    return (folder / PATH).read_bytes()
-
-
 def write(folder: Path, rows: pa.Table, path: str = PATH) -> Part:
     (folder / path).parent.mkdir(exist_ok=True)
     return write_part(folder, path, rows)
@@ -52,21 +42,6 @@ def write(folder: Path, rows: pa.Table, path: str = PATH) -> Part:
 def read(folder: Path) -> pa.Table:
     """Read a file that the manifest lists with its sha256."""
     return read_part(folder, Part(PATH, 0, 0, 0, hashlib.sha256((folder / PATH).read_bytes()).hexdigest()))
-
-
-@settings(deadline=None)
-@given(place=st.floats(0, 1), bit=st.integers(0, 7), cut=st.booleans())
-def test_a_flipped_bit_or_a_cut_is_always_reported(
-    data: bytes, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int, *, cut: bool
-) -> None:
-    folder, position = tmp_path_factory.getbasetemp(), round(place * (len(data) - 1))
-    damaged = bytearray(data[:position] if cut else data)
-    if not cut:
-        damaged[position] ^= 1 << bit
-    (folder / PATH).parent.mkdir(exist_ok=True)
-    (folder / PATH).write_bytes(damaged)
-    with pytest.raises(InputError, match=r"part-000000\.parquet: is damaged"):
-        read_part(folder, Part(PATH, 10, 0, 0, hashlib.sha256(data).hexdigest()))
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1PAR1", b"no parquet at all"])

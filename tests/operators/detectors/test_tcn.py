@@ -119,11 +119,6 @@ def test_a_fingertip_with_another_number_of_cells_is_refused() -> None:
         _streamed(Tcn(_weights()), _counts(60)[:, :5])
 
 
-def test_arrays_of_an_older_version_are_ignored() -> None:
-    older, windows = _weights() | {"velocity/kernel": np.ones((32, 4))}, _windows(_counts(60), 18)
-    np.testing.assert_array_equal(Tcn(older).score(windows), Tcn(_weights()).score(windows))
-
-
 @pytest.mark.parametrize("name", sorted(set(_weights()) - {"dilations"}))
 def test_an_array_of_another_shape_is_named(name: str) -> None:
     with pytest.raises(InputError, match=r"^Tcn weights: .* has shape .*, must be \("):

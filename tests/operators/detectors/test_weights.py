@@ -1,3 +1,5 @@
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,22 +10,19 @@ SHAPES = {"kernel": (2, 3), "bias": (3,)}
 
 
 def test_valid_arrays_pass_and_further_ones_are_ignored() -> None:
-    check_weights(
-        "Net", {"kernel": np.ones((2, 3)), "bias": np.zeros(3, np.int64), "more": np.zeros(1)}, SHAPES
-    )
+    more = {"bias": np.zeros(3, np.int64), "more": np.zeros(1)}
+    check_weights("Net", {"kernel": np.ones((2, 3)), **more}, SHAPES)
 
 
-def test_a_missing_array_is_named() -> None:
-    with pytest.raises(InputError, match=r"^Net weights: bias is missing$"):
-        check_weights("Net", {"kernel": np.ones((2, 3))}, SHAPES)
-
-
-def test_an_array_of_another_shape_is_named() -> None:
-    with pytest.raises(InputError, match=r"^Net weights: kernel has shape \(3, 2\), must be \(2, 3\)$"):
-        check_weights("Net", {"kernel": np.ones((3, 2)), "bias": np.zeros(3)}, SHAPES)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_an_array_that_is_not_finite_is_named(value: float) -> None:
-    with pytest.raises(InputError, match=r"^Net weights: bias is not finite$"):
-        check_weights("Net", {"kernel": np.ones((2, 3)), "bias": np.array([0, value, 0])}, SHAPES)
+@pytest.mark.parametrize(
+    ("weights", "complaint"),
+    [
+        ({}, "bias is missing"),
+        ({"bias": np.zeros(2)}, r"bias has shape \(2,\), must be \(3,\)"),
+        ({"bias": np.array([0, np.nan, 0])}, "bias is not finite"),
+        ({"bias": np.array([0, np.inf, 0])}, "bias is not finite"),
+    ],
+)
+def test_an_invalid_array_is_named(weights: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(InputError, match=rf"^Net weights: {complaint}$"):
+        check_weights("Net", {"kernel": np.ones((2, 3)), **weights}, SHAPES)

@@ -185,6 +185,13 @@ def test_the_rate_is_that_of_the_samples_and_a_higher_one_is_refused(tmp_path: P
         export(sessions, tmp_path / "other", rate=100)
 
 
+def test_a_single_sample_has_no_rate_of_its_own(tmp_path: Path) -> None:
+    session = record(tmp_path / "data", [new_samples([0])])
+    with pytest.raises(InputError, match="one: has samples of one time only: give a rate"):
+        export([session], tmp_path / "out")
+    assert export([session], tmp_path / "out", rate=100).frames == 1
+
+
 def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     one = record(tmp_path / "data", [new_samples(time)], "a")
