@@ -97,6 +97,17 @@ def test_another_clock_begins_a_new_epoch(away: int, up: int) -> None:
     assert np.percentile(error[again + 250 :], 99) < 0.5 * ms
 
 
+@pytest.mark.parametrize(
+    ("pause", "delay", "begins"),
+    [(5 * s, 100 * ms, False), (5 * s + 1, 100 * ms, True), (s, 101 * ms, True)],
+)
+def test_a_long_pause_and_a_jump_begin_a_new_epoch(pause: int, delay: int, *, begins: bool) -> None:
+    device = np.array([0, pause])
+    stream = motion(device, START + device + np.array([0, delay]))
+    mapped = DeviceClock(window=s, jump=100 * ms).push(stream)
+    assert (mapped.time[1] == stream.time[1]) == begins
+
+
 @pytest.mark.parametrize("longer", [3, -3])
 def test_a_way_of_another_length_is_followed(longer: int) -> None:
     stream, true = late(woken, 125.0, 50e-6)
