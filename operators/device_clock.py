@@ -78,7 +78,7 @@ class DeviceClock(Operator[Motion, Motion]):
             settings={"window": self.window, "jump": self.jump},
             state={
                 "begun": 0,  # there is an epoch
-                "device": 0,  # ns, stamp of the newest row
+                "stamp": 0,  # ns, of the device, of the newest row
                 "arrival": 0,  # ns, of the newest row
                 "origin": 0,  # ns, stamp of the epoch's first row
                 "began": 0,  # ns, arrival of that row
@@ -102,7 +102,7 @@ def _host_time(settings: Record, state: Record, row: Record, out: Record) -> boo
     """Give the row its host time, no later than its arrival."""
     copy(out, row)
     device, arrival = row.device_time, row.time
-    step = device - state.device
+    step = device - state.stamp
     continuous = 0 <= step <= PAUSE * settings.window
     agrees = abs(arrival - state.arrival - step) <= settings.jump
     if not (state.begun and continuous and agrees):  # begin an epoch
@@ -110,7 +110,7 @@ def _host_time(settings: Record, state: Record, row: Record, out: Record) -> boo
         state.block = state.kept = 0
         state.offset = state.slope = state.lowered = 0.0
         state.lateness = inf
-    state.device, state.arrival = device, arrival
+    state.stamp, state.arrival = device, arrival
     x = device - state.origin
     y = arrival - state.began - x
     block = x * BLOCKS // settings.window

@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from operators.batch import BAROMETERS, Batch, packed_type
+from operators.errors import ParameterError
 
 Record: TypeAlias = Any  # its fields are attributes
 Values: TypeAlias = Mapping[str, Any]  # numbers and arrays
@@ -66,9 +67,14 @@ def record_type(values: Values) -> np.dtype[Any]:
 
     >>> record_type({"length": 3, "level": 0.5}).names
     ('length', 'level')
+
+    Raises:
+        ParameterError: if a name is one of numpy's, which hides the value in plain Python.
     """
     fields: list[Any] = []
     for name, value in values.items():
+        if hasattr(np.record, name):
+            raise ParameterError("Steps", "name of a value", name, "none of numpy's: choose another one")
         array = np.asarray(value)
         kind = np.dtype(np.uint8) if array.dtype == np.bool_ else array.dtype
         fields.append((name, kind, array.shape))

@@ -17,6 +17,7 @@ from operators import (
     Labelled,
     Motion,
     Operator,
+    ParameterError,
     Pool,
     Sample,
     Scores,
@@ -31,7 +32,7 @@ from operators import (
 from operators.batch import Reals, Times
 from operators.operator import AnyOperator
 from operators.program import BLOCK
-from operators.steps import Record, RowType, Steps
+from operators.steps import Record, RowType, Steps, record_type
 from tests.operators import test_conformance as suite
 
 CUTS: Final = [[], range(5000), [0, 1, 700, 1024, 1025, 1400]]
@@ -178,6 +179,11 @@ def _give(settings: Record, state: Record, out: Record) -> bool:
     state.left -= 1
     out.time, out.probability = state.left, 0.5
     return True
+
+
+def test_a_name_that_numpy_uses_is_refused() -> None:
+    with pytest.raises(ParameterError, match="name of a value is 'size', must be none of numpy's"):
+        record_type({"size": 0})
 
 
 class _Copies(Operator[Scores, Scores]):
