@@ -84,7 +84,8 @@ class Batch(Declared):
     @property
     def cells(self) -> int:
         """Number of cells of the fingertip; 0 if the type has no column per cell."""
-        name = cell_column(type(self))
+        kind: Any = type(self)
+        name = cell_column(kind)
         return int(getattr(self, name).shape[-1]) if name else 0
 
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> Self:
@@ -176,7 +177,8 @@ def packed_type(kind: type[Batch], cells: int = BAROMETERS) -> np.dtype[Any]:
 
     A subtype begins with the columns of its base. Flags are bytes: numba has no records with arrays of flags.
     """
-    return _packed_type(cast("Any", kind), cells if cell_column(kind) else 0)
+    known: Any = kind
+    return _packed_type(known, cells if cell_column(known) else 0)
 
 
 @cache
