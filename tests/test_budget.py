@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_226,
+    "operators": 4_964,
     "connectors": 11_096,
-    "storage": 3_883,
-    "flows": 12_548,
-    "product": 32_753,
-    "product files": 218,
-    "tests": 34_380,
+    "storage": 3_859,
+    "flows": 12_547,
+    "product": 32_466,
+    "product files": 217,
+    "tests": 33_920,
     "commands": 16,
     "options": 84,
-    "words": 37_463,
+    "words": 37_357,
 }
 
 
