@@ -2,7 +2,6 @@
 
 from connectors.console import Console
 from connectors.events import Event
-from connectors.files.line_source import LineSource
 from connectors.files.trace import Trace
 from connectors.gripper.gripper_sink import Gripper
 from connectors.mqtt.consumer import Consumer
@@ -19,7 +18,6 @@ __all__ = [
     "Consumer",
     "Event",
     "Gripper",
-    "LineSource",
     "Metrics",
     "Mqtt",
     "Page",

@@ -24,7 +24,6 @@ EXTRAS: Final[Mapping[str, Extra]] = MappingProxyType(
         "baselines": Extra("comparison with logistic regression", {"scikit-learn": "sklearn"}),
         "ur": Extra("driving a UR arm, on x86_64 with Python 3.11 or 3.12 only", {"ur-rtde": "rtde_control"}),
         "gripper": Extra("Robotiq grippers", {"pymodbus": "pymodbus"}),
-        "serial": Extra("loggers at a serial port", {"pyserial-asyncio-fast": "serial_asyncio_fast"}),
         "report": Extra("figures in reports", {"matplotlib": "matplotlib"}),
         "mcap": Extra("export to MCAP files", {"mcap": "mcap"}),
         "fetch": Extra("download of public datasets", {"pooch": "pooch"}),

@@ -32,17 +32,15 @@ MOVING = TIME > 1
 BEGIN = 1_795_000_000_000_000_000  # ns
 
 
-def write_npz(path: Path) -> None:
-    np.savez(path, time=TIME, cells=CELLS.round(2), moving=MOVING)
-
-
-def write_mat(path: Path) -> None:
-    savemat(path, {"time": TIME, "cells": CELLS.round(2), "moving": MOVING})
-
-
-def write_hdf5(path: Path) -> None:
-    with h5py.File(path, "w") as file:
-        file["time"], file["pad/cells"], file["moving"] = TIME, CELLS.round(2), MOVING
+def write_arrays(path: Path) -> None:
+    arrays = {"time": TIME, "cells": CELLS.round(2), "moving": MOVING}
+    if path.suffix == ".npz":
+        np.savez(path, **arrays)
+    elif path.suffix == ".mat":
+        savemat(path, arrays)
+    else:
+        with h5py.File(path, "w") as file:
+            file.update(arrays)
 
 
 def write_mcap(path: Path) -> None:
@@ -91,9 +89,7 @@ def write_bag(path: Path, store_name: Stores, writer: Any) -> None:
 
 
 FILES: dict[str, tuple[str, Callable[[Path], None]]] = {
-    "pad.npz": ("npz.py", write_npz),
-    "pad.mat": ("matlab.py", write_mat),
-    "pad.h5": ("hdf5.py", write_hdf5),
+    **dict.fromkeys(("pad.npz", "pad.mat", "pad.h5"), ("arrays.py", write_arrays)),
     "pad.mcap": ("mcap_json.py", write_mcap),
     "pad.bag": ("bag.py", partial(write_bag, store_name=Stores.ROS1_NOETIC, writer=Bag1Writer)),
     "mcap": (

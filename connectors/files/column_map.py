@@ -1,11 +1,9 @@
-"""Map of the columns of a recording: their meaning, units and formats; a text, a TOML file or Python."""
+"""Map of the columns of a recording: their meaning, units and formats."""
 
-import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias
 
@@ -13,7 +11,6 @@ from operators.batch import SLIP, STATIC, UNKNOWN, Touch, Zeroed, s
 from operators.checks import check_above, check_between, check_choice
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
-from storage.toml_text import parse_toml, read_text
 
 Layout: TypeAlias = tuple[tuple[int, ...], ...]
 
@@ -25,13 +22,14 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(  # allowed numbe
 )
 SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "pipe": "|", "space": " "}
 _SPEEDS: Final = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}
-_METRIC: Final = {"mPa": 1e-3, "Pa": 1.0, "hPa": 100.0, "kPa": 1e3, "MPa": 1e6}  # Pa
-PRESSURES: Final = {**_METRIC, "mbar": 100.0, "bar": 1e5, "psi": 6894.76, "mmHg": 133.322, "atm": 101325.0}
-_OTHERS: Final = ("N", "mN", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF")
+_CELLS: Final = (
+    *("count", "mPa", "Pa", "hPa", "kPa", "MPa", "mbar", "bar", "psi", "mmHg", "atm"),
+    *("N", "mN", "V", "mV", "uV", "A", "mA", "T", "mT", "uT", "G", "ohm", "kohm", "pF"),
+)
 UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
         TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0, "min": 6e10, "h": 3.6e12},  # ns
-        COUNTS: dict.fromkeys(("count", *PRESSURES, *_OTHERS), 1.0),  # stored as they are
+        COUNTS: dict.fromkeys(_CELLS, 1.0),  # stored as they are
         VELOCITY: _SPEEDS,  # m/s; the last three columns are always rad/s
         SPEED: _SPEEDS,
     }
@@ -39,7 +37,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
 
 _OWNER: Final = "column map"
 _FINGERS: Final = 32767  # fingertip numbers have 16 bits
-_EXAMPLE: Final = "time=t,counts=p0..p5,units.time=ms, or a file such as pad.toml"
+_EXAMPLE: Final = "time=t,counts=p0..p5,units.time=ms"
 _RANGE: Final = re.compile(r"(.*?)(\d+)(\D*)\.\.(.*?)(\d+)(\D*)")  # of columns
 _DIGITS: Final = 9  # of a column's number
 _ROWS: Final = "5,4,3/0,1,2 (-1: no cell)"
@@ -50,7 +48,7 @@ _GRID: Final = re.compile(r"(\d{1,3}) *x *(\d{1,3})")  # rows x columns
 class ColumnMap:
     """Columns with the time, the cells, the motion and the labels, and the meaning of their values.
 
-    What is not stated is concluded from the file. A map that is complete states all, as that of a `Trace`.
+    What is not stated is concluded from the file. The map of a read `Trace` is complete.
 
     >>> found = ColumnMap.parse("time=stamp,counts=p0..p5,units.time=ms,layout=2x3")
     >>> found.cells, found.layout
@@ -94,6 +92,7 @@ class ColumnMap:
     separator: str | None = None
     decimal: str | None = None
     dates: str | None = None
+    stated: tuple[str, ...] = field(default=(), compare=False, repr=False)  # other items of the parsed text
 
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
@@ -129,73 +128,37 @@ class ColumnMap:
                 check_choice(_OWNER, name, value, choices)
 
     @classmethod
-    def load(cls, text: str) -> Self:
-        """Return the map of a TOML file, if `text` names one, or of a text as of `parse`.
-
-        Raises:
-            ParameterError: if the map is invalid.
-        """
-        path = Path(text)
-        if path.suffix != ".toml":
-            return cls.parse(text)
-        table = parse_toml(read_text(path), text)
-        try:
-            return cls._of(dict(_flat("", table)))
-        except ParameterError as error:
-            raise ParameterError(text, error.name, error.value, error.must_be) from None
-
-    @classmethod
     def parse(cls, text: str) -> Self:
         """Parse a text such as ``time=t,counts=p0..p5,label=,units.time=ms,labels.slip=1,2,layout=8x2``.
 
-        ``p0..p15`` is a range of 16 columns, ``taxel*`` all columns that begin so; an empty list declares a
-        quantity absent. The keys are those of the TOML file.
+        A comma or a line break separates items. ``p0..p15`` is a range of 16 columns, ``taxel*`` all columns
+        that begin so; an empty list declares a quantity absent.
 
         Raises:
             ParameterError: as for the class, or if the text has another form.
         """
-        found: dict[str, list[str]] = {}
-        for item in re.split(r",(?=[^,=]*=)", text) if text.strip() else ():
-            name, equals, values = item.partition("=")
+        columns, units, labels = dict[str, tuple[str, ...]](), dict[str, str](), dict[str, tuple[str, ...]]()
+        values, others = dict[str, Any](), list[str]()
+        for item in re.split(r"[,\n](?=[^,\n=]*=)", text.strip()) if text.strip() else ():
+            key, equals, value = map(str.strip, item.partition("="))
             if not equals:
                 raise ParameterError("import", "--map", text, f"written as {_EXAMPLE}")
-            found[name.strip()] = [each.strip() for each in values.split(",") if each.strip()]
-        return cls._of(found)
-
-    @classmethod
-    def _of(cls, items: Mapping[str, Sequence[str]]) -> Self:
-        """Return the map of the values of each key; a key is dotted, as in ``units.time``."""
-        columns, units, labels = dict[str, tuple[str, ...]](), dict[str, str](), dict[str, tuple[str, ...]]()
-        values = dict[str, Any]()
-        for key, texts in items.items():
+            texts = tuple(each.strip() for each in value.split(",") if each.strip())
             table, _, name = key.partition(".")
-            if name and table == "units":
-                units[name] = ",".join(texts)
-            elif name and table == "labels":
-                labels[name] = tuple(texts)
-            elif key in SIZES or (table == COUNTS and name.isdecimal()):
+            if key in SIZES or (table == COUNTS and name.isdecimal()):
                 columns[key] = tuple(each for text in texts for each in expanded(text))
+                continue
+            value = ",".join(texts)
+            others.append(f"{key}={value}")
+            if name and table == "units":
+                units[name] = value
+            elif name and table == "labels":
+                labels[name] = texts
             elif key in _PARSERS:
-                values[key] = _parsed(key, ",".join(texts))
+                values[key] = _parsed(key, value)
             else:
-                known = (*SIZES, "counts.1", *_PARSERS, "units.time", "labels.slip")
-                check_choice(_OWNER, "key", key, known)
-        return cls(columns, units, labels, **values)
-
-    def toml(self) -> str:
-        """Return the text of a TOML file with this map, which `load` reads."""
-        values = {name: each[0] if len(each) == 1 else each for name, each in self.values().items()}
-        values |= {f"labels.{name}": [*texts] for name, texts in self.labels.items()}  # may have commas
-        stated = {**self.columns, **values}.items()
-        # strings of JSON are strings of TOML
-        return "".join(f"{name} = {json.dumps(each, ensure_ascii=False)}\n" for name, each in stated)
-
-    def values(self) -> dict[str, list[str]]:
-        """Return what is stated beside columns, as texts by the key."""
-        given = {name: value for name in _PARSERS if (value := getattr(self, name)) is not None}
-        found = {name: _texts(name, value) for name, value in given.items()}
-        found |= {f"units.{name}": [unit] for name, unit in self.units.items()}
-        return found | {f"labels.{name}": [*texts] for name, texts in self.labels.items()}
+                check_choice(_OWNER, "key", key, (*SIZES, "counts.1", *_PARSERS, "units.time", "labels.slip"))
+        return cls(columns, units, labels, **values, stated=tuple(others))
 
     @property
     def cells(self) -> dict[int, tuple[str, ...]]:
@@ -227,11 +190,6 @@ class ColumnMap:
     def unit(self) -> str:
         """Unit of the cells."""
         return self.units.get(COUNTS, "count")
-
-
-def is_air(reading: float, unit: str) -> bool:
-    """Return True if a reading may be air pressure."""
-    return 5e4 <= reading * PRESSURES.get(unit, 0.0) <= 1.15e5
 
 
 def expanded(text: str) -> list[str]:
@@ -266,28 +224,6 @@ def layout_text(layout: Layout) -> str:
     return "/".join(",".join(map(str, row)) for row in layout)
 
 
-def _flat(name: str, value: object) -> Iterator[tuple[str, list[str]]]:
-    """Yield the dotted keys of a TOML table, with their values as texts."""
-    if isinstance(value, dict):
-        for key, each in value.items():
-            yield from _flat(f"{name}.{key}" if name else key, each)
-    elif isinstance(value, list):
-        yield name, [_text(each) for each in value]
-    else:
-        yield name, [each.strip() for each in _text(value).split(",") if each.strip()]
-
-
-def _text(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _texts(name: str, value: Any) -> list[str]:
-    """Return the texts of a value, which its parser reads."""
-    if name in ("layout", "range"):
-        return [layout_text(value) if name == "layout" else "{}:{}".format(*value)]
-    return [*map(str, value)] if isinstance(value, tuple) else [_text(value)]
-
-
 def _layout(text: str) -> Layout:
     if match := _GRID.fullmatch(text.strip()):
         rows, columns = int(match[1]), int(match[2])
@@ -304,8 +240,8 @@ def _range(text: str) -> tuple[float, float]:
     return low, high
 
 
-def _numbers(kind: Callable[[str], Any]) -> Callable[[str], tuple[Any, ...]]:
-    return lambda text: tuple(kind(each) for each in text.split(",") if each.strip())
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(float(each) for each in text.split(",") if each.strip())
 
 
 _CHOICES: Final[Mapping[str, Sequence[str]]] = {
@@ -316,12 +252,11 @@ _CHOICES: Final[Mapping[str, Sequence[str]]] = {
 }
 _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser and what the text must be
     "resolution": (float, "a number"),
-    "offset": (_numbers(int), "a whole number for each cell"),
     "layout": (_layout, f"ROWSxCOLUMNS such as 8x2 ({CELL_LIMIT} cells at most), or rows such as {_ROWS}"),
     "range": (_range, "LOW:HIGH, the readings at the lowest and at the highest pressure, such as 0:4000"),
     "rate": (float, "a number"),
     "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),
-    "missing": (_numbers(float), "numbers such as -999"),
+    "missing": (_numbers, "numbers such as -999"),
     **dict.fromkeys(_CHOICES, (str, "")),
 }
 

@@ -21,29 +21,26 @@ LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
 
 _PARQUET: Final = b"PAR1"
 _GZIP: Final = b"\x1f\x8b"
-_RATIO: Final = 200  # of a gzip file; recordings have 2 to 50
-_CHUNK: Final = 1 << 24  # bytes
 _PYTHON: Final = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/how-to/import.md"
 _OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and remedy by the first bytes of other formats
     rb"\x89MCAP0": ("an MCAP file", _PYTHON.format("mcap_json.py, or bag.py for ROS messages")),
     rb"SQLite format 3": ("a ROS 2 bag or another SQLite file", _PYTHON.format("bag.py")),
     rb"#ROSBAG": ("a ROS 1 bag", _PYTHON.format("bag.py")),
     rb"(?s:(?<=\.xlsx\n)PK|PK\x03\x04.*xl/)": ("an Excel file", "save it as CSV"),
-    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", _PYTHON.format("npz.py")),
+    rb"(?s:(?<=\.npz\n)PK|PK\x03\x04.*\.npy)": ("an NPZ file", _PYTHON.format("arrays.py")),
     rb"PK\x03\x04": ("a ZIP file", "unpack it"),
     rb"\xd0\xcf\x11\xe0": ("an old Excel file", "save it as CSV"),
-    rb"\x89HDF": ("an HDF5 file", _PYTHON.format("hdf5.py")),
-    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", _PYTHON.format("hdf5.py")),
+    rb"\x89HDF": ("an HDF5 file", _PYTHON.format("arrays.py")),
+    rb"MATLAB 7\.3": ("a MATLAB file of version 7.3, which is HDF5", _PYTHON.format("arrays.py")),
     rb"MATLAB 5\.0|(?s:[\0-\4]\0\0\0.{12}[\1-\40]\0\0\0[\w]+\0)": (
         "a MATLAB file",
-        _PYTHON.format("matlab.py"),
+        _PYTHON.format("arrays.py"),
     ),
-    rb"\x93NUMPY": ("an array of numpy", _PYTHON.format("npz.py")),
+    rb"\x93NUMPY": ("an array of numpy", _PYTHON.format("arrays.py")),
     rb"ARROW1|FEA1": ("a Feather or Arrow file", _PYTHON.format("polars.read_ipc")),
     rb"\x80[\2-\5]": ("a pickle of Python", _PYTHON.format("pandas.read_pickle, if you trust its origin")),
     rb"\s*(\{|\[\s*[\[{\"\d-])": ("a JSON file", _PYTHON.format("polars.read_json")),
     rb"TDSm|\s*<|%PDF|ULog": ("a TDMS, XML, HTML, PDF or PX4 file", "save its table as CSV"),
-    rb"\x89PNG|\xff\xd8\xff|GIF8|RIFF": ("a picture, film or sound", "save numbers as CSV"),
     rb"\x28\xb5\x2f\xfd|\x78[\x01\x5e\x9c\xda]|\xfd7zXZ|BZh|7z\xbc\xaf|Rar!": (
         "compressed",
         "decompress it, or use gzip",
@@ -58,9 +55,6 @@ def read_table(path: Path, separator: str | None = None) -> RawTable:
         InputError: if it cannot be read, is damaged, too large or of another format.
     """
     where = str(path)
-    if (path / "data").is_dir():
-        raise InputError(where, f"is a folder of LeRobot: import {path}/data/*/*.parquet")
-    _check_size(where, path.stat().st_size if path.is_file() else 0)
     content = read(path, LIMIT)
     sha256 = hashlib.sha256(content).hexdigest()
     if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
@@ -77,22 +71,15 @@ def read_table(path: Path, separator: str | None = None) -> RawTable:
 
 
 def _unzipped(where: str, content: bytes) -> bytes:
-    """Return the content of a gzip file; one that unpacks to very much is refused early."""
-    limit = min(LIMIT, max(_CHUNK, _RATIO * len(content)))
+    """Return the content of a gzip file of at most `LIMIT` bytes."""
     try:
         with gzip.open(io.BytesIO(content)) as file:
-            found = file.read(limit + 1)
+            found = file.read(LIMIT + 1)
     except (OSError, EOFError, ValueError, zlib.error) as error:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
-    if limit < LIMIT and len(found) > limit:
-        raise InputError(where, f"unpacks to more than {_RATIO} times its size: no recording does")
-    _check_size(where, len(found))
+    if len(found) > LIMIT:
+        raise InputError(where, f"unpacks to more than {LIMIT >> 20} MiB, the limit: split it into files")
     return found
-
-
-def _check_size(where: str, size: int) -> None:
-    if size > LIMIT:
-        raise InputError(where, f"is larger than {LIMIT >> 20} MiB, the limit: split it into several files")
 
 
 def _read_parquet(where: str, content: bytes, sha256: str) -> RawTable:

@@ -13,7 +13,7 @@ from connectors.files.raw_table import RawTable
 from connectors.files.readings import described, readings_of, reals_of, touch_of
 from connectors.files.roles import completed, label_value, label_values
 from connectors.files.time_axis import time_axis
-from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch
+from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch, s
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 
@@ -40,6 +40,11 @@ class Part:
     def touch(self) -> Touch:
         """Rows of the first fingertip."""
         return next(iter(self.fingertips.values()))
+
+    @property
+    def seconds(self) -> float:
+        """Time from the first row to the last, s."""
+        return int(self.touch.time[-1] - self.touch.time[0]) / s
 
     @property
     def offset(self) -> Reals:

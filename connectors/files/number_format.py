@@ -1,6 +1,5 @@
 """Format of the numbers of a file as a whole: the sign of decimals."""
 
-import re
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Final
@@ -8,12 +7,10 @@ from typing import Final
 import numpy as np
 import polars as pl
 
-from connectors.files.column_map import DATE, LABEL, ColumnMap, is_air
+from connectors.files.column_map import DATE, LABEL, ColumnMap
 from connectors.files.raw_table import RawTable
 
 MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
-FEW: Final = 1000  # texts, as of the newest lines of a logger, up to which Python is faster than Polars
-_USUAL: Final = {sign: re.compile(rf"[+-]?\d+(?:[{sign}]\d+)?(?:[eE][+-]?\d\d?)?", re.ASCII) for sign in ".,"}
 _NUMBER: Final = r"^[+-]?[\d.,]*(?:\d[{0}]|[{0}]\d)[\d.,]*(?:[eE][+-]?\d+)?$"  # with a sign
 _DECIMAL: Final = r"^[+-]?(?:\d+[{0}]\d*|[{0}]\d+)(?:[eE][+-]?\d+)?$"  # with no other sign
 _DOUBT: Final = r"^[+-]?[1-9]\d{0,2}[.,]\d{3}$"  # may have decimals or thousands
@@ -23,9 +20,6 @@ def plain(column: pl.Series, decimal: str) -> pl.Series:
     """Return the texts of a column with a decimal point; null for those with another sign of decimals."""
     if column.dtype != pl.String:
         return column
-    texts = column.to_list() if len(column) <= FEW else [""]
-    if all(text and _USUAL[decimal].fullmatch(text) for text in texts):
-        return pl.Series(column.name, [text.replace(decimal, ".") for text in texts], pl.String)
     text = column.str.strip_chars().str.replace("\u2212", "-", literal=True)
     if decimal == ".":
         return text
@@ -35,8 +29,6 @@ def plain(column: pl.Series, decimal: str) -> pl.Series:
 def reals(column: pl.Series, decimal: str) -> pl.Series:
     """Return the numbers of a column; NaN for a missing value, null for what is no finite number."""
     value = plain(column, decimal).cast(pl.Float64, strict=False)
-    if len(column) <= FEW and value.is_finite().all(ignore_nulls=False):
-        return value
     missing = column.is_null() | value.is_nan().fill_null(value=False)
     if column.dtype == pl.String:
         missing |= column.str.strip_chars().str.to_lowercase().is_in(MISSING).fill_null(value=False)
@@ -44,10 +36,7 @@ def reals(column: pl.Series, decimal: str) -> pl.Series:
 
 
 def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
-    """Conclude the sign of decimals in the columns of a map, as a whole; a doubt is a problem.
-
-    101.325 may be a thousand times as much, but not as air pressure in kPa.
-    """
+    """Conclude the sign of decimals in the columns of a map, as a whole; a doubt is a problem."""
     if columns.decimal is None:
         used = [name for key, names in columns.columns.items() if key not in (LABEL, DATE) for name in names]
         signs = {sign: _example(table, used, _NUMBER.format(sign)) for sign in ".,"}
@@ -58,12 +47,10 @@ def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
             remedy = "remove signs of thousands (in polars: str.replace_all), or state decimal=point or comma"
             table.add_problem(f"numbers have both point and comma ({both}): {remedy}")
             table.stop()
-        elif signs[sign] and (comma or table.separator != "comma"):
-            proof = (_example(table, names, _DECIMAL.format(sign), _DOUBT) for names in (used, table.columns))
-            value = signs[sign].split()[-1].replace(",", ".")
-            if not any(proof) and not (value.count(".") == 1 and is_air(float(value), columns.unit)):
-                text = f"{signs[sign]} may have decimals or thousands; state decimal={decimal}"
-                table.add_problem(f"{text}, or remove the sign of thousands", fix=f"decimal={decimal}")
+        certain = table.separator == "comma" and not comma
+        if signs[sign] and not (certain or _example(table, table.columns, _DECIMAL.format(sign), _DOUBT)):
+            text = f"{signs[sign]} may have decimals or thousands; state decimal={decimal}"
+            table.add_problem(f"{text}, or remove the sign of thousands", fix=f"decimal={decimal}")
         columns = replace(columns, decimal=decimal)
     table.notes += ["decimal comma"] if columns.decimal == "comma" else []
     return columns

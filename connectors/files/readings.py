@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from connectors.files.column_map import COUNTS, PRESSURES, ColumnMap, is_air, layout_text
+from connectors.files.column_map import COUNTS, ColumnMap, layout_text
 from connectors.files.number_format import reals
 from connectors.files.raw_table import RawTable
 from operators.batch import Counts, Flags, Reals, Times, Touch, s
@@ -13,7 +13,6 @@ from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 
 COUNT_LIMIT: Final = 32767  # largest absolute count
-EXPORTED: Final = "observation.state"  # zeroed counts in the LeRobot export of slipflow
 
 _STEPS: Final = [float(f"{each}e{power}") for power in range(-12, 306) for each in ("1", "2", "2.5", "5")]
 _TOLERANCE: Final = 0.01  # of a step: float32 has 24 bits
@@ -43,9 +42,9 @@ def readings_of(table: RawTable, columns: ColumnMap, time: Times) -> tuple[Colum
     readings[np.isin(readings, missing)] = np.nan
     zeroed = columns.zeroed
     if zeroed is None:
-        zeroed = names[0].startswith(EXPORTED) or _is_zeroed(readings)
+        zeroed = _is_zeroed(readings)
         table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
-    table.warnings += _doubts_at_rest(readings[time <= time[0] + s], readings, columns.unit, zeroed=zeroed)
+    table.warnings += _doubts_at_rest(readings[time <= time[0] + s], readings)
     resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
     if columns.resolution is not None and not _is_multiple(readings, resolution):
         table.warnings.append(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
@@ -205,18 +204,12 @@ def _sentinels(readings: Reals) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def _doubts_at_rest(start: Reals, readings: Reals, unit: str, *, zeroed: bool) -> list[str]:
-    """Return doubts about the readings of the first second."""
-    found = list[str]()
-    level = np.nanmedian(start) if np.isfinite(start).any() else np.nan
-    likely = [each for each in PRESSURES if is_air(float(level), each)]
-    if unit in PRESSURES and not zeroed and likely and unit not in likely:
-        air = " or ".join(likely)
-        found.append(f"{level:g} {unit} at the start would be air pressure in {air}: is the unit right?")
+def _doubts_at_rest(start: Reals, readings: Reals) -> list[str]:
+    """Return the doubt that the fingertip is loaded in the first second."""
     span = _quantiles(readings, 0.99) - _quantiles(readings, 0.01)
     halves = start[: len(start) // 2 + 1], start[len(start) // 2 :]
     if len(readings) > len(start) and not any(np.isnan(half).all(axis=0).any() for half in halves):
         first, second = (_quantiles(half, 0.5) for half in halves)
         if np.any(np.abs(second - first) > _MOVES * span):
-            found.append("the readings change in the first second: the baseline needs an unloaded start")
-    return found
+            return ["the readings change in the first second: the baseline needs an unloaded start"]
+    return []

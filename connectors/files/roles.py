@@ -35,9 +35,8 @@ _NAMES: Final = {  # usual names, without blanks and signs, in lower case
     "|zeit|zeitstempel|uhrzeit",
     DATE: "date|datum",
     SPEED: "speed|v|tcpspeed|geschwindigkeit",
-    LABEL: "labels?|slip|isslip|slipping|groundtruth|state|zustand|class|klasse",
+    LABEL: "labels?|slip|isslip|slipping|groundtruth",
 }
-_UNSURE_LABELS: Final = ("state", "zustand", "class", "klasse")  # labels only if their words are usual
 _CELL: Final = re.compile(  # words before the number of a cell
     "s|c|p|b|counts?|cells?|taxels?|txl|baro|barometer|pressure|press|druck|sensors?|ch|channel|kanal|zelle|pad"
     "|druckzelle|electrode|el|adc|fsr|force|kraft|raw|value|state|observationstate"
@@ -110,8 +109,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
     units = _units(found, stated, table)
     columns = replace(stated, columns=found, units=units)
     table.fixes += [""] if table.problems else []
-    others = [f"{name}={','.join(texts)}" for name, texts in stated.values().items()]
-    table.suggested = _suggested(columns, groups, table) + others
+    table.suggested = [*_suggested(columns, groups, table), *stated.stated]
     layout = next((group for group in groups if group.rows and group.names in found.values()), None)
     if layout is None or stated.layout is not None:
         return columns
@@ -224,20 +222,11 @@ def _usual(quantity: str, table: RawTable) -> tuple[str, ...]:
         return tuple(axes[axis] for axis in _AXES[:size])
     usual = re.compile(_NAMES[quantity])
     names = [name for name in table.columns if usual.fullmatch(_word(split_unit(quantity, name)[0]))]
-    if quantity == LABEL:
-        unsure = {name for name in names if _word(name) in _UNSURE_LABELS}
-        names = [name for name in names if name not in unsure or _has_usual_words(table.columns[name])]
     names = ["t"] if "t" in names else names  # T may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
         table.add_problem(text, about=quantity)
     return tuple(names[:1])
-
-
-def _has_usual_words(column: pl.Series) -> bool:
-    """Return True if a column has only usual words for labels, one of them for slip."""
-    words = {str(each).strip().lower() for each in column.unique().head(_SHOWN)} - {"", "none"}
-    return bool(words & {*_WORDS["slip"]}) and words <= set(label_values({}))
 
 
 def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:

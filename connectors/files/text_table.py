@@ -120,13 +120,8 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     found = {sign: _rows(lines, sign, begin) for sign in candidates}
     sign = max(found, key=lambda each: _merit(lines, each, begin, *found[each]))
     width, rows = found[sign]
-    if not rows:  # no row of values is recognised: the first line with fields has the names
-        while begin + 1 < len(lines) and (not lines[begin].strip() or _COMMENT.match(lines[begin])):
-            begin += 1
-        sign = max(candidates, key=lambda each: len(split_line(lines[begin], each)))
-        names = split_line(lines[begin], sign)
-        return _Shape(sign, 0, tuple(names), (), begin + 1, begin + 1)
-    rows = _below_names(lines, rows, sign, width)
+    if not rows:
+        raise InputError(where, "has no rows of numbers below a line that names the columns")
     fields = [split_line(lines[row], sign) for row in rows]
     _check_rows(fields, where)
     above = [number for number in range(begin, rows[0]) if len(split_line(lines[number], sign)) >= width - 1]
@@ -164,16 +159,6 @@ def _rows(lines: Sequence[str], sign: str, begin: int) -> tuple[int, list[int]]:
     return width, [number for number, each in rows.items() if each == width]
 
 
-def _below_names(lines: Sequence[str], rows: list[int], sign: str, width: int) -> list[int]:
-    """Return the rows below the names; lines above them, such as Rate,100, only look like rows."""
-    for number in sorted({*range(rows[0], rows[-1])} - {*rows}):
-        texts = split_line(lines[number], sign)
-        named = len(texts) == width and not any(map(_VALUE.fullmatch, texts))
-        if named and lines[number] not in lines[: rows[0]]:
-            return [row for row in rows if row > number]
-    return rows
-
-
 def _merit(lines: Sequence[str], sign: str, begin: int, width: int, rows: Sequence[int]) -> tuple[int, ...]:
     """Return what speaks for a separator: rows of several values, as many names, other signs than blanks."""
     if width < 2:
@@ -208,8 +193,6 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     sign, names, body = shape.separator, shape.names, content
     for _ in range(shape.first):
         body = body.partition(b"\n")[2]
-    if not body.strip():
-        raise InputError(where, f"has no rows below line {shape.first}")
     if sign == " ":
         body = b"\n".join(b" ".join(line.split()) for line in body.split(b"\n"))
     check_size(where, body.count(sign.encode()) + body.count(b"\n") + 1)

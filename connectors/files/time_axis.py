@@ -1,9 +1,7 @@
 """Times of a recording: format, unit, resolution, clocks that wrap or start again, and parts."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
 from itertools import pairwise, product
 from typing import Final, TypeAlias
 
@@ -11,14 +9,13 @@ import numpy as np
 import polars as pl
 
 from connectors.files.column_map import DATE, TIME, UNITS, ColumnMap
-from connectors.files.number_format import FEW, plain, reals
+from connectors.files.number_format import plain, reals
 from connectors.files.raw_table import RawTable
 from operators.batch import Times, s
 from operators.fingertip import RATE_TOLERANCE, rows_per_second
 
 Parts: TypeAlias = tuple[tuple[int, int], ...]  # first row of each part, and the row after its last
 
-EPISODE: Final = "episode_index"  # of LeRobot
 SLOWEST: Final = 5.0  # Hz; a rate outside these limits is implausible
 FASTEST: Final = 5000.0  # Hz
 
@@ -46,7 +43,6 @@ _FORMS: Final = {  # that texts of times are brought into before they are parsed
 }
 _ORDERS: Final = {"ymd": "%Y-%m-%d", "dmy": "%d-%m-%Y", "mdy": "%m-%d-%Y"}
 _CLOCKS: Final = ("%H:%M:%S%.f", "%I:%M:%S%.f %p", "%H:%M", "%I:%M %p")
-_SECONDS: Final = re.compile(r"([^:]*\d:\d\d:)([0-5]\d|60)(?:[.,](\d*))?((?:[^\d:.,].*)?)", re.ASCII)
 _YEAR: Final = r"(?:^|-)(?:19[7-9]\d|2[01]\d\d|22[0-5]\d|226[01])[- ]"  # of times in ns
 
 
@@ -120,13 +116,10 @@ def _add_unit_problem(table: RawTable, name: str, rate: float) -> None:
 
 
 def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
-    """Return the parts, each with a clock that never goes back; without `split`, the episodes of LeRobot."""
-    starts, episodes = {0}, table.columns.get(EPISODE)
-    if episodes is not None:
-        starts |= {*(np.flatnonzero(np.diff(episodes.cast(pl.String).rle_id().to_numpy())) + 1).tolist()}
-    back = [int(row) + 1 for row in np.flatnonzero(np.diff(time) < 0) if int(row) + 1 not in starts]
-    parts = tuple(pairwise([*sorted(starts | {*back}), len(time)]))
-    if back and not split:
+    """Return the parts, each with a clock that never goes back; without `split`, several are a problem."""
+    back = np.flatnonzero(np.diff(time) < 0) + 1
+    parts = tuple(pairwise([0, *back.tolist(), len(time)]))
+    if len(back) and not split:
         good = np.ones(len(time), np.bool_)
         good[back] = False
         sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
@@ -220,23 +213,6 @@ def _rounded(column: pl.Series, unit: str) -> pl.Series:
 
 def of_texts(column: pl.Series, order: str) -> pl.Series:
     """Return dates (since 1970 UTC) and times of day as ns; null for other texts, and for impossible days."""
-    found = [_SECONDS.fullmatch(text or "") for text in column.to_list()] if len(column) <= FEW else [None]
-    if any(each is None for each in found):
-        return _converted(column, order)
-    halves = [(f"{each[1]}00{each[4]}", f"{each[2]}{each[3] or '':0<9.9}") for each in found if each]
-    starts = _minutes(tuple(dict.fromkeys(minute for minute, _ in halves)), order)
-    times = [None if (start := starts[minute]) is None else start + int(ns) for minute, ns in halves]
-    return pl.Series(column.name, times, pl.Int64)
-
-
-@lru_cache(maxsize=4)
-def _minutes(texts: tuple[str, ...], order: str) -> dict[str, int | None]:
-    """Return the times of minutes, which most lines of a logger share, ns."""
-    return dict(zip(texts, _converted(pl.Series(texts, dtype=pl.String), order), strict=True))
-
-
-def _converted(column: pl.Series, order: str) -> pl.Series:
-    """Return the times of `of_texts` by Polars, which takes some ms also for one row."""
     text = column.str.strip_chars()
     for pattern, form in _FORMS.items():
         text = text.str.replace(pattern, form)

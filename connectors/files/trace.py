@@ -42,7 +42,7 @@ class Trace:
             and `warnings`, are also those of the trace.
 
     Raises:
-        InputError: if the file cannot be read, or has invalid values or several parts; it lists all problems.
+        InputError: if the file cannot be read, or has invalid values; it lists all problems.
         ParameterError: if the layout or the range does not fit the cells.
     """
 
@@ -65,11 +65,8 @@ class Trace:
         Raises:
             InputError: as for the class.
         """
-        parts = interpreted(self._source, self._columns, name=self.name)
-        if len(parts) > 1:
-            reason = f"has {len(parts)} episodes: slipflow import makes a session of each"
-            raise InputError(self.name, reason)
-        return parts[0]
+        [part] = interpreted(self._source, self._columns, name=self.name)
+        return part
 
     def __getattr__(self, name: str) -> Any:
         """Return an attribute of the part, which is read at the first access."""

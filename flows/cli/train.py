@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -93,6 +92,3 @@ def train(
             note(f"stopped: no model was written to {out}")
             raise
     typer.echo(json.dumps({"path": str(model.path), **model.card}) if as_json else model.report())
-    flow = model.path.with_suffix(".py")
-    if flow.is_file():
-        note(f"next: slipflow run {quote(str(flow))}")

@@ -22,7 +22,7 @@ from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
-from operators.batch import Labelled, Motion, Touch, s
+from operators.batch import Labelled, Motion, Touch
 from operators.errors import InputError, ParameterError
 from operators.ports import Description
 from storage import Dataset
@@ -56,7 +56,7 @@ class AttachLabels(Operator[Zeroed, Labelled]):
 
 @dataclass
 class TraceImport:
-    """Trace as a session of a dataset; `summary` and `report` show its interpretation.
+    """Trace as a session of a dataset; `report` shows its interpretation.
 
     Samples have the labels of the trace or, if it has none, labels by the arm's speed.
 
@@ -114,30 +114,6 @@ class TraceImport:
             thread.submit(lambda: asyncio.run(runner.execute())).result()
         self.state = "written"
 
-    def summary(self) -> dict[str, Any]:
-        """Return the interpretation as JSON data."""
-        part, trace = self.trace.part, self.trace
-        lowest, highest = part.extent
-        return {
-            **trace.describe(),
-            "recognised": [name for name in part.columns.columns if name not in part.stated],
-            "concluded": list(part.notes),
-            "fingers": list(trace.fingers(Touch)),
-            "seconds": int(part.touch.time[-1] - part.touch.time[0]) / s,
-            "rate": part.columns.rate,
-            "unit": part.columns.unit,
-            "resolution": part.resolution,
-            "lowest": lowest,
-            "highest": highest,
-            "missing": int(sum(np.sum(~each.valid) for each in part.fingertips.values())),
-            "motion": len(part.motion),
-            "warnings": list(part.warnings),
-            "labelled": self.label_source or None,
-            "labels": {name: int((part.labels == code).sum()) for name, code in LABELS.items()},
-            "dataset": str(self.out),
-            "session": self.session,
-        }
-
     def interpretation(self) -> list[str]:
         """Return a line for each quantity, with its columns and their unit."""
         part, found, lines = self.trace.part, self.trace.part.columns, list[str]()
@@ -161,25 +137,27 @@ class TraceImport:
 
     def report(self, *, short: bool = False) -> str:
         """Return the interpretation as text; `short`: without the columns."""
-        found, part = self.summary(), self.trace.part
-        rows = f"{found['rows']} rows, {found['seconds']:.1f} s, {part.columns.rate or 0.0:.1f} Hz"
+        part, columns = self.trace.part, self.trace.part.columns
+        rate = f"{len(part.touch)} rows, {part.seconds:.1f} s, {columns.rate or 0.0:.1f} Hz"
         notes = f" ({', '.join(part.notes)})" if part.notes else ""
-        unit = "counts" if found["unit"] == "count" else found["unit"]
-        lines = [f"{self.trace.name}: {rows}{notes}", *(() if short else self.interpretation())]
-        lines.append(f"  readings from {found['lowest']:g} to {found['highest']:g} {unit}")
+        unit = "counts" if columns.unit == "count" else columns.unit
+        lowest, highest = part.extent
+        lines = [f"{self.trace.name}: {rate}{notes}", *(() if short else self.interpretation())]
+        lines.append(f"  readings from {lowest:g} to {highest:g} {unit}")
         if (part.resolution, unit) != (1, "counts"):
-            lines.append(f"  stored in steps of {part.resolution:g} {found['unit']}")
+            lines.append(f"  stored in steps of {part.resolution:g} {columns.unit}")
         if len(speeds := speeds_of(part.motion)):  # (n,) m/s
             moving = f"{np.sum(speeds > _LABEL.speed)} of {len(speeds)} rows"
             moving += f", above {_LABEL.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")
         if self.label_source and not self.label_source.startswith("arm"):
-            labels = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
+            many = {name: int((part.labels == code).sum()) for name, code in LABELS.items()}
+            labels = ", ".join(f"{count} {name}" for name, count in many.items() if count)
             lines.append(f"  labels of {self.label_source}: {labels}")
         lines += [f"  warning: {each}" for each in part.warnings]
         about = self.trace.describe()
         group = f", group {about['group']}" if "group" in about else ""
-        fingers = " and ".join(map(str, found["fingers"]))
+        fingers = " and ".join(map(str, self.trace.fingers(Touch)))
         return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{group}"])
 
 
@@ -198,7 +176,7 @@ def import_frame(
         frame: A polars or pandas DataFrame, or a dictionary of arrays (n,) or (n, k).
         out: Folder of the dataset; created if absent.
         session: Name of the session.
-        columns: Map of the columns, also as text or as the path of a TOML file.
+        columns: Map of the columns, also as text.
         group: Surface or object of the recording, by which recordings are split.
         about: Further entries of the session's description.
 
@@ -208,7 +186,7 @@ def import_frame(
         EndpointError: if the dataset cannot be written.
         InputError: if it has another session of that name.
     """
-    stated = columns if isinstance(columns, ColumnMap) else ColumnMap.load(columns)
+    stated = columns if isinstance(columns, ColumnMap) else ColumnMap.parse(columns)
     about = {**(about or {}), **({} if group is None else {"group": group})}
     found = TraceImport(Trace(frame, stated, name=session, about=about), Path(out), session)
     found.write()
@@ -221,7 +199,6 @@ def import_files(
     columns: ColumnMap = _DEFAULT,
     *,
     group: str = "",
-    session: str | None = None,
     split: bool = False,
     dry_run: bool = False,
 ) -> Iterator[tuple[Path, TraceImport | InputError]]:
@@ -237,20 +214,17 @@ def import_files(
         columns: Map of their columns.
         group: Regular expression that is searched in the name of each file; its first group, or the whole
             match, is the surface or object.
-        session: Name of the session of a single file (default: the file's name).
         split: A clock that starts again begins another session.
         dry_run: Check the files and write nothing.
 
     Raises:
         InputError: if the only file cannot be imported, a file has no group, or two have the same name.
-        ParameterError: on an invalid pattern, a session name for several files, or a file as dataset.
+        ParameterError: on an invalid pattern, or a file as dataset.
         EndpointError: if the dataset cannot be written.
     """
     if out.is_file():
         raise ParameterError("import", "OUT", str(out), "a folder: the last argument is the dataset to write")
-    if session and len(paths) > 1:
-        raise ParameterError("import", "--session", session, "left out if there are several files")
-    names = [session] if session else _session_names(paths)
+    names = _session_names(paths)
     groups = [_group_of(path, group) for path in paths]
     steps = _resolutions(out)
     for path, name, surface in zip(paths, names, groups, strict=True):

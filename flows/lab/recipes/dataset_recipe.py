@@ -34,27 +34,23 @@ class DatasetRecipe:
 
     Args:
         name: Name of the recipe.
-        title: Sensor, task and rate in one line.
-        size: Number and size of the recordings.
-        repository: GitHub repository, OWNER/NAME.
-        commit: Commit of the files, 40 hex digits.
+        summary: Sensor, task, rate, size and work to cite.
         licence: SPDX identifier, or ``none`` if the source states no licence.
-        citation: Work to cite.
         about: Consequence of the licence, description of the recordings, origin of the labels, and
             assumptions that the source does not confirm.
+        repository: GitHub repository, OWNER/NAME.
+        commit: Commit of the files, 40 hex digits.
         columns: Map of the columns of the recordings.
         registry: File with the path in the repository and the sha256 of each file, as pooch reads it.
         recordings: Yields the recordings, given the verified copy of each file by its path in the repository.
     """
 
     name: str
-    title: str
-    size: str
+    summary: str
+    licence: str
+    about: str
     repository: str
     commit: str
-    licence: str
-    citation: str
-    about: str
     columns: ColumnMap
     registry: Path
     recordings: Callable[[Mapping[str, Path]], Iterator[SourceRecording]]
@@ -68,14 +64,6 @@ class DatasetRecipe:
     def page(self) -> str:
         """Address of the source for a browser."""
         return f"https://github.com/{self.repository}/tree/{self.commit}"
-
-    def summary(self) -> str:
-        """Return title, size, licence and citation."""
-        return f"{self.name}: {self.title}\n  {self.size}; licence: {self.licence}\n  cite: {self.citation}"
-
-    def text(self) -> str:
-        """Return all that the recipe states about the dataset."""
-        return f"{self.summary()}\n  source: {self.page}\n  {self.about}"
 
     def fetch(self, out: Path, progress: Callable[[int, int, str], object] = lambda *_: None) -> list[float]:
         """Download and verify the files, and import them into a new dataset.
@@ -100,7 +88,7 @@ class DatasetRecipe:
         with partial_output(out.resolve()) as dataset:
             for name, frame, group in self.recordings(self._files(progress)):
                 done = import_frame(frame, dataset, name, self.columns, group=group, about=about)
-                seconds.append(done.summary()["seconds"])
+                seconds.append(done.trace.part.seconds)
         return seconds
 
     def _files(self, progress: Callable[[int, int, str], object]) -> dict[str, Path]:

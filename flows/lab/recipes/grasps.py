@@ -46,13 +46,11 @@ def recordings(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
 
 GRASPS: Final = DatasetRecipe(
     name="grasps",
-    title="Slip in a grasp while the arm moves (XELA uSkin on a Franka arm, 60 Hz, labels by a marker)",
-    size="7 recordings, 1.88 MB",
-    repository="imanlab/proactive-slip-control",
-    commit="73c84b02e382040ca4ab8de1b37d836b8f511d40",
-    licence="MIT",
-    citation="Nazari, Mandil and Ghalamzan, Proactive slip control by learned slip model and trajectory"
+    summary="Slip in a grasp while the arm moves (XELA uSkin on a Franka arm, 60 Hz, labels by a marker)\n  "
+    "7 recordings, 1.88 MB; licence: MIT\n  "
+    "cite: Nazari, Mandil and Ghalamzan, Proactive slip control by learned slip model and trajectory"
     " adaptation, CoRL 2022, https://github.com/imanlab/proactive-slip-control",
+    licence="MIT",
     about="Use, change and share it; keep the copyright notice.\n  "
     "A gripper with two 4x4 taxel pads moves a box along a line. A camera follows a marker on the box, "
     "which gives the label. Seven trials, 2,195 rows, 196 of them slip. The arm moves without slip most "
@@ -62,6 +60,8 @@ GRASPS: Final = DatasetRecipe(
     "taxels of pad 1, minus the first ten rows, divided by 4. Rows of the files of one trial belong "
     "together by their number. The arm moves in the xy plane: the source has no vertical velocity, the "
     "recipe gives 0.",
+    repository="imanlab/proactive-slip-control",
+    commit="73c84b02e382040ca4ab8de1b37d836b8f511d40",
     columns=ColumnMap.parse("time=t,counts=b0..b5,velocity=vx,vy,vz,label=slip,rate=60,zeroed=true"),
     registry=Path(__file__).with_suffix(".txt"),
     recordings=recordings,

@@ -45,12 +45,10 @@ def recordings(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
 
 STROKES: Final = DatasetRecipe(
     name="strokes",
-    title="A finger strokes six surfaces (BioTac on a Shadow hand, 100 Hz, joint speed)",
-    size="47 recordings, 122 MB",
-    repository="nomadik/vibrotexturerecog",
-    commit="e24c837c33b5689b04cd4210dcb5d5a88ada24ee",
+    summary="A finger strokes six surfaces (BioTac on a Shadow hand, 100 Hz, joint speed)\n  "
+    "47 recordings, 122 MB; licence: none\n  "
+    "cite: nomadik, vibrotexturerecog (recordings of 2017), https://github.com/nomadik/vibrotexturerecog",
     licence="none",
-    citation="nomadik, vibrotexturerecog (recordings of 2017), https://github.com/nomadik/vibrotexturerecog",
     about="The repository states no licence, so all rights remain with its authors: download it for your own "
     "study; ask them before you share the data or anything that contains it.\n  "
     "A finger strokes a surface back and forth at 14 to 115 mm/s and rests 1 to 6 s in contact between "
@@ -63,6 +61,8 @@ STROKES: Final = DatasetRecipe(
     "fingertip, minus the median of the recording, which includes strokes. Rows with a value that is not "
     "a number are left out. The label follows the joint; touch leads it by about 50 ms. The meaning of "
     "the surfaces' names was translated from Russian, not stated by the source.",
+    repository="nomadik/vibrotexturerecog",
+    commit="e24c837c33b5689b04cd4210dcb5d5a88ada24ee",
     columns=ColumnMap.parse("time=time_ns,counts=b0..b5,speed=speed,label=label,rate=100,zeroed=true"),
     registry=Path(__file__).with_suffix(".txt"),
     recordings=recordings,

@@ -158,8 +158,7 @@ def _text(
     if draw.random() < 0.2:
         columns |= {f"{name}_temp": [number(25.5, 1)] * len(file.time) for name in ("b0", "b1")}
     if words:
-        usual = ("label", "slip") if words[0] in ("0", "false") else ("label", "slip", "Zustand")
-        columns[draw.choice(usual)] = [words[each] for each in file.labels]
+        columns[draw.choice(("label", "slip"))] = [words[each] for each in file.labels]
     values = [each for column in columns.values() for each in column]
     blanks = any(" " in each for name, column in columns.items() for each in (name, column[0]))
     if (separator == " " and blanks) or (separator == "," and any("," in each for each in values)):

@@ -1,6 +1,5 @@
 """Damaged files, and files of other formats."""
 
-import gzip
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -63,10 +62,10 @@ PYTHON = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/
         (b"\x89MCAP0\r\n", "an MCAP file", PYTHON.format("mcap_json.py, or bag.py for ROS messages")),
         (b"SQLite format 3\0", "a ROS 2 bag or another SQLite file", PYTHON.format("bag.py")),
         (b"#ROSBAG V2.0\n", "a ROS 1 bag", PYTHON.format("bag.py")),
-        (b"PK\x03\x04" + bytes(26) + b"time.npy", "an NPZ file", PYTHON.format("npz.py")),
+        (b"PK\x03\x04" + bytes(26) + b"time.npy", "an NPZ file", PYTHON.format("arrays.py")),
         (b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml", "an Excel file", "save it as CSV"),
         (b"PK\x03\x04", "a ZIP file", "unpack it"),
-        (b"MATLAB 7.3", "a MATLAB file of version 7.3, which is HDF5", PYTHON.format("hdf5.py")),
+        (b"MATLAB 7.3", "a MATLAB file of version 7.3, which is HDF5", PYTHON.format("arrays.py")),
         (b'{"t": [0, 1]}', "a JSON file", PYTHON.format("polars.read_json")),
         (b"\x80\x04\x95", "a pickle of Python", PYTHON.format("pandas.read_pickle, if you trust its origin")),
         (b"%PDF-1.7", "a TDMS, XML, HTML, PDF or PX4 file", "save its table as CSV"),
@@ -81,13 +80,6 @@ def test_another_format_is_named_with_the_remedy(
     assert refusal(path) == f"{path}: is {name}: {remedy}"
 
 
-def test_a_pipe_and_a_file_that_unpacks_to_very_much_are_refused_at_once(tmp_path: Path) -> None:
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")
     assert refusal(tmp_path / "pipe.csv").endswith("is not a regular file")
-    for content in (bytes(1 << 25), b"t,p0,p1\n" + b"0,1,2\n" * (1 << 23)):
-        (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(content))
-        assert refusal(tmp_path / "bomb.csv.gz").endswith(
-            "unpacks to more than 200 times its size: no recording does"
-        )
-    (tmp_path / "lerobot/data").mkdir(parents=True)
-    assert "is a folder of LeRobot: import" in refusal(tmp_path / "lerobot")

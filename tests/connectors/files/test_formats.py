@@ -78,15 +78,6 @@ def test_a_number_in_another_format_is_no_number() -> None:
     ]
 
 
-@given(st.lists(st.from_regex(r"[+-]?[0-9]{1,25}([.,][0-9]{0,25})?(e-?[0-9]{1,3})?", fullmatch=True)))
-def test_a_few_numbers_are_read_as_many(texts: list[str]) -> None:
-    for sign in ".,":
-        found, among_others = (
-            reals(pl.Series(each, dtype=pl.String), sign) for each in (texts, [*texts, "x"])
-        )
-        assert found.equals(among_others.head(len(texts)))
-
-
 moments = st.datetimes(dt.datetime(1971, 1, 1), dt.datetime(2260, 1, 1))  # noqa: DTZ001 - UTC
 
 
@@ -99,8 +90,7 @@ def test_dates_are_read_in_each_order(
     day = moment.strftime(sign.join({"y": "%Y", "d": "%d", "m": "%m"}[each] for each in order))
     clock = moment.strftime("%I:%M:%S.%f %p" if half else "%H:%M:%S.%f").replace(".", dot)
     expected = (moment - dt.datetime(1970, 1, 1)) // dt.timedelta(microseconds=1) * 1000  # noqa: DTZ001
-    for others in ([], ["no time"]):  # a few times of the same form are converted faster
-        assert of_texts(pl.Series([f"{day} {clock}", *others]), order)[0] == expected
+    assert of_texts(pl.Series([f"{day} {clock}"]), order)[0] == expected
 
 
 @pytest.mark.parametrize(
@@ -126,8 +116,7 @@ def test_dates_are_read_in_each_order(
     ],
 )
 def test_other_times_are_read_or_refused(text: str, expected: int | None) -> None:
-    for others in ([], ["no time"]):
-        assert of_texts(pl.Series([text, *others]), "dmy")[0] == expected
+    assert of_texts(pl.Series([text]), "dmy")[0] == expected
 
 
 def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Trace:
@@ -136,15 +125,6 @@ def trace(times: list[object], columns: str = "", name: str = "t", **more: list[
     found = Trace({name: times, **cells, **more}, ColumnMap.parse(columns))
     assert len(found.touch) == len(times)  # reads it
     return found
-
-
-@given(st.integers(10**18, 4 * 10**18), st.sampled_from([1, 1000, 1_000_000]))
-def test_the_unit_of_an_epoch_is_known_by_its_digits(start: int, step: int) -> None:
-    times = [(start + k * 10 * ms) // step for k in range(30)]
-    found = trace([*times])
-    assert found.touch.time.tolist() == [each * step for each in times]
-    assert found.columns.rate == pytest.approx(100, rel=0.01)
-    assert "since 1970, by its digits" in found.notes[0]
 
 
 @given(
@@ -174,12 +154,6 @@ def test_a_clock_that_starts_again_is_named_and_split_on_request(parts: list[int
     found = interpreted(frame, split=True)
     assert [len(each.touch) for each in found] == parts
     assert [each.touch.counts[0, 0] for each in found] == [500 + sum(parts[:k]) for k in range(len(parts))]
-
-
-def test_episodes_of_lerobot_are_parts() -> None:
-    times, episodes = [0.01 * (k % 20) for k in range(60)], [k // 20 for k in range(60)]
-    with pytest.raises(InputError, match="has 3 episodes: slipflow import makes a session of each"):
-        trace([*times], episode_index=[*episodes])
 
 
 @pytest.mark.parametrize("digits", [6, 10])
@@ -245,7 +219,7 @@ def test_the_map_that_an_error_suggests_reads_the_file_and_keeps_what_was_stated
         except InputError as error:
             [_, suggested] = shlex.split(str(error).rpartition("; try ")[2])
             suggested = suggested.replace("ROWS_PER_SECOND", "100")
-            assert ColumnMap.parse(stated).values().items() <= ColumnMap.parse(suggested).values().items()
+            assert {*ColumnMap.parse(stated).stated} <= {*ColumnMap.parse(suggested).stated}
             stated = suggested
     else:
         pytest.fail(f"not read with {stated}")

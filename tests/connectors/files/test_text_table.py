@@ -101,7 +101,7 @@ def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("connectors.files.container.LIMIT", 1 << 20)
     path.write_bytes(gzip.compress(b"t,p0,p1\n" + b"1,2,3\n" * (1 << 18)))
     assert path.stat().st_size < 1 << 14
-    with pytest.raises(InputError, match="is larger than 1 MiB, the limit: split it into several files"):
+    with pytest.raises(InputError, match="unpacks to more than 1 MiB, the limit: split it into files"):
         read_table(path)
     packed = path.read_bytes()
     for damaged in (packed[:100], packed[:20] + bytes(20) + packed[40:]):

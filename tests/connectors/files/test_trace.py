@@ -110,6 +110,7 @@ NO_TIME = "no column is recognised as time; state time=..., or rate=... if it ha
 COLUMNS = "state counts=...; (2) " + NO_TIME + "; try --map time=column1,counts=column2,column3"
 T_S1 = "the columns are t s1"
 TWICE = "no columns are recognised as cells; state counts=... (s1 cannot be used: it occurs twice)"
+NO_ROWS = "has no rows of numbers below a line that names the columns"
 NUMBER = "must be a number, without signs of thousands, or empty"
 
 
@@ -176,8 +177,8 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
             ", line 3, column state: has 'west', " + LABEL,
         ),
         ("", "", ": is empty: its first line must name the columns"),
-        ("sep=;", "", ": has no rows below line 2"),
-        ("t,s1", "", ": has no rows below line 1"),
+        ("sep=;", "", f": {NO_ROWS}"),
+        ("t,s1", "", f": {NO_ROWS}"),
         ("t,s1|\0\0,1", "", ": is not a CSV file: it has bytes of zero; save it as text in UTF-8"),
         ("t,s1,s2|1,2,3|2,3", "", ": the last line has fewer fields than line 2: it is cut off, delete it"),
         (

@@ -1,11 +1,7 @@
 """`slipflow import` in processes of its own."""
 
 import json
-import threading
 from pathlib import Path
-
-import numpy as np
-import polars as pl
 
 from tests.command import slipflow
 
@@ -42,51 +38,6 @@ def test_many_files_are_imported_in_one_call_that_can_be_repeated(tmp_path: Path
     about = json.loads((tmp_path / "out/sessions/steel_vel1/session.json").read_text())
     assert about["group"] == "steel"
     (tmp_path / "bad_vel1.csv").write_text(TRACE)
-    again = slipflow(*arguments, "--json", cwd=tmp_path)
-    states = [each["state"] for each in json.loads(again.stdout)["files"]]
-    assert states == ["present", "written", "present"]
+    again = slipflow(*arguments, cwd=tmp_path)
+    assert again.returncode == 0
     assert "2 sessions left out: the dataset has them already" in again.stderr
-
-
-def test_a_user_gets_from_an_own_file_to_live_alerts_by_the_commands_that_are_printed(tmp_path: Path) -> None:
-    random = np.random.default_rng(0)
-    time = np.arange(0, 40, 0.005)  # s
-    slips = time % 8 > 5
-    readings = (
-        101.3 + (time % 8 > 2)[:, None] * random.uniform(3, 8, 16) + random.normal(0, 0.02, (len(time), 16))
-    )
-    readings += slips[:, None] * random.normal(0, 1.2, readings.shape)
-    cells = {f"taxel_{k // 4}_{k % 4} [kPa]": readings[:, k].round(2) for k in range(16)}
-    words = np.where(slips, "rutscht", "haftet")
-    frame = pl.DataFrame({"Zeit [s]": time.round(3), **cells, "Zustand": words})
-    frame.write_csv(tmp_path / "bench.csv", separator=";", decimal_comma=True)
-
-    def following(*command: str) -> str:
-        """Run a command; return the next one, which it prints at its end."""
-        done = slipflow(*command, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
-        return done.stderr.rpartition("next: slipflow ")[2].strip()
-
-    second = following("import", "bench.csv", "own", "--dry-run")
-    assert second == "import bench.csv own --flow own.py"
-    assert following(*second.split()) == "show own/sessions/bench"  # which prints the next one at Ctrl-C
-    last = following("train", "own", "-o", "own.safetensors", "--steps", "6", "--filters", "4")
-    assert last == "run own.py"
-    lines, ended = (tmp_path / "bench.csv").read_text().splitlines()[1:], threading.Event()
-
-    def log() -> None:
-        """Append rows as a logger does."""
-        with (tmp_path / "bench.csv").open("a") as file:
-            for number, line in enumerate(lines):
-                file.write(f"{40 + number / 200:.3f};".replace(".", ",") + line.partition(";")[2] + "\n")
-                file.flush()
-                if ended.wait(0.01):
-                    return
-
-    logger = threading.Thread(target=log)
-    logger.start()
-    live = slipflow("run", "own.py", "--for", "3s", "--json", cwd=tmp_path)
-    ended.set()
-    logger.join()
-    found = json.loads(live.stdout)
-    assert (found["error"], found["sources"]["touch"]["rows"] > 50) == (None, True), live.stderr

@@ -50,7 +50,7 @@ def read(path: Path, out: Path, columns: ColumnMap = GUESS) -> TraceImport:
 
 def imported(trace_import: TraceImport) -> Session:
     trace_import.write()
-    return Session.open(trace_import.summary()["dataset"])
+    return Session.open(trace_import.out)
 
 
 def rows(session: Session, kind: Any, finger: int = 0) -> Any:
@@ -154,10 +154,10 @@ def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Wri
     path = write(f"t,{CELLS},v", lines)
     trace_import = read(path, tmp_path)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
-    [doubt] = trace_import.summary()["warnings"]
+    [doubt] = trace_import.trace.warnings
     assert "at up to 40 m/s: is its speed in another unit?" in doubt
-    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).summary()["warnings"] == []
-    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).summary()["warnings"]
+    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).trace.warnings == ()
+    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).trace.warnings
     assert "the rate is 1e+05 Hz" in doubt
 
 
