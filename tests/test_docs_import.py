@@ -33,7 +33,7 @@ BEGIN = 1_795_000_000_000_000_000  # ns
 
 
 def write_arrays(path: Path) -> None:
-    arrays = {"time": TIME, "cells": CELLS.round(2), "moving": MOVING}
+    arrays: dict[str, Any] = {"time": TIME, "cells": CELLS.round(2), "moving": MOVING}
     if path.suffix == ".npz":
         np.savez(path, **arrays)
     elif path.suffix == ".mat":

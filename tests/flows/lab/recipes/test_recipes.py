@@ -134,7 +134,7 @@ def test_strokes_have_six_cells_of_two_electrodes(tmp_path: Path, monkeypatch: p
     electrodes = random.integers(2000, 3500, (400, 19))
     moving = np.where(np.arange(400) // 50 % 2, 0.4, 0.01) + random.normal(0, 0.003, 400)  # rad/s
     stamps = 1508406493195955843 + 10_000_000 * np.arange(400)  # ns
-    columns = {"field.header.stamp": stamps, "field.FFJ4_process_value_dot": moving}
+    columns: dict[str, object] = {"field.header.stamp": stamps, "field.FFJ4_process_value_dot": moving}
     columns |= {f"field.el{each}": electrodes[:, each] for each in range(19)}
     whole = pl.DataFrame(columns).write_csv().encode()
     torn = whole.splitlines(keepends=True)
@@ -142,7 +142,7 @@ def test_strokes_have_six_cells_of_two_electrodes(tmp_path: Path, monkeypatch: p
     files = {"csv/still_vel1.csv": b"".join(torn), "csv/tkan_vel2_again.csv": whole}
     found = sessions(copied(strokes.STROKES, files, tmp_path, monkeypatch))
     damaged, session = found.values()
-    pairs: Reals = electrodes[:, strokes.PAIRS].mean(axis=2)
+    pairs: Reals = electrodes[:, np.array(strokes.PAIRS)].mean(axis=2)
     np.testing.assert_array_equal(counts(session), np.round(pairs - np.median(pairs, axis=0)))
     assert len(counts(damaged)) == 399
     rows = samples(session)
