@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 4_964,
-    "connectors": 11_096,
+    "operators": 4_963,
+    "connectors": 10_536,
     "storage": 3_859,
-    "flows": 12_547,
-    "product": 32_466,
-    "product files": 217,
-    "tests": 33_920,
+    "flows": 12_428,
+    "product": 31_786,
+    "product files": 215,
+    "tests": 33_208,
     "commands": 16,
-    "options": 84,
-    "words": 37_357,
+    "options": 80,
+    "words": 36_907,
 }
 
 
