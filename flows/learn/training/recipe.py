@@ -22,7 +22,7 @@ class Augmentation:
     load: float = 0.3  # probability of a slow change of load, 0.1 to 2 Hz, different in each cell
     load_amplitude: float = 20.0  # counts
     noise: float = 0.5  # probability
-    noise_range: tuple[float, float] = (0.3, 5.0)  # counts, standard deviation, log-uniform
+    noise_range: tuple[float, float] = (0.3, 15.0)  # counts, standard deviation, log-uniform
     dead: float = 0.15  # probability that one or two cells, equally often, read 0
 
 
