@@ -20,7 +20,7 @@ from flows.report.table import Table, Value
 from tests.benchmarks.machine import commit
 
 SEED: Final = 810_000  # of the first trial
-THRESHOLDS: Final = (0.3, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)
+THRESHOLDS: Final = (0.3, 0.5, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95, 0.97, 0.98, 0.99)
 
 
 def successes(methods: Sequence[Method], task: tuple[str, int]) -> list[list[bool]]:
