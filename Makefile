@@ -68,7 +68,7 @@ bench:  ## run the benchmarks and print their tables
 
 models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
-models: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 calm-3 calm-4 grasps-3 grasps-4 grasps-5)
+models: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 slow-4 calm-3 calm-4 grasps-3 grasps-4 grasps-5 grasps-6 grasps-7)
 models: PAPER := train models/paper-0 --method
 models:  ## train the models in storage/trained and those that its pages compare: an hour on two cores; trace=FILE: scores on a real trace
 	@deploy/prepare test

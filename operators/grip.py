@@ -149,15 +149,16 @@ class StepGrip(GripController):
 class Grip(GripController):
     """Raise the grip force in proportion to the evidence of slip, and lower it again afterwards.
 
-    A slip decision belongs to the force that was commanded `latency` earlier, which was too low. During a
-    registered slip the force grows by ``gain * e`` per second, relative to that force, but no faster than
-    `rate`; e, from 0 to 1, is the probability above the threshold. A force that exceeds the latest one that
-    was too low by `margin` is assumed to hold the object: `latency` after the slip the force decreases to it.
+    A slip decision belongs to the force that was commanded `latency` earlier. During a registered slip the
+    force grows by ``gain * e`` per second, relative to that force, but no faster than `rate`; e, from 0 to 1,
+    is the probability above the threshold. Friction equals the weight on average over a slip that begins and
+    ends at rest, so the mean force of a slip just holds the object. `latency` after the slip the force
+    decreases to this mean plus `margin`.
 
     Args:
         gain: Growth rate, 1/s.
-        margin: Assumed margin above the latest force that slipped, relative to that force.
-        latency: Time from a command to the detector's reaction, ns.
+        margin: Margin above the mean force of the latest slip, relative to that force.
+        latency: Time from a command to the detector's reaction, ns. Slips closer to each other are one.
         release_rate: Rate of the decrease, relative to the force, 1/s.
 
     Raises:
@@ -169,10 +170,11 @@ class Grip(GripController):
     """
 
     gain: float = 20.0
-    margin: float = 0.5
-    latency: int = 160 * ms
-    release_rate: float = 2.0
-    _slipped: float = field(default=0.0, init=False, repr=False)  # N, latest force that did not hold
+    margin: float = 1.0
+    latency: int = 240 * ms
+    release_rate: float = 4.0
+    _impulse: float = field(default=0.0, init=False, repr=False)  # N, sum of the forces of the latest slip
+    _decisions: int = field(default=0, init=False, repr=False)  # for slip, in the latest slip
     _since: int = field(default=0, init=False, repr=False)  # ns, latest decision within a slip
     # (ns, N) of each command within `latency`
     _history: deque[tuple[int, float]] = field(
@@ -194,11 +196,13 @@ class Grip(GripController):
             history.popleft()
         earlier = history[0][1]  # N, commanded `latency` ago
         if registered:
+            if time - self._since > self.latency:
+                self._impulse, self._decisions = 0.0, 0
             span = 1 - self.threshold
             evidence = (probability - self.threshold) / span if span else 1.0
-            self._slipped, self._since = earlier, time
+            self._impulse, self._decisions, self._since = self._impulse + earlier, self._decisions + 1, time
             return force + self.gain * evidence * earlier * elapsed
-        sufficient = self._slipped * (1 + self.margin)
-        if not self._slipped or force <= sufficient or time - self._since < self.latency:
+        if not self._decisions or time - self._since < self.latency:
             return force
-        return max(force * (1 - self.release_rate * elapsed), sufficient)
+        sufficient = self._impulse / self._decisions * (1 + self.margin)
+        return max(force * (1 - self.release_rate * elapsed), min(sufficient, force))

@@ -115,6 +115,7 @@ class LabelledRecording:
     name: str = ""
     split: str = ""  # train, validation or test
     group: str = ""  # surface or object, by which recordings can be split; empty: unknown
+    plan: str = ""  # of a simulation
     fingertip: Fingertip = TAKKTILE
     dataset: str = ""  # path of its folder
 
@@ -299,8 +300,17 @@ def _of_session(session: Session, finger: int, hand: HandLabels) -> LabelledReco
         session.name,
         str(session.about.get("split") or ""),
         str(session.about.get("group") or ""),
+        _plan(session),
         fingertip,
     )
+
+
+def _plan(session: Session) -> str:
+    """Return the plan that a simulated session states."""
+    sources = session.about.get("sources")
+    stated = sources.values() if isinstance(sources, dict) else ()
+    plans = [each.get("plan") for each in stated if isinstance(each, dict)]
+    return next((each for each in plans if isinstance(each, str)), "")
 
 
 def _strokes(episodes: Episodes, time: Times) -> Strokes | None:

@@ -46,13 +46,21 @@ def test_commands_rise_no_faster_than_the_rate() -> None:
     assert commands.force[-1] > 1.5
 
 
-def test_after_a_slip_the_force_falls_to_the_margin_above_the_force_that_slipped() -> None:
+def test_after_a_slip_the_force_falls_to_the_margin_above_its_mean_during_the_slip() -> None:
     grip = _soon(gain=5.0, latency=30 * ms, margin=0.02, release_rate=2.0)
     rising = _pushed(grip, [0.0] + [1.0] * 10).force
     after = _pushed(grip, [0.0] * 200, since=11).force
     assert after[0] == pytest.approx(rising[-1] * (1 - 2.0 * 0.01))
     assert (np.diff(after) < 0).all()
-    assert after[-1] == pytest.approx(1.02 * rising[-5])  # in force when the newest decision but three came
+    earlier = [1.0] * 4 + rising[1:6].tolist()  # commanded 30 ms before each of nine decisions
+    assert after[-1] == pytest.approx(1.02 * np.mean(earlier))
+
+
+def test_a_later_slip_is_judged_by_its_own_forces() -> None:
+    grip = _soon(gain=5.0, latency=30 * ms, margin=0.0, release_rate=100.0)
+    first = _pushed(grip, [0.0] + [1.0] * 10 + [0.0] * 50).force[-1]
+    second = _pushed(grip, [1.0] * 2 + [0.0] * 50, since=61).force[-1]
+    assert second == pytest.approx(first)  # commanded when it slipped again
 
 
 def test_it_stays_while_nothing_has_ever_slipped() -> None:

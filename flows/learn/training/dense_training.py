@@ -111,9 +111,9 @@ class _DenseTask(TrainingTask):
         recipe, generator = self._recipe, self._generator
         for group in self.optimiser.param_groups:
             group["lr"] = recipe.rate * _relative_rate(step, recipe)
-        rows = self._crops.rows(self._first[self._crops.draw(recipe.batch, generator)])  # (b, n)
-        counts = self._crops.counts[rows].to(torch.float32).transpose(1, 2)  # (b, cells, n)
-        counts = augmented(counts, recipe.augmentation, generator, self._fingertip)
+        first = self._first[self._crops.draw(recipe.batch, generator)]
+        rows, counts = self._crops.stretched(first, recipe.augmentation, generator)  # (b, n), (b, n, cells)
+        counts = augmented(counts.transpose(1, 2), recipe.augmentation, generator, self._fingertip)
         logit = self.network(counts)[:, self._warm_up :]
         evaluated = rows[:, self._warm_up :]
         known, slip = self._known[evaluated], self._slip[evaluated]

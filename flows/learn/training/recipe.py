@@ -8,14 +8,18 @@ from operators.checks import check_above, check_choice
 
 PAPER_NETWORKS: Final = {"frequency_cnn": 6, "paper_tcn": 25}  # epochs in which each improves
 
+STRETCHED: Final = ("wide", "slow", "calm")  # plans with other hands and fingertips than the paper's
+
 
 @dataclass(frozen=True, slots=True)
 class Augmentation:
     """Random changes of counts that make a detector robust to conditions that the recordings lack.
 
-    Each is applied to a crop with its probability, in this order. Labels do not change.
+    Each is applied to a crop with its probability, in this order. Labels do not change, but for their time.
     """
 
+    stretch: float = 0.5  # probability of a slower hand, in recordings of a plan of `STRETCHED`
+    slowest: float = 3.0  # factor of the duration, log-uniform from 1
     flip: float = 0.5  # probability of mirroring along x, and again along y
     gain: float = 0.5  # probability
     gain_spread: float = 0.25  # standard deviation of the log gain of the pad; of each cell 0.8 times that

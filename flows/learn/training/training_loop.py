@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import accuracy, balanced, confusion
-from flows.learn.training.recipe import Augmentation
+from flows.learn.training.recipe import STRETCHED, Augmentation
 from flows.learn.training.trained_model import Arrays, Check, Progress
 from operators.batch import Codes, Flags
 from operators.fingertip import TAKKTILE, Fingertip
@@ -47,6 +47,8 @@ class Crops:
         self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
         self._offsets = torch.arange(length, device=device)
+        varied = np.repeat([each.plan in STRETCHED for each in usable], [*map(len, usable)])
+        self._varied = torch.as_tensor(varied).to(device)  # (n,)
         _, of_recording = np.unique([each.dataset for each in usable], return_inverse=True)
         crops = np.bincount(of_recording, weights=[*map(len, first)])  # of each dataset
         sizes = crops.astype(np.int64)
@@ -59,6 +61,24 @@ class Crops:
         share = torch.rand(crops, generator=generator, device=device, dtype=torch.float64)
         sizes, starts = self._sizes.to(device)[dataset], self._starts.to(device)[dataset]
         return starts + (share * sizes).long()
+
+    def stretched(
+        self, first: Tensor, how: Augmentation, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Return rows (k, length) and counts (k, length, cells) of crops that begin at rows `first` (k,).
+
+        The counts of a slower hand are interpolated between rows; its rows, for the labels, are the nearest.
+        """
+        share, chosen = (torch.rand(len(first), generator=generator, device=first.device) for _ in range(2))
+        slower = (chosen < how.stretch) & self._varied[first]
+        factor = torch.where(slower, torch.exp(share * math.log(how.slowest)), 1.0)[:, None]
+        place, last = self._offsets[None].double() / factor.double(), self._offsets[-1]
+        before = place.floor().long()
+        weight = (place - before).float()[..., None]
+        counts = [
+            self.counts[first[:, None] + torch.minimum(each, last)].float() for each in (before, before + 1)
+        ]
+        return first[:, None] + place.round().long(), counts[0] * (1 - weight) + counts[1] * weight
 
     def rows(self, first: Tensor) -> Tensor:
         """Return the rows (k, length) of crops that begin at rows `first` (k,), on the device."""
