@@ -15,11 +15,9 @@ STRETCHED: Final = ("wide", "slow", "calm")  # plans with other hands and finger
 class Augmentation:
     """Random changes of counts that make a detector robust to conditions that the recordings lack.
 
-    Each is applied to a crop with its probability, in this order. Labels do not change, but for their time.
+    Each is applied to a crop with its probability, in this order. Only a stretch changes the time of labels.
     """
 
-    stretch: float = 0.5  # probability of a slower hand, in recordings of a plan of `STRETCHED`
-    slowest: float = 3.0  # factor of the duration, log-uniform from 1
     flip: float = 0.5  # probability of mirroring along x, and again along y
     gain: float = 0.5  # probability
     gain_spread: float = 0.25  # standard deviation of the log gain of the pad; of each cell 0.8 times that
@@ -28,6 +26,8 @@ class Augmentation:
     noise: float = 0.5  # probability
     noise_range: tuple[float, float] = (0.3, 15.0)  # counts, standard deviation, log-uniform
     dead: float = 0.15  # probability that one or two cells, equally often, read 0
+    stretch: float = 0.5  # probability of a slower hand, before all others, in plans of `STRETCHED`
+    slowest: float = 3.0  # factor of the duration, log-uniform from 1
 
 
 # for real recordings, which have noise of their own; touch of other surfaces is much weaker or stronger

@@ -3,8 +3,9 @@ from typing import Any, cast
 import numpy as np
 import torch
 
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.recipe import PAPER_TOUCH, Augmentation
-from flows.learn.training.training_loop import augmented
+from flows.learn.training.training_loop import Crops, augmented
 
 COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)
 
@@ -67,3 +68,34 @@ def test_the_papers_networks_see_each_symmetry_of_the_pad_equally_often_with_noi
     for symmetry in (pad, pad[:, ::-1], pad[::-1], pad[::-1, ::-1]):
         assert 0.22 < (cell[:, pad.ravel(), 0] == symmetry.ravel()).all(axis=1).mean() < 0.28
     assert 0.49 < (counts - 100 * cell).std() < 0.51  # counts
+
+
+def _ramp(plan: str) -> LabelledRecording:
+    """Return a recording whose counts are the number of the row."""
+    counts = np.repeat(np.arange(300, dtype=np.int16)[:, None], 6, axis=1)
+    return LabelledRecording(counts, np.zeros(300, np.int8), plan=plan)
+
+
+def _stretched(plan: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the first rows, rows and counts of 64 crops of a ramp, all stretched by up to 3."""
+    crops = Crops([_ramp(plan)], 60, torch.device("cpu"))
+    generator = torch.Generator()
+    cast("Any", generator).manual_seed(1)
+    first = torch.as_tensor(crops.first)[crops.draw(64, generator)]
+    return first, *crops.stretched(first, Augmentation(stretch=1.0, slowest=3.0), generator)
+
+
+def test_a_slower_hand_passes_fewer_rows_in_the_same_time_and_keeps_its_labels() -> None:
+    first, rows, counts = _stretched("wide")
+    passed = (counts[:, -1, 0] - first) / 59  # rows per sample
+    assert 1 / 3 <= passed.min() < 0.4
+    assert 0.9 < passed.max() <= 1
+    assert counts.diff(dim=1).std(dim=1).max() < 1e-4
+    assert (rows - counts[..., 0]).abs().max() <= 0.5
+
+
+def test_crops_of_other_plans_are_not_stretched() -> None:
+    for plan in ("", "paper", "grasps"):
+        first, rows, counts = _stretched(plan)
+        assert torch.equal(rows, first[:, None] + torch.arange(60))
+        assert torch.equal(counts[..., 0], rows.float())
