@@ -1,14 +1,13 @@
 """The command `slipflow check`."""
 
-import json
 from dataclasses import replace
 
 import typer
 
-from flows.cli.options import AsJson, Settings, Target, parse_settings
+from flows.cli.options import Settings, Target, parse_settings
 
 
-def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
+def check(target: Target, *, settings: Settings = None) -> None:
     """Find errors in a flow without running it, and draw it.
 
     Prints the graph, and the flow's parameters with their values, as --set takes them. Exits 2 if there are
@@ -26,19 +25,14 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
     flow = declaration.flow(chosen)
     live = all(source.recording is None for source in flow.sources().values())
     found = [str(problem) for problem in problems(flow, fingertips=live)]  # a recording is read by a run only
-    if as_json:
-        parameters = {name: each.as_dict() for name, each in declaration.parameters.items()}
-        typer.echo(json.dumps({"flow": flow.name, "problems": found, "parameters": parameters}))
-    elif found:
-        typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
-    else:
-        typer.echo(flow)
-        sources, sinks = (", ".join(node.name for node in nodes) for nodes in (flow.sources(), flow.sinks()))
-        typer.echo(f"{flow.name}: OK (sources: {sources}; sinks: {sinks})")
-        for name, each in declaration.parameters.items():
-            value = each.value(flow.name, chosen[name]) if name in chosen else each.default
-            typer.echo(f"  --set {replace(each, default=value)}")
-            if each.about:
-                typer.echo(f"      {each.about}")
     if found:
+        typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
         raise typer.Exit(2)
+    typer.echo(flow)
+    sources, sinks = (", ".join(node.name for node in nodes) for nodes in (flow.sources(), flow.sinks()))
+    typer.echo(f"{flow.name}: OK (sources: {sources}; sinks: {sinks})")
+    for name, each in declaration.parameters.items():
+        value = each.value(flow.name, chosen[name]) if name in chosen else each.default
+        typer.echo(f"  --set {replace(each, default=value)}")
+        if each.about:
+            typer.echo(f"      {each.about}")

@@ -1,13 +1,11 @@
 """The command `slipflow export`."""
 
-import json
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, DatasetOrSession
+from flows.cli.options import DatasetOrSession
 from flows.cli.terminal import check_output_file, progress_bar
 from flows.report.table import counted
 
@@ -30,7 +28,6 @@ def export(
             min=1, help="Frames per second, with --to lerobot (default: the lowest rate of the samples)."
         ),
     ] = None,
-    as_json: AsJson = False,
 ) -> None:
     """Export recordings to LeRobot or MCAP.
 
@@ -49,8 +46,7 @@ def export(
         raise typer.BadParameter(f"--to {to}: give lerobot or mcap")
     if rate is not None and to != "lerobot":
         raise typer.BadParameter(f"--rate requires --to lerobot: omit it with --to {to}")
-    found, text = _lerobot(source, out, rate) if to == "lerobot" else _mcap(source, out)
-    typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
+    typer.echo(_lerobot(source, out, rate) if to == "lerobot" else _mcap(source, out))
 
 
 def _sessions(path: Path) -> "list[Session]":
@@ -61,7 +57,8 @@ def _sessions(path: Path) -> "list[Session]":
     return [Session.open(each) for each in session_folders(path) or [path]]
 
 
-def _lerobot(source: Path, out: Path, rate: int | None) -> tuple[dict[str, Any], str]:
+def _lerobot(source: Path, out: Path, rate: int | None) -> str:
+    """Write a dataset of all sessions, and return what it has."""
     from storage.exports.lerobot import export as write
 
     sessions = _sessions(source)
@@ -76,15 +73,15 @@ def _lerobot(source: Path, out: Path, rate: int | None) -> tuple[dict[str, Any],
         f"{counted(done.repeated, 'frame')} without a sample: values repeated, valid false",
         f"wrote {out}",
     ]
-    return asdict(done), "\n".join(lines)
+    return "\n".join(lines)
 
 
-def _mcap(source: Path, out: Path) -> tuple[dict[str, Any], str]:
-    """Write a file for each session."""
+def _mcap(source: Path, out: Path) -> str:
+    """Write a file for each session, and return their names and rows."""
     from storage.exports import mcap_file
 
     sessions = _sessions(source)
-    files, single = dict[str, dict[str, int]](), len(sessions) == 1 and out.suffix == ".mcap"
+    files, single = dict[Path, int](), len(sessions) == 1 and out.suffix == ".mcap"
     if single:
         check_output_file(out)
     with progress_bar("exporting") as update:
@@ -95,7 +92,6 @@ def _mcap(source: Path, out: Path) -> tuple[dict[str, Any], str]:
                 update(number, len(sessions), f"{name}, {rows:,} rows")
 
             path = out if single else out / f"{name}.mcap"
-            files[str(path)] = dict(mcap_file.export(session, path, progress))
-    rows = sum(sum(topics.values()) for topics in files.values())
-    text = f"{counted(len(files), 'file')}, {counted(rows, 'row')}\nwrote {', '.join(files)}"
-    return {"files": files}, text
+            files[path] = sum(mcap_file.export(session, path, progress).values())
+    size = f"{counted(len(files), 'file')}, {counted(sum(files.values()), 'row')}"
+    return f"{size}\nwrote {', '.join(map(str, files))}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Generic, Never, NoReturn, TypeVar
 
 from flows.graph.drawing import text
-from flows.graph.node import Node, Part
+from flows.graph.node import FlowPart, Node
 from operators.batch import Batch
 from operators.errors import FlowError
 from operators.operator import Join, Operator
@@ -61,7 +61,7 @@ class Flow:
     def __str__(self) -> str:
         return text(self.name, self.nodes)
 
-    def replaced(self, choose: Callable[[Node], Part]) -> "Flow":
+    def replaced(self, choose: Callable[[Node], FlowPart]) -> "Flow":
         """Return a copy of the flow in which `choose` selects the part of each node."""
         copies = {node: Node(node.name, choose(node)) for node in self.nodes}
         for node, copy in copies.items():
@@ -70,7 +70,7 @@ class Flow:
         flow.nodes += copies.values()
         return flow
 
-    def add(self, name: str, part: Part, *inputs: Node) -> Node:
+    def add(self, name: str, part: FlowPart, *inputs: Node) -> Node:
         """Add a part that reads from `inputs`; ``|`` and `source` call this."""
         if isinstance(part, Source | Sink):
             taken = {node.name for node in self.nodes}

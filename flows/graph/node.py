@@ -13,7 +13,7 @@ from operators.extras import require_extra
 from operators.operator import Join, Operator, input_types, output_type
 from operators.ports import Description, Sink, Source
 
-Part: TypeAlias = Source[Any] | Operator[Any, Any] | Join[Any, Any, Any] | Sink[Any]
+FlowPart: TypeAlias = Source[Any] | Operator[Any, Any] | Join[Any, Any, Any] | Sink[Any]
 
 
 @dataclass(eq=False)
@@ -21,7 +21,7 @@ class Node:
     """Source, operator, join or sink, with the nodes that it reads from."""
 
     name: str  # unique in the flow for sources and sinks; the class name for operators
-    part: Part
+    part: FlowPart
     inputs: list["Node"] = field(default_factory=list["Node"])
 
     @property

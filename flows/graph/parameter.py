@@ -8,7 +8,6 @@ from typing import Annotated, Any, Final, Union, get_args, get_origin
 
 from flows.graph.quantity import KINDS, format_quantity, parse_quantity
 from operators.errors import ParameterError
-from operators.ports import Json
 
 _BOOLEANS: Final = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _NAMES: Final = {bool: "yes or no", int: "a whole number", float: "a number", str: "text", Path: "a path"}
@@ -60,28 +59,16 @@ class Parameter:
         raise ParameterError(owner, self.name, text, self.takes)
 
     @property
-    def unit(self) -> str | None:
-        """Unit of the values, such as ns; None: no unit."""
-        return next((unit for choice in self._choices() if (unit := _unit(choice)) is not None), None)
-
-    @property
     def takes(self) -> str:
         """Description of the accepted text."""
         return " or ".join(map(_description, self._choices()))
 
     def __str__(self) -> str:
         """Return the setting with its default and the accepted text."""
-        default = self.default
-        if self.unit and isinstance(default, int | float) and isfinite(default):
-            default = format_quantity(default, self.unit)
+        default, units = self.default, list(filter(None, map(_unit, self._choices())))
+        if units and isinstance(default, int | float) and isfinite(default):
+            default = format_quantity(default, units[0])
         return f"{self.name}={default}  ({self.takes})"
-
-    def as_dict(self) -> dict[str, Json]:
-        """Return default, unit and accepted text, for JSON."""
-        default = self.default
-        if default is not None and not isinstance(default, bool | int | float | str):
-            default = str(default)
-        return {"default": default, "unit": self.unit, "takes": self.takes, "about": self.about}
 
     def _choices(self) -> tuple[Any, ...]:
         union = get_origin(self.type) in (Union, types.UnionType)

@@ -1,13 +1,14 @@
-"""Test doubles for flows, operators and connectors: a source, a sink and an event loop in virtual time."""
+"""Test doubles for flows, operators and connectors: source, sink, recording, and a loop in virtual time."""
 
 import asyncio
 import selectors
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from typing import Any, Generic, TypeVar, TypeVarTuple, Unpack
 
-from operators.batch import EVERY, Batch, concat
-from operators.ports import Clock, Run, Sink, Source
+from operators.batch import EVERY, Batch, Touch, concat
+from operators.fingertip import Fingertip
+from operators.ports import Clock, Description, Run, Sink, SomeBatch, Source
 
 T = TypeVar("T")
 B = TypeVar("B", bound=Batch)
@@ -132,6 +133,40 @@ class TestSink(Sink[Batch]):
 
     def __str__(self) -> str:
         return "TestSink()"
+
+
+class TestRecording:
+    """Recording of given batches, one for each stream and fingertip.
+
+    Args:
+        name: Name of the recording.
+        batches: All rows.
+        fingertip: Fingertip of the touch; None: unknown.
+    """
+
+    __test__ = False
+
+    def __init__(self, name: str, batches: Iterable[Batch], fingertip: Fingertip | None = None) -> None:
+        self.name, self._batches, self._fingertip = name, list(batches), fingertip
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        """Return the fingertips of the batches of a type."""
+        return tuple(batch.finger for batch in self._batches if isinstance(batch, kind))
+
+    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
+        """Yield the batches of a type and fingertip, cut into pieces."""
+        for batch in self._batches:
+            if isinstance(batch, kind) and batch.finger == finger:
+                for start in range(0, len(batch), rows):
+                    yield batch[start : start + rows]
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        """Return the fingertip of a stream of touch."""
+        return self._fingertip if issubclass(kind, Touch) else None
+
+    def describe(self) -> Description:
+        """Return {}."""
+        return {}
 
 
 class _InstantSelector(selectors.DefaultSelector):

@@ -7,7 +7,7 @@ never by window, about 70/10/20 for every surface, speed and kind of motion. The
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,7 +23,7 @@ from connectors.sim.paper_plan import PaperPlan, calm, varied
 from connectors.sim.scene import PaperStrokes, Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
-from flows.graph.testing import TestSource
+from flows.graph.testing import TestRecording, TestSource
 from flows.learn.labelled_recordings import TURNS, scene_seed
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
@@ -32,8 +32,7 @@ from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, SlidingMotion, Zero, ms
 from operators.batch import Batch, Episodes, Touch, Truth, concat, s
 from operators.checks import check_at_least, check_choice
-from operators.fingertip import TAKKTILE, Fingertip
-from operators.ports import Description, SomeBatch
+from operators.fingertip import TAKKTILE
 from storage import Dataset
 from storage.files import partial_output
 
@@ -172,7 +171,7 @@ async def _run(root: Path, plan: str, seed: int, planned: PlannedRecording) -> N
         declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), dataset)  # m/s, rad/s; paper
         fingertip = rig.touch.fingertip or TAKKTILE
         sources = {"touch": dict(rig.touch.describe()), "motion": dict(rig.motion.describe())}
-    finished = _FinishedScene(planned.session, streams, fingertip)
+    finished = TestRecording(planned.session, streams, fingertip)
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))
     sources["touch"] |= {
         "fingertip": fingertip.describe(),
@@ -198,27 +197,3 @@ def _declare_grasp(flow: Flow, dataset: Dataset) -> None:
     touch.to(dataset)
     truth.to(dataset)
     samples.to(dataset)
-
-
-@dataclass(frozen=True, slots=True)
-class _FinishedScene:
-    """A finished scene, as a recording of the rig."""
-
-    name: str
-    streams: Sequence[Batch]
-    touched_with: Fingertip
-
-    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        return tuple(batch.finger for batch in self.streams if isinstance(batch, kind))
-
-    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        for batch in self.streams:
-            if isinstance(batch, kind) and batch.finger == finger:
-                for start in range(0, len(batch), rows):
-                    yield batch[start : start + rows]
-
-    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
-        return self.touched_with if issubclass(kind, Touch) else None
-
-    def describe(self) -> Description:
-        return {}

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import expit, gammainccinv, ndtri, stdtrit
 
 from flows.learn.evaluation.folds import repeated
-from flows.learn.event_metrics import EventMetrics, Slips, debounce_settings
+from flows.learn.event_metrics import EventMetrics, TrueSlips, debounce_settings
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.training.trained_model import learned_from, provenance
 from flows.report.table import counted
@@ -42,7 +42,7 @@ PATH: Final = _path()  # at 100 Hz, from strict to sensitive; fixed before any d
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trials:
+class SettingTrials:
     """Outcome of every setting of `PATH` on every session, or on each piece of a single one."""
 
     outcomes: Sequence[Sequence[EventMetrics]]  # [setting][session]
@@ -70,25 +70,25 @@ class Calibrated:
     measured: EventMetrics  # on the calibration data
 
 
-def try_settings(recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals]) -> Trials:
+def try_settings(recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals]) -> SettingTrials:
     """Debounce the probabilities (n,) of recordings with every setting.
 
     The fingertips of one session are one recording: their alarms have common causes. A single session is cut
     into ten pieces.
     """
     pieces = _PIECES if len({each.name for each in recordings}) == 1 else 1
-    parts = dict[tuple[str, int], tuple[list[Reals], list[Slips]]]()
+    parts = dict[tuple[str, int], tuple[list[Reals], list[TrueSlips]]]()
     for recording, probability in zip(recordings, probabilities, strict=True):
         edges = np.linspace(0, len(recording), pieces + 1).astype(int).tolist()
         for number, rows in enumerate(starmap(slice, pairwise(edges))):
             values, slips = parts.setdefault((recording.name, number), ([], []))
             values.append(probability[rows])
-            slips.append(Slips.labelled(recording.piece(rows)))
+            slips.append(TrueSlips.labelled(recording.piece(rows)))
     rules = tuple(map(recordings[0].sampling.rule, PATH))
-    return Trials([[EventMetrics.of(*part, rule) for part in parts.values()] for rule in rules], rules)
+    return SettingTrials([[EventMetrics.of(*part, rule) for part in parts.values()] for rule in rules], rules)
 
 
-def calibrated(trials: Trials, rate: float, confidence: float) -> Calibrated:
+def calibrated(trials: SettingTrials, rate: float, confidence: float) -> Calibrated:
     """Return the best setting whose rate of false alarms is at most `rate`, with a confidence.
 
     The hypotheses "this setting has a higher rate" are tested from the strictest setting to the most

@@ -68,7 +68,7 @@ def runs(flags: Flags) -> NDArray[np.intp]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Slips:
+class TrueSlips:
     """True slips of a recording; ns from its first sample.
 
     Pauses shorter than `PAUSE` belong to the slip. Slips that are shorter than `BRIEF` or begin during the
@@ -118,13 +118,13 @@ class EventMetrics:
     minutes: float  # static
 
     @classmethod
-    def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips], debounce: Debounce) -> Self:
+    def of(cls, probabilities: Sequence[Reals], slips: Sequence[TrueSlips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
         pairs = zip(probabilities, slips, strict=True)
         return cls.of_onsets([onsets(each, debounce, true.sampling) for each, true in pairs], slips)
 
     @classmethod
-    def of_onsets(cls, found: Sequence[Times], slips: Sequence[Slips]) -> Self:
+    def of_onsets(cls, found: Sequence[Times], slips: Sequence[TrueSlips]) -> Self:
         """Match the onsets (k,) of each recording, ns, with its slips."""
         delays, missed, false, repeats = list[Times](), 0, 0, 0
         for raised, true in zip(found, slips, strict=True):
@@ -163,7 +163,7 @@ def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:
 def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector) -> Debounce:
     """Tune the debounce of a detector on recordings; see `tuned`."""
     scores = [recording.probabilities(detector) for recording in recordings]
-    return tuned(scores, [Slips.labelled(recording) for recording in recordings])
+    return tuned(scores, [TrueSlips.labelled(recording) for recording in recordings])
 
 
 def debounce_settings(rule: Debounce) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def debounce_settings(rule: Debounce) -> dict[str, Any]:
     return {name: getattr(rule, name) for name in ("threshold", "consecutive", "release")}
 
 
-def tuned(scores: Sequence[Reals], slips: Sequence[Slips], budget: float = BUDGET) -> Debounce:
+def tuned(scores: Sequence[Reals], slips: Sequence[TrueSlips], budget: float = BUDGET) -> Debounce:
     """Return the settings with the least onset delay among those that keep three limits.
 
     Recordings of some minutes contain few false alarms, so the upper one-sigma limit of a Poisson count is

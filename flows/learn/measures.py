@@ -7,7 +7,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import polars as pl
 
-from flows.learn.event_metrics import DECISION, EventMetrics, Slips, match_onsets, onsets
+from flows.learn.event_metrics import DECISION, EventMetrics, TrueSlips, match_onsets, onsets
 from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from flows.report.results import Statistic, area, joined, median, of_sums, ratio, result_rows, share
 from operators import Debounce, ms
@@ -94,7 +94,7 @@ def judged(
     rows = [
         result_rows(_confusion(recording, predicted, part), condition=kind, **key) for kind, part in parts
     ]
-    true = Slips.labelled(recording)
+    true = TrueSlips.labelled(recording)
     leads = -match_onsets(raised, true.found, before=AHEAD).delays  # ns before the change of the label
     found: _Found = {
         **_events(true, raised),
@@ -109,7 +109,7 @@ def judged(
     if recording.sliding is not None:
         other = replace(recording, label=recording.sliding)
         found |= _confusion(other, predicted, _known(other, probability), SLIDING)
-        found |= _events(Slips.labelled(other), raised, SLIDING)
+        found |= _events(TrueSlips.labelled(other), raised, SLIDING)
     return joined([*rows, result_rows(found, condition=condition, **key)])
 
 
@@ -169,7 +169,7 @@ def _confusion(recording: LabelledRecording, predicted: Flags, part: Flags, pref
     return {prefix + name: count for name, count in zip(_CONFUSION, counts, strict=True)}
 
 
-def _events(true: Slips, raised: Times, prefix: str = "") -> _Found:
+def _events(true: TrueSlips, raised: Times, prefix: str = "") -> _Found:
     events = EventMetrics.of_onsets([raised], [true])
     return {
         prefix + "false alarms": events.false_alarms,

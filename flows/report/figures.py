@@ -1,6 +1,6 @@
 """Figures in one style, as SVG files that are identical for identical data."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -21,9 +21,6 @@ CELLS: Final = (MAIN, "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # 
 MORE: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)  # for many lines in a panel
 WIDTH: Final = 11.0  # inches, the most that fits on a page
 _ROW_GAP: Final = 0.08  # inches above and below each panel
-_LINE: Final = 12.0  # points from one name of a point to the next
-_LETTER: Final = 5.4  # points, width
-_LEADER: Final = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "shrinkA": 0, "relpos": (0, 0.5)}
 _STYLE: Final = Path(__file__).with_suffix(".mplstyle")
 _DPI: Final = 110  # of .png, and of images in .svg
 
@@ -44,30 +41,6 @@ def grid(
     figure.get_layout_engine().set(h_pad=_ROW_GAP)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex, sharey=sharey)
     return figure, list(axes.flat)
-
-
-def name_points(axis: Axes, points: Iterable[tuple[str, float, float]], size: tuple[float, float]) -> None:
-    """Write the name of each point to its right, higher where it would overlap another name.
-
-    Args:
-        axis: Panel, whose limits are final.
-        points: Name, x and y of each point.
-        size: Width and height of the panel, inches, about.
-    """
-    scaled = axis.transScale + axis.transLimits  # to fractions of the panel
-    marks = list[tuple[float, float, str, float, float]]()
-    for name, x, y in points:
-        across, up = scaled.transform((x, y)).tolist()
-        marks.append((up * size[1] * 72, across * size[0] * 72, name, x, y))
-    taken = list[tuple[float, float, float]]()  # left, right and height of names, points
-    for height, left, name, x, y in sorted(marks):
-        right, place = left + _LETTER * len(name), height
-        near = sorted(c for a, b, c in taken if a < right and left < b)
-        for other in near:
-            place = other + _LINE if abs(place - other) < _LINE else place
-        taken.append((left, right, place))
-        axis.annotate(name, (x, y), (9, place - height), textcoords="offset points", va="center",
-                      arrowprops=_LEADER)  # fmt: skip
 
 
 def svg(draw: Callable[[], Figure]) -> str:

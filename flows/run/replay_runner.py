@@ -12,7 +12,7 @@ from connectors.replay import Replay
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
-from flows.graph.node import Node, Part, check_extras, consumers
+from flows.graph.node import FlowPart, Node, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.log_events import contained, reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Faults, Labelled, Motion, Scores, Slips, Touch
@@ -33,7 +33,7 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
     origin = first_time(recording) if paced else None
     kinds = [source.kind for source in flow.sources().values()]
 
-    def recorded(node: Node) -> Part:
+    def recorded(node: Node) -> FlowPart:
         part = node.part
         if not isinstance(part, Source):
             return part

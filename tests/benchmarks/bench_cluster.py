@@ -5,7 +5,6 @@ and with two. The start of a job is the time for one short recording. All output
 """
 
 import tempfile
-from importlib.metadata import distribution
 from pathlib import Path
 from statistics import median
 from time import perf_counter
@@ -16,17 +15,9 @@ from storage.layout import session_folders
 from tests.benchmarks.machine import print_head
 from tests.dask_cluster import DaskCluster
 from tests.flows.run.recorder import Recorder
+from tests.storage.made import contents
 
 SESSIONS, SECONDS, TURNS = 8, 600, 3  # seconds of each session
-PACKAGES = [
-    *("distributed", "dask", "tornado", "msgpack", "cloudpickle", "toolz", "partd", "locket", "zict"),
-    *("tblib", "psutil", "sortedcontainers", "click", "fsspec", "pyyaml"),
-]
-
-
-def contents(root: Path) -> dict[str, bytes]:
-    """Return all files of a dataset."""
-    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def replay(paths: list[Path], out: Path, cluster: str | None) -> float:
@@ -39,17 +30,10 @@ def replay(paths: list[Path], out: Path, cluster: str | None) -> float:
     return perf_counter() - began
 
 
-def installed_size() -> float:
-    """Return the size of Dask and of the packages that it needs, MB."""
-    files = [file for name in PACKAGES for file in distribution(name).files or ()]
-    return sum(path.stat().st_size for file in files if (path := Path(str(file.locate()))).exists()) / 1e6
-
-
 def main() -> None:
     """Measure and print a table."""
     samples = SESSIONS * SECONDS * 100 * 8
     print_head(f"{SESSIONS} sessions, {samples:,} samples of 8 fingertips, medians of {TURNS} turns")
-    print(f"installation of the extra `cluster`: {installed_size():.0f} MB")
     print(f"{'':16}{'start, s':>10}{'all, s':>10}{'samples/s':>12}{'relative':>10}{'same bytes':>12}")
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)

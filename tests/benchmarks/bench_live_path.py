@@ -4,20 +4,18 @@ Run by `make bench`. `TakkTile` reads an emulated bus through smbus2, `UrMotion`
 loopback; `DeviceClock`, `Zero`, `Align`, `Label`, the trained `Score` and `Debounce` follow. What was
 received and the samples go to a `Dataset`, the events to a sink that keeps them. The controller has a process
 of its own. The bus cannot: its fingertips feel counts from a table, made before, and what the emulation costs
-is timed in a second run, at smbus2's calls into the operating system, and subtracted. The operators are timed
-there, too. The first seconds of a run do not count. CPU is that of the process, in % of one core.
+is timed at smbus2's calls into the operating system, and subtracted. The operators are timed, too. The first
+seconds do not count. CPU is that of the process, in % of one core.
 """
 
 import asyncio
 import multiprocessing
-import sys
 import tempfile
 import threading
 import time
 from collections import defaultdict
 from collections.abc import AsyncIterator, Callable
 from contextlib import aclosing
-from functools import partial
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
@@ -57,8 +55,8 @@ T = TypeVar("T")
 HOST = "127.0.0.6"
 BUS = "/dev/i2c-99"
 FINGERS = (0, 1, 2)
-SECONDS = 20.0  # that each of the two runs is measured
-WARM = 3.0  # s of a run that do not count: `Zero` learns its baseline
+SECONDS = 20.0  # that are measured
+WARM = 3.0  # s that do not count: `Zero` learns its baseline
 
 
 class Table:
@@ -199,18 +197,16 @@ def declared(touch: TakkTile, motion: UrMotion, told: Told, out: str) -> Flow:
     return flow
 
 
-async def run(port: int, *, apart: bool) -> Seen:
-    """One run; `apart`: what it is made of is timed."""
+async def run(port: int) -> Seen:
+    """Run the flow, and time its parts."""
     spent, touch, told = Spent(), Noting(), Told()
     motion = UrMotion(HOST, 500.0, port=port)
     bus = EmulatedI2cBus(Table(), {each: each for each in FINGERS})
     with tempfile.TemporaryDirectory() as out, served(bus, BUS):
         runner = LiveRunner(declared(touch, motion, told, out), "path")
-        if apart:
-            names = smbus2.smbus2.__dict__
-            names["ioctl"] = spent.timed("bus", names["ioctl"])
-            pusher = runner.compiled.pusher
-            vars(runner.compiled)["pusher"] = lambda *entries: spent.timed("operators", pusher(*entries))
+        names, pusher = smbus2.smbus2.__dict__, runner.compiled.pusher
+        names["ioctl"] = spent.timed("bus", names["ioctl"])
+        vars(runner.compiled)["pusher"] = lambda *entries: spent.timed("operators", pusher(*entries))
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
         first = Used.now(spent)
@@ -241,14 +237,9 @@ async def run(port: int, *, apart: bool) -> Seen:
     )
 
 
-def measure(port: int, result: Connection, *, apart: bool) -> None:
-    """One run, for a process of its own."""
-    result.send(asyncio.run(run(port, apart=apart)))
-
-
-def report(whole: Seen, apart: Seen) -> str:
+def report(whole: Seen) -> str:
     """The tables."""
-    bus = apart.parts.pop("bus")
+    bus = whole.parts.pop("bus")
     others = whole.process - whole.loop - whole.scanning
     lines = [
         f"{'CPU, % of one core':40}",
@@ -258,8 +249,8 @@ def report(whole: Seen, apart: Seen) -> str:
         f"{'  scanning: smbus2, TakkTile':40}{whole.scanning - bus:8.1%}",
         f"{'  writing':40}{others:8.1%}",
         f"{'  event loop':40}{whole.loop:8.1%}",
-        *(f"{'    ' + name:40}{value:8.1%}" for name, value in apart.parts.items()),
-        f"{'    the rest: RTDE, queues, recording':40}{whole.loop - sum(apart.parts.values()):8.1%}",
+        *(f"{'    ' + name:40}{value:8.1%}" for name, value in whole.parts.items()),
+        f"{'    the rest: RTDE, queues, recording':40}{whole.loop - sum(whole.parts.values()):8.1%}",
         f"{'rows':20}{'in':>10}{'missing':>10}",
         *(f"{name:20}{whole.rows[name]:10}{lost:10}" for name, lost in whole.lost.items()),
         f"{whole.late} scans began more than 1 ms late",
@@ -276,24 +267,14 @@ def main() -> None:
     """Measure and print the tables."""
     print_head(f"{SECONDS:.0f} s")
     context = multiprocessing.get_context("spawn")
-    over, seen = context.Event(), list[Seen]()
-    taken, given = context.Pipe(duplex=False)
+    over, (taken, given) = context.Event(), context.Pipe(duplex=False)
     controller = context.Process(target=serve, args=(given, over))
     controller.start()
     try:
-        port = taken.recv()
-        for apart in (False, True):
-            process = context.Process(target=partial(measure, port, given, apart=apart))
-            process.start()
-            while not taken.poll(1):
-                if not process.is_alive():
-                    sys.exit("the run failed")
-            seen.append(taken.recv())
-            process.join()
+        print(report(asyncio.run(run(taken.recv()))))
     finally:
         over.set()
         controller.join()
-    print(report(*seen))
 
 
 if __name__ == "__main__":

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from operators.batch import Codes, Motion, Reals, Touch, ms
-from tests.benchmarks.bench_engine import LENGTH, plain, streams
+from tests.benchmarks.bench_engine import plain, streams
 from tests.benchmarks.machine import print_head
-from tests.benchmarks.peers.environments import PINS, PeerError, Variant, carry_out, take_turns
+from tests.benchmarks.peers.environments import PINS, PeerError, Variant, carry_out, try_in_turns
+from tests.benchmarks.peers.job import LENGTH
 
 SAMPLES = {1: 20_000, 64: 2000}  # of each fingertip, by their number
 TURNS = 5
@@ -31,8 +32,6 @@ VARIANTS = (
     *(Variant(f"slipflow, batches of {n}", "slipflow", "slipflow_batches", str(n)) for n in (1, 100, 1000)),
     Variant("plain Python push graph, records", "plain", "push_graph"),
     Variant("csp, Python nodes, records", "csp", "csp_python"),
-    Variant("bytewax, records", "bytewax", "bytewax_flow"),
-    Variant("bytewax, chunks of 1000", "bytewax", "bytewax_flow", "1000"),
 )
 
 
@@ -102,7 +101,7 @@ def column(fingers: int) -> tuple[dict[str, str], bool]:
     """Return the cells of each variant at one number of fingertips, and whether one failed."""
     with tempfile.TemporaryDirectory(prefix="slipflow-bench-") as name:
         source = Path(name) / "job.npz"
-        cost, failed = take_turns(VARIANTS, TURNS, partial(spent, source, written(source, fingers)))
+        cost, failed = try_in_turns(VARIANTS, TURNS, partial(spent, source, written(source, fingers)))
     one, thousand = (cost.get(each, []) for each in (LIVE, BATCHED))
     samples = SAMPLES[fingers] * fingers
     found = {name: cells(each, one, thousand, samples) for name, each in cost.items()}

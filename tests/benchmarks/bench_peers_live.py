@@ -19,7 +19,7 @@ from operators.batch import Reals
 from storage import load_detector
 from tests.benchmarks.bench_engine import plain, streams
 from tests.benchmarks.machine import print_head
-from tests.benchmarks.peers.environments import PINS, PeerError, Variant, carry_out, take_turns
+from tests.benchmarks.peers.environments import PINS, PeerError, Variant, carry_out, try_in_turns
 
 FINGERS = 8
 SECONDS, TURNS = 20, 3
@@ -34,7 +34,6 @@ VARIANTS = (
     Variant("slipflow, detector tcn", "slipflow", "slipflow_live", "tcn"),
     Variant("plain Python, called inline", "plain", "push_live", ENERGY),
     Variant("csp, Python nodes", "csp", "csp_live", ENERGY),
-    Variant("bytewax", "bytewax", "bytewax_live", ENERGY),
 )
 
 
@@ -84,7 +83,7 @@ def main() -> None:
     print(", ".join(pin for pins in PINS.values() for pin in pins[1:]))
     with tempfile.TemporaryDirectory(prefix="slipflow-bench-") as name:
         source = Path(name) / "job.npz"
-        found, failed = take_turns(VARIANTS, TURNS, partial(measured, source, written(source)))
+        found, failed = try_in_turns(VARIANTS, TURNS, partial(measured, source, written(source)))
     columns = "".join(f"{f'p{p:g}':>10}" for p in PERCENTILES)
     print(f"{'us from arrival to event':36}{columns}{'CPU, %':>10}")
     for variant in VARIANTS:

@@ -1,15 +1,14 @@
-"""CPU cost of a sample against fingertips, rows per batch, sinks, hours of a recording, and workers.
+"""CPU cost of a sample against fingertips, sinks, hours of a recording, and workers.
 
-Run by `make bench`. The flow is touch | Zero | Score(tcn), and Debounce in replays. Fingertips, rows per
-batch and sinks: live runs of samples in memory, from the first batch to the last, medians of the turns; every
+Run by `make bench`. The flow is touch | Zero | Score(tcn), and Debounce in replays. Fingertips and sinks:
+live runs of samples in memory, one row per batch, from the first to the last, medians of the turns; each
 sink takes every score. Hours: replays of one recording in a process of its own, whose peak memory is shown,
-after another replay. Workers: `slipflow run --replay` over eight recordings of one hour, with the start of
-the processes. The recordings are those of the paper plan end to end, in a temporary folder, 4 MB per hour.
+after another replay. Workers: `slipflow run live --replay` over eight recordings of one hour, with the start
+of the processes. The recordings are those of the paper plan end to end, in a temporary folder, 4 MB per hour.
 """
 
 import argparse
 import asyncio
-import gc
 import json
 import os
 import statistics
@@ -19,6 +18,7 @@ import tempfile
 import time
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from resource import RUSAGE_SELF, getrusage
 from typing import Final
@@ -42,25 +42,12 @@ from storage.layout import TOUCH, file_name, session_folder
 from storage.parts import Part, write_manifest, write_part
 from storage.schema import to_arrow
 from tests.benchmarks.bench_replay import BLOCK, RATE, Watch, replay
-from tests.benchmarks.machine import print_head
+from tests.benchmarks.machine import print_head, take_turns
 
 BASELINE: Final = 700  # counts
 SAMPLES: Final = 20_000  # at least, of a live run
 HOURS: Final = (1, 30)
 TURNS: Final = 3
-FLOW = """
-from connectors import Console
-from flows.graph import Flow
-from flows.graph.testing import TestSource
-from operators import Score, Touch, Zero
-from storage import load_debounce, load_detector
-
-def slips() -> Flow:
-    flow = Flow("slips")
-    zeroed = flow.source(TestSource(Touch)) | Zero()
-    (zeroed | Score(load_detector("tcn")) | load_debounce("tcn")).to(Console())
-    return flow
-"""
 
 
 @dataclass(frozen=True)
@@ -75,10 +62,9 @@ class Point:
 
 @dataclass
 class Memory(Source[Touch]):
-    """Batches of some fingertips in turn, without waiting."""
+    """Rows of some fingertips in turn, without waiting."""
 
     count: int  # fingertips
-    rows: int  # of a batch
     touch: Touch
     cpu: float = field(default=0.0, init=False)  # s, from the first batch to the last
 
@@ -93,12 +79,11 @@ class Memory(Source[Touch]):
         return tuple(range(self.count))
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Yield the batches; their stamps begin now."""
+        """Yield the rows; their stamps begin now."""
         time_ = clock.now() + np.arange(len(self.touch)) * (s // RATE)
         touch, batches = replace(self.touch, time=time_), list[Touch]()
-        for start in range(0, len(touch), self.rows):
-            piece = touch[start : start + self.rows]
-            batches += [replace(piece, finger=finger) for finger in self.fingers]
+        for row in range(len(touch)):
+            batches += [replace(touch[row : row + 1], finger=finger) for finger in self.fingers]
         began = time.process_time()
         for batch in batches:
             yield batch
@@ -121,12 +106,10 @@ async def carry_out(flow: Flow) -> Run:
     return await LiveRunner(flow, "scaling").execute()
 
 
-def live(touch: Touch, fingers: int = 1, rows: int = 1, sinks: int = 1) -> float:
+def live(touch: Touch, fingers: int = 1, sinks: int = 1) -> float:
     """Run live and return the CPU us per sample."""
     size = max(20, SAMPLES // fingers)
-    if rows > 1:
-        size = max(size, 20 * rows)
-    source, flow = Memory(fingers, rows, touch[np.arange(size) % len(touch)]), Flow("scaling")
+    source, flow = Memory(fingers, touch[np.arange(size) % len(touch)]), Flow("scaling")
     scores = flow.source(source) | Zero(BASELINE) | Score(load_detector("tcn"))
     for _ in range(sinks):
         scores.to(TestSink())
@@ -135,22 +118,10 @@ def live(touch: Touch, fingers: int = 1, rows: int = 1, sinks: int = 1) -> float
 
 
 def lives(touch: Touch) -> list[Point]:
-    """Measure fingertips, rows per batch and sinks, in turns."""
-    values = {
-        "fingertips": (1, 100, 1000),
-        "rows per batch": (1, 100, 1000),
-        "sinks": (1, 8),
-    }
-    names = dict(zip(values, ("fingers", "rows", "sinks"), strict=True))
-    costs: dict[tuple[str, int], list[float]] = {(of, n): [] for of, many in values.items() for n in many}
-    gc.disable()
-    for turn in range(TURNS + 1):  # the first one warms up
-        for (of, number), found in costs.items():
-            cost = live(touch, **{names[of]: number})
-            gc.collect()
-            if turn:
-                found.append(cost)
-    gc.enable()
+    """Measure fingertips and sinks, in turns."""
+    runs = {("fingertips", number): partial(live, touch, number) for number in (1, 100, 1000)}
+    runs |= {("sinks", number): partial(live, touch, 1, number) for number in (1, 8)}
+    costs = take_turns(runs, TURNS)
     return [Point(of, number, statistics.median(found)) for (of, number), found in costs.items()]
 
 
@@ -192,14 +163,13 @@ def lengths(touch: Touch, first: Path, out: Path) -> list[Point]:
     return points
 
 
-def workers(hour: Path, out: Path) -> list[Point]:
+def workers(hour: Path) -> list[Point]:
     """Measure processes; the printed slips must be the same."""
-    (out / "slips.py").write_text(FLOW)
     points, walls, printed = list[Point](), list[float](), set[tuple[str, ...]]()
     for jobs in (1, 2, 4):
         began, before = time.perf_counter(), _cpu()
         with executor.workers(jobs) as processes:
-            found = list(Replays(FlowSource(str(out / "slips.py")), [hour] * 8).run(processes))
+            found = list(Replays(FlowSource("live"), [hour] * 8).run(processes))
         walls.append(time.perf_counter() - began)
         cost = (_cpu() - before) / (8 * 3600 * RATE) * 1e6
         printed.add(tuple(each.printed for each in found))
@@ -237,7 +207,7 @@ def main() -> None:
         paths = recordings([simulate(out / "paper", "paper", 0)])
         touch = concat(Touch, [batch for path in paths for batch in Session.open(path).read(Touch, 0, BLOCK)])
         points = [*lives(touch), *lengths(touch, paths[0], out / "long")]
-        points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"), out)
+        points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"))
     print(table(points).markdown())
 
 

@@ -9,12 +9,12 @@ import statistics
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from tests.benchmarks.machine import print_head
+from tests.benchmarks.machine import print_head, take_turns
 
 COMMAND: Final = [sys.executable, "-m", "flows.cli"]
 SERVED: Final = "live page: "  # begins the line that names the address of the page
@@ -59,19 +59,13 @@ def page_served() -> float:
 def main() -> None:
     """Measure and print the table."""
     print_head(f"medians of {TURNS} turns")
-    commands: dict[str, Callable[[], float]] = {
+    commands = {
         "--help": lambda: answered("--help"),
         "check live": lambda: answered("check", "live"),
         "demo, until its page is served": page_served,
     }
-    spent: dict[str, list[float]] = {name: [] for name in commands}
-    for turn in range(TURNS + 1):
-        for name, run in commands.items():
-            cpu = run()
-            if turn:
-                spent[name].append(cpu)
     print(f"{'':42}{'CPU, s':>8}")
-    for name, found in spent.items():
+    for name, found in take_turns(commands, TURNS).items():
         print(f"{name:42}{statistics.median(found):8.2f}")
 
 

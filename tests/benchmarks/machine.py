@@ -1,18 +1,29 @@
-"""The head of a table: what was measured, and where."""
+"""What all benchmarks share: the head of a table, turns, and the live cost of a flow."""
 
+import gc
 import os
 import platform
 import subprocess
+import time
+from collections.abc import Callable, Mapping
+from typing import TypeVar
 
 import numpy as np
+
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
+from operators import Touch, ms
+from operators.batch import Counts
+
+Key = TypeVar("Key")
 
 
 def commit() -> str:
     """Return the commit of the working tree, "-dirty" behind it if it was changed since."""
-    told = subprocess.run(
+    described = subprocess.run(
         ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
     )
-    return told.stdout.strip()
+    return described.stdout.strip()
 
 
 def print_head(about: str) -> None:
@@ -21,3 +32,44 @@ def print_head(about: str) -> None:
     processor = platform.processor() or platform.machine()
     print(f"{processor}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
+
+
+def take_turns(measures: Mapping[Key, Callable[[], float]], turns: int) -> dict[Key, list[float]]:
+    """Call all functions in turns, so that a change of the machine's speed affects all of them.
+
+    Returns:
+        Costs by function, without those of the first turn, which warms up.
+    """
+    found: dict[Key, list[float]] = {key: [] for key in measures}
+    for turn in range(turns + 1):
+        for key, measure in measures.items():
+            gc.collect()
+            gc.disable()
+            cost = measure()
+            gc.enable()
+            if turn:
+                found[key].append(cost)
+    return found
+
+
+def live_cost(flow: Flow, counts: Counts) -> Callable[[], float]:
+    """Return a function that pushes samples one by one through a flow, and returns the CPU us of a sample.
+
+    Args:
+        flow: Flow with one source, of touch.
+        counts: (n, cells) samples at 100 Hz. Later passes have one time, so that no row is late.
+    """
+    compiled, valid = CompiledFlow(flow), np.ones_like(counts, np.bool_)
+    push = compiled.pusher(*compiled.entries)
+    rows = Touch(np.arange(len(counts)) * 10 * ms, counts, counts, valid, finger=0).packed.copy()
+    push(Touch.unpack(rows.copy(), 0))
+    rows["time"] = rows["time"][-1]
+    pieces = [rows[at : at + 1] for at in range(len(rows))]
+
+    def measure() -> float:
+        began = time.process_time()
+        for row in pieces:
+            push(Touch.unpack(row, 0))
+        return (time.process_time() - began) / len(pieces) * 1e6
+
+    return measure

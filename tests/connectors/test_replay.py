@@ -7,20 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors import Replay
+from flows.graph.testing import TestRecording
 from flows.run.clocks import EventClock
 from operators.batch import Motion, Scores, concat, ms, s
 from operators.errors import InputError
-from tests.flows.run.live import Memory
 
 
-def recorded(times: Mapping[int, list[int]]) -> Memory:
+def recorded(times: Mapping[int, list[int]]) -> TestRecording:
     """Scores of several fingertips."""
-    return Memory(
-        *(
-            Scores(np.array(time, np.int64), np.linspace(0, 1, len(time)), finger=finger)
-            for finger, time in times.items()
-        )
+    batches = (
+        Scores(np.array(time, np.int64), np.linspace(0, 1, len(time)), finger=finger)
+        for finger, time in times.items()
     )
+    return TestRecording("memory", batches)
 
 
 def replay(source: Replay[Scores], clock: EventClock) -> list[tuple[int, Scores]]:

@@ -40,25 +40,18 @@ def test_a_flow_that_records_samples_records_the_raw_streams_as_they_arrive(name
     assert {Touch, Motion} <= {parent.gives for parent in dataset.inputs if isinstance(parent.part, Source)}
 
 
-def test_record_records_synchronized_labelled_samples(tmp_path: Path) -> None:
-    run = run_for(record(out=str(tmp_path)), 20)
+def test_a_recorded_session_has_labelled_samples_and_replays_to_the_same(tmp_path: Path) -> None:
+    run = run_for(record(out=str(tmp_path / "live")), 20)
     assert run.sinks["dataset"].dropped == 0
-    samples = pl.read_parquet(f"{tmp_path}/sessions/test/samples/*.parquet")
-    assert len(samples) == pytest.approx(2000, abs=20)
-    assert set(samples["label"].unique()) >= {0, 1}
-    assert samples["time"].is_sorted()
-    matched = samples["velocity"].arr.first().is_not_nan()
-    assert matched.mean() == pytest.approx(1, abs=0.02)
-
-
-def test_a_recorded_session_replays_to_the_same_samples(tmp_path: Path) -> None:
-    run_for(record(out=str(tmp_path / "live")), 20)
     session = Session.open(tmp_path / "live")
     asyncio.run(ReplayRunner(record(out=str(tmp_path / "again")), session, "again").execute())
     live, again = (
         pl.read_parquet(f"{tmp_path}/{which}/sessions/*/samples/*.parquet") for which in ("live", "again")
     )
     assert live.equals(again)
+    assert len(live) == pytest.approx(2000, abs=20)
+    assert set(live["label"].unique()) >= {0, 1}
+    assert live["velocity"].arr.first().is_not_nan().mean() == pytest.approx(1, abs=0.02)
 
 
 def test_live_prints_slip_events(capsys: pytest.CaptureFixture[str]) -> None:

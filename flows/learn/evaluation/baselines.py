@@ -60,8 +60,8 @@ class Features:
         return sampling.scaled(self.steps) + 1
 
 
-ACTIVITY: Final = Features(40, activity)
-STROKES: Final = Features(50, strokes)
+ACTIVITY_FEATURES: Final = Features(40, activity)
+STROKE_FEATURES: Final = Features(50, strokes)
 
 
 @dataclass(frozen=True, eq=False)

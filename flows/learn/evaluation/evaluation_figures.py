@@ -8,7 +8,7 @@ import polars as pl
 
 from flows.learn.evaluation.published import TABLE_1
 from flows.learn.evaluation.stress_study import FIELDS, condition_name
-from flows.report.figures import FAINT, GROUND, INK, MAIN, MORE, SOFT, WIDTH, Figure, grid, name_points
+from flows.report.figures import FAINT, GROUND, MAIN, MORE, SOFT, WIDTH, Figure, grid
 
 _COLUMNS: Final = 4  # panels in a row
 _MARKS: Final = "osD^vP*X"
@@ -30,13 +30,13 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
     """Draw accuracy over CPU time, with the Pareto front and the paper's accuracy.
 
     Args:
-        points: Columns ``method``, ``us/sample`` and ``accuracy %``, from fast to slow.
-        front: Methods on the Pareto front.
+        points: Columns ``method``, ``us/sample`` and ``accuracy %``, from fast to slow; some are known.
+        front: Methods on the Pareto front, which are filled.
     """
     figure, (axis,) = grid(1, 1, (WIDTH, 5.6))
     errors = points.select("method", "us/sample", 100 - pl.col("accuracy %")).drop_nulls()
     rows = errors.rows()
-    low, high = min(us for _, us, _ in rows) / 2, max(us for _, us, _ in rows) * 8
+    low, high = min(us for _, us, _ in rows) / 2, max(us for _, us, _ in rows) * 4
     shown = [*(100 - each for each in TABLE_1.values()), *(error for *_, error in rows)]  # errors, %
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter("{x:g}")
@@ -59,11 +59,11 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
     axis.grid(visible=True)
     axis.set_axisbelow(True)
-    for name, us, error in rows:
-        colour = MAIN if name in front else INK
-        axis.plot(us, error, "o", color=colour, markerfacecolor=colour if name in front else GROUND)
-    name_points(axis, rows, (10.0, 4.6))
-    axis.legend(loc="lower left")
+    for place, (name, us, error) in enumerate(rows):
+        colour = MORE[place % len(MORE)]
+        fill = colour if name in front else GROUND
+        axis.plot(us, error, "o", color=colour, markerfacecolor=fill, linestyle="", label=name)
+    figure.legend(*axis.get_legend_handles_labels(), loc="outside right upper")
     return figure
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import polars as pl
@@ -156,8 +157,8 @@ def _speed(of: Evaluation) -> Section:
     table = estimate_table(found, DECIMALS)
     table = replace(table, rows=sorted(table.rows, key=lambda row: order.index(row[0])))
     tables = [_with_column(table, len(table.head), "front", dict.fromkeys(front, "yes"))]
-    title = "Speed against accuracy"
-    return Section("chart", title, SPEED_TEXT, tables, lambda: figures.chart(points, front))
+    draw = partial(figures.chart, points, front) if front else None  # nothing may be judged
+    return Section("chart", "Speed against accuracy", SPEED_TEXT, tables, draw)
 
 
 def _sliding(of: Evaluation) -> Section:

@@ -12,7 +12,14 @@ import polars as pl
 
 from flows.learn.evaluation.detector_speed import speed_results
 from flows.learn.evaluation.folds import EVERY, Fold, group_folds, repeated, split_fold
-from flows.learn.evaluation.methods import Candidate, Method, baselines, hold_out_methods, trained_methods
+from flows.learn.evaluation.methods import (
+    BASELINES,
+    Candidate,
+    FittedMethod,
+    baselines,
+    hold_out_methods,
+    trained_methods,
+)
 from flows.learn.event_metrics import DECISION, PAUSE
 from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, hand_label_summary, load
 from flows.learn.measures import SHARES, judged
@@ -36,7 +43,7 @@ class Evaluation:
 
     subject: str  # what was judged
     results: pl.DataFrame  # long table; methods in the order of their accuracy
-    methods: Mapping[str, Method]  # with the debounce that was used, in the same order
+    methods: Mapping[str, FittedMethod]  # with the debounce that was used, in the same order
     missing: Mapping[str, str]  # reasons by method
     notes: Sequence[str] = ()  # what a reader must know to judge the numbers
     label: pl.DataFrame = field(default_factory=joined)  # the arm-speed label as a method
@@ -84,6 +91,8 @@ def evaluate(
     if hold_out:
         folds = group_folds(recordings, hold_out, str(dataset))
         candidates = [*trained, *hold_out_methods(names, train=train)]
+        if left := sorted({*names} & {*BASELINES} - {each.name for each in candidates}):
+            raise InputError(", ".join(left), "is not judged on groups; logistic is, with --train")
         subject, parts = f"{dataset.resolve().name}, held out: {', '.join(hold_out)}", "group"
     else:
         folds = [split_fold(recordings, split, str(dataset))]
@@ -123,7 +132,7 @@ def judge_all(
     Raises:
         InputError: if no method can be judged.
     """
-    methods, missing, results = dict[str, Method](), dict[str, str](), joined()
+    methods, missing, results = dict[str, FittedMethod](), dict[str, str](), joined()
     answers = map_tasks(_judge, tasks, executor, progress=progress, lost=lambda _, reason: reason)
     for (candidate, _), answer in zip(tasks, answers, strict=True):
         if isinstance(answer, str):
@@ -146,7 +155,7 @@ def judge_all(
 
 
 @one_thread()
-def _judge(task: tuple[Candidate, Fold]) -> tuple[Method, pl.DataFrame] | str:
+def _judge(task: tuple[Candidate, Fold]) -> tuple[FittedMethod, pl.DataFrame] | str:
     """Return a fitted method and its results on a fold; or why there are none."""
     candidate, fold = task
     try:
@@ -157,7 +166,7 @@ def _judge(task: tuple[Candidate, Fold]) -> tuple[Method, pl.DataFrame] | str:
 
 
 def method_results(
-    method: Method, recordings: Iterable[LabelledRecording], *, condition: str = "", fold: str = ""
+    method: FittedMethod, recordings: Iterable[LabelledRecording], *, condition: str = "", fold: str = ""
 ) -> pl.DataFrame:
     """Judge a method, whose debounce was chosen, on recordings; see `judged`."""
     assert method.debounce is not None, "it was chosen"
@@ -178,7 +187,7 @@ def _distinct(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording
 
 
 def _label_results(recording: LabelledRecording) -> pl.DataFrame:
-    """Judge the arm-speed label as if it were a detector; events are its slips as in `Slips`."""
+    """Judge the arm-speed label as if it were a detector; events are its slips as in `TrueSlips`."""
     probability: Reals = np.where(recording.label == UNKNOWN, np.nan, recording.label == SLIP)
     probability[: recording.sampling.warm_up] = np.nan
     rule = Debounce(DECISION, 1, recording.sampling.samples(PAUSE))

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import ACTIVITY, STROKES, Features, Logistic
+from flows.learn.evaluation.baselines import ACTIVITY_FEATURES, STROKE_FEATURES, Features, Logistic
 from flows.learn.evaluation.folds import Fold
 from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import Sampling
@@ -31,7 +31,7 @@ _SUFFIX: Final = ".safetensors"
 
 
 @dataclass(frozen=True, slots=True)
-class Method:
+class FittedMethod:
     """Detector with its name in tables."""
 
     name: str
@@ -40,11 +40,11 @@ class Method:
     chosen_on: str = "its card"  # origin of the debounce
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its model; empty: it has none
 
-    def fit(self, _: Fold) -> "Method":
+    def fit(self, _: Fold) -> "FittedMethod":
         """Return the method itself, which learns nothing from a fold."""
         return self
 
-    def debounced(self, fold: Fold) -> "Method":
+    def debounced(self, fold: Fold) -> "FittedMethod":
         """Return the method with its debounce, or one tuned on the validation, or that of the paper."""
         if self.debounce is not None:
             return self
@@ -60,15 +60,15 @@ class Learner:
     name: str
     learn: Callable[[Fold], Detector]  # a function of a module, or a partial of one: it is pickled
 
-    def fit(self, fold: Fold) -> Method:
+    def fit(self, fold: Fold) -> FittedMethod:
         """Return the method that has learned from the training of a fold."""
-        return Method(self.name, self.learn(fold))
+        return FittedMethod(self.name, self.learn(fold))
 
 
-Candidate: TypeAlias = Method | Learner
+Candidate: TypeAlias = FittedMethod | Learner
 
 
-def trained_methods(names: Collection[str] = ()) -> list[Method]:
+def trained_methods(names: Collection[str] = ()) -> list[FittedMethod]:
     """Return the methods that have weights: shipped ones and model files.
 
     Args:
@@ -111,15 +111,17 @@ def hold_out_methods(
         train: Include those that learn from the other groups; else only psd with its default threshold.
         recipe: Size and training of the network.
     """
-    found: dict[str, Candidate] = {"psd": Method("psd", Psd(), PAPER_RULE, "the paper")}
+    found: dict[str, Candidate] = {"psd": FittedMethod("psd", Psd(), PAPER_RULE, "the paper")}
     if train:
-        learn = partial(fitted_baseline, Logistic.name, features=STROKES, hop=_SHORT_HOP)
+        learn = partial(fitted_baseline, Logistic.name, features=STROKE_FEATURES, hop=_SHORT_HOP)
         found[Logistic.name] = Learner(Logistic.name, learn)
         found["tcn"] = Learner("tcn, trained", partial(_trained_tcn, recipe))
     return [found[name] for name in wanted(names, found)]
 
 
-def fitted_baseline(name: str, fold: Fold, *, features: Features = ACTIVITY, hop: int = _HOP) -> Detector:
+def fitted_baseline(
+    name: str, fold: Fold, *, features: Features = ACTIVITY_FEATURES, hop: int = _HOP
+) -> Detector:
     """Fit a baseline to the training of a fold.
 
     Args:
@@ -162,6 +164,6 @@ def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
     return detector
 
 
-def _loaded(name: str, model: str) -> Method:
+def _loaded(name: str, model: str) -> FittedMethod:
     card = load_card(shipped(model) or Path(model))
-    return Method(name, load_detector(model), load_debounce(model), card=card)
+    return FittedMethod(name, load_detector(model), load_debounce(model), card=card)

@@ -17,7 +17,7 @@ from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import PaperStrokes, Scene
 from flows.learn.evaluation.evaluation_study import Evaluation, Progress, judge_all, method_results
 from flows.learn.evaluation.folds import Fold
-from flows.learn.evaluation.methods import Candidate, Method, baselines, trained_methods
+from flows.learn.evaluation.methods import Candidate, FittedMethod, baselines, trained_methods
 from flows.learn.labelled_recordings import simulated_recordings
 from flows.report.results import joined
 from flows.run.executor import map_tasks, one_thread
@@ -85,7 +85,7 @@ def condition_name(field: str, value: float) -> str:
 
 @one_thread()
 def _results(
-    methods: Sequence[Method], plan: PaperPlan, seed: int, condition: tuple[str, tuple[str, float]]
+    methods: Sequence[FittedMethod], plan: PaperPlan, seed: int, condition: tuple[str, tuple[str, float]]
 ) -> pl.DataFrame:
     name, (field, value) = condition
     recordings = simulated_recordings(plan_of(field, plan), seed, lambda scene: stressed(scene, field, value))

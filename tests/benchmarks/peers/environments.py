@@ -16,7 +16,6 @@ PINS: Final = {  # the newest of November 2026
     "slipflow": (),  # ours
     "plain": (NUMPY,),
     "csp": (NUMPY, "csp==0.19.1"),
-    "bytewax": (NUMPY, "bytewax==0.21.1"),
 }
 
 
@@ -52,7 +51,7 @@ def python_of(name: str) -> str:
     return str(python)
 
 
-def take_turns(
+def try_in_turns(
     variants: Sequence[Variant], turns: int, measure: Callable[[Variant], T]
 ) -> tuple[dict[str, list[T]], dict[str, str]]:
     """Measure variants in turns; return the results of those that never fail, and why the others do."""

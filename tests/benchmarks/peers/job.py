@@ -63,10 +63,6 @@ class Job(NamedTuple):
                 span.append((finger, self.time[finger, part], self.counts[finger, part]))
             yield span
 
-    def chunks(self, rows: int) -> list[Chunk]:
-        """The spans, one after the other."""
-        return [chunk for span in self.spans(rows) for chunk in span]
-
 
 class Meter:
     """CPU time of this process, all its threads and the children it has waited for, while it is entered."""

@@ -10,9 +10,9 @@ from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators import Clock, Run, Score, Scores, Sink, Source, Touch, Zero
 from storage import load_detector
-from tests.benchmarks.bench_engine import StepEnergy
 from tests.benchmarks.peers.job import BASELINE, LENGTH
 from tests.benchmarks.peers.live import Live, carry_out_live
+from tests.benchmarks.peers.slipflow_batches import StepEnergy
 
 
 class Fingertips(Source[Touch]):

@@ -3,12 +3,10 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from flows.cli.terminal import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn.training import training_loop
 from storage.models import shipped
@@ -42,17 +40,6 @@ def test_interrupted_training_stops_without_a_model(
         train_command([tiny], out=tmp_path / "m.safetensors")
     assert "stopped: no model was written to" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_evaluate_notes_beforehand_that_figures_need_matplotlib(
-    tmp_path: Path, hide_packages: Callable[..., None], capsys: pytest.CaptureFixture[str]
-) -> None:
-    hide_packages("matplotlib")
-    prepare_report(tmp_path / "out" / "report")
-    assert (
-        "the report will have no figures, which need matplotlib: in the clone, pip install -e '.[report]'"
-        in capsys.readouterr().err
-    )
 
 
 HIDING = """

@@ -1,6 +1,5 @@
 """`slipflow export`; docs/how-to/lerobot.md, which the tests run, shows the export for LeRobot."""
 
-import json
 from pathlib import Path
 
 from tests.command import slipflow
@@ -16,12 +15,6 @@ def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
     assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{name}.mcap" for name in names}
     assert done.stdout.startswith("12 files, ")
     session = tiny / "sessions" / names[0]
-    one = slipflow("export", str(session), "one.mcap", "--to", "mcap", "--json", cwd=tmp_path)
-    assert list(json.loads(one.stdout)["files"]["one.mcap"]) == [
-        "/touch/0",
-        "/samples/0",
-        "/episodes",
-        "/truth/0",
-        "/motion",
-    ]
+    one = slipflow("export", str(session), "one.mcap", "--to", "mcap", cwd=tmp_path)
+    assert one.stdout.endswith("rows\nwrote one.mcap\n")
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "out" / f"{names[0]}.mcap").read_bytes()

@@ -67,6 +67,7 @@ MISTAKES = [
     ("evaluate TINY --split holdout", "has no split 'holdout'"),
     ("evaluate TINY --train", "needs --hold-out"),
     ("evaluate", "needs a dataset, or --stress without one"),
+    ("evaluate --stress --chart", "omit --split, --hold-out and --chart"),
     ("evaluate TINY --method oracle", "oracle: is not a method"),
     ("evaluate nowhere --method missing.safetensors", "missing.safetensors: cannot be read"),
     ("experiment tap --object egg", "object is 'egg', must be one of box"),

@@ -78,30 +78,6 @@ def test_a_compiled_leaves_the_declared_operators_as_they_were() -> None:
         assert len(slips) == 1
 
 
-def test_every_fingertip_has_operators_of_its_own() -> None:
-    flow = Flow("f")
-    (flow.source(TestSource(Scores, fingers=(0, 1))) | Debounce(consecutive=2)).to(TestSink())
-    compiled = CompiledFlow(flow)
-    first, second = compiled.entries
-    assert compiled.push({first: scores(0.9, finger=0)}) == []
-    assert compiled.push({second: scores(0.9, finger=1)}) == []
-    [(_, slips)] = compiled.push({first: scores(0.9, start=10 * ms, finger=0)})
-    assert slips.finger == 0
-
-
-def test_the_arm_motion_reaches_every_fingertip() -> None:
-    flow = Flow("f")
-    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
-    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
-    compiled = CompiledFlow(flow)
-    left, right, arm = compiled.entries
-    compiled.push({left: touch(0, finger=0)})
-    compiled.push({right: touch(0, finger=1)})
-    joined = [batch for _, batch in compiled.push({arm: motion(0, 8 * ms)})]
-    assert [batch.finger for batch in joined] == [0, 1]
-    assert all(isinstance(batch, Sample) and batch.matched.all() for batch in joined)
-
-
 def test_a_compiled_flow_lists_types_and_fingertips_of_each_sink() -> None:
     flow, one, other = Flow("pressed"), TestSink("one"), TestSink("other")
     probabilities = flow.source(TestSource(Scores, fingers=(1,)))

@@ -74,17 +74,6 @@ def test_a_default_without_end_is_listed_too() -> None:
     assert str(Parameter("limit", Speed, float("inf"))).startswith("limit=inf  (a speed with its unit: ")
 
 
-def test_default_and_unit_are_in_the_json() -> None:
-    assert Parameter("delay", Duration, 70 * ms).as_dict() == {
-        "default": 70_000_000,
-        "unit": "ns",
-        "takes": "a time with its unit: 500ms, 30s, 1h or 30d",
-        "about": "",
-    }
-    found = Parameter("out", Path, Path("a"), "Dataset.").as_dict()
-    assert found == {"default": "a", "unit": None, "takes": "a path", "about": "Dataset."}
-
-
 @pytest.mark.parametrize("kind", [str, Path])
 def test_empty_text_as_of_a_variable_that_is_not_set_is_refused(kind: object) -> None:
     with pytest.raises(ParameterError, match="record: out is '', must be "):

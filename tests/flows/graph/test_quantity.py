@@ -50,10 +50,6 @@ def test_an_invalid_quantity_is_reported_with_examples(text: str, unit: str) -> 
     assert raised.value.must_be == f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
 
 
-def test_negative_quantities_need_signed() -> None:
-    assert parse_quantity("x", "y", "-5ms", "ns", signed=True) == -5_000_000
-
-
 @given(st.integers(-(2**62), 2**62))
 @example(49_999_999_999_999_948)
 def test_a_formatted_time_parses_to_the_same_value(time: int) -> None:

@@ -1,20 +1,16 @@
-"""Weights of an untrained network, and a small trained one."""
+"""Labels, and a small trained network."""
 
-import math
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Check, Model
 from flows.learn.training.trainer import train
 from operators import Debounce
 from operators.batch import Codes
-from operators.detectors.tcn import shapes
 
 TWICE = Debounce(0.5, consecutive=2, release=2)
 
@@ -25,25 +21,6 @@ def label(samples: int, *runs: tuple[int, int]) -> Codes:
     for first, end in runs:
         result[first:end] = 1
     return result
-
-
-@pytest.fixture(scope="session")
-def unlearned() -> Callable[[int], dict[str, NDArray[Any]]]:
-    """Return a function that draws the weights of a TCN with a number of filters."""
-
-    def weights(filters: int) -> dict[str, NDArray[Any]]:
-        random = np.random.default_rng(filters)
-        drawn: dict[str, NDArray[Any]] = {
-            name: random.normal(0, math.prod(shape[:-1]) ** -0.5, shape).astype(np.float32)
-            for name, shape in shapes(8, filters, 24, 3).items()
-        }
-        return drawn | {
-            "dilations": np.array([1, 2, 4]),
-            "position_scale": np.array([8], np.float32),
-            "step_scale": np.array([1.5], np.float32),
-        }
-
-    return weights
 
 
 class Trained(NamedTuple):

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from flows.learn.alarm_calibration import (
     PATH,
+    SettingTrials,
     TooLittleDataError,
-    Trials,
     alarm_limit,
     calibrated,
     try_settings,
@@ -28,15 +28,15 @@ MARGIN = 3 * math.sqrt(0.05 * 0.95 / DRAWS)  # three standard errors of the shar
 RATES = np.geomspace(0.02, 20, len(PATH))  # true false alarms per minute of each setting
 
 
-def trials(alarms: NDArray[np.int64], minutes: Reals) -> Trials:
+def trials(alarms: NDArray[np.int64], minutes: Reals) -> SettingTrials:
     """Return trials with these false alarms (settings, sessions) and no slips."""
     none = np.empty(0)
-    return Trials(
+    return SettingTrials(
         [[EventMetrics(none, 0, int(n), 0, m) for n, m in zip(row, minutes, strict=True)] for row in alarms]
     )
 
 
-def nested(random: np.random.Generator, sessions: int, minutes: float) -> Trials:
+def nested(random: np.random.Generator, sessions: int, minutes: float) -> SettingTrials:
     """Draw alarms of settings that each raise all alarms of the stricter ones."""
     added = np.diff(RATES, prepend=0)[:, None] * minutes
     alarms = random.poisson(added, (len(PATH), sessions)).cumsum(axis=0)
@@ -166,15 +166,6 @@ def test_the_limit_holds_for_sessions_of_any_alarm_probabilities(seed: int, sess
         return random.binomial(1, chances).astype(np.int64)
 
     assert exceeded(draw, float(chances.sum()), at_95, seed) <= 0.05 + MARGIN
-
-
-@settings(max_examples=8, deadline=None)
-@given(seed=st.integers(0, 1000), sessions=st.integers(2, 100), mean=st.floats(0.05, 3))
-def test_the_limit_holds_for_poisson_alarms(seed: int, sessions: int, mean: float) -> None:
-    def draw(random: np.random.Generator) -> Ints:
-        return random.poisson(mean, sessions).astype(np.int64)
-
-    assert exceeded(draw, mean * sessions, at_95, seed) <= 0.05 + MARGIN
 
 
 def test_clustered_alarms_have_a_higher_limit_which_nearly_holds() -> None:

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.learn.event_metrics import BRIEF, PAUSE, EventMetrics, Slips, match_onsets, onsets, runs, tuned
+from flows.learn.event_metrics import BRIEF, PAUSE, EventMetrics, TrueSlips, match_onsets, onsets, runs, tuned
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, Sampling
 from operators import Debounce, ms
 from operators.batch import Codes, Flags, Reals
@@ -16,8 +16,8 @@ def sure(samples: int, *runs: tuple[int, int]) -> Reals:
     return np.where(label(samples, *runs), 0.9, 0.1)
 
 
-def slips(codes: Codes) -> Slips:
-    return Slips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes))
+def slips(codes: Codes) -> TrueSlips:
+    return TrueSlips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes))
 
 
 def seconds(*stretches: tuple[int, int]) -> list[list[int]]:
@@ -103,10 +103,10 @@ def test_runs_cover_what_is_true_and_nothing_else(flags: Flags) -> None:
     assert np.array_equal(covered, flags)
 
 
-def noisy(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Reals], list[Slips]]:
+def noisy(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Reals], list[TrueSlips]]:
     """Slips, and probabilities that follow them 20 ms late, with errors that last some samples."""
     random = np.random.default_rng(seed)
-    found, slips = list[Reals](), list[Slips]()
+    found, slips = list[Reals](), list[TrueSlips]()
     for _ in range(number):
         label = np.repeat(random.integers(0, 2, 40), random.integers(20, 60, 40)).astype(np.int8)
         wander = np.repeat(random.normal(size=len(label) // 3 + 1), 3)[: len(label)]
@@ -114,7 +114,7 @@ def noisy(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Reals], 
         probability = 1 / (1 + np.exp(-logit))
         probability[random.random(len(label)) < 0.01] = np.nan
         found.append(probability)
-        slips.append(Slips.labelled(LabelledRecording(np.zeros((len(label), 6), np.int16), label)))
+        slips.append(TrueSlips.labelled(LabelledRecording(np.zeros((len(label), 6), np.int16), label)))
     return found, slips
 
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.alarm_calibration import PATH, try_settings
-from flows.learn.event_metrics import Slips, tuned
+from flows.learn.event_metrics import TrueSlips, tuned
 from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from flows.learn.measures import judged
 from operators import Debounce
@@ -78,7 +78,7 @@ def test_the_chosen_settings_take_as_long_at_another_rate(times: int) -> None:
     slow = [scored(seed) for seed in range(4)]
     fast = [repeated(each, times) for each in slow]
     chosen = [
-        tuned([score for _, score in each], [Slips.labelled(recording) for recording, _ in each])
+        tuned([score for _, score in each], [TrueSlips.labelled(recording) for recording, _ in each])
         for each in (slow, fast)
     ]
     assert chosen[1] == Sampling(100.0 * times).rule(chosen[0])

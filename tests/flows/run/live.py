@@ -1,7 +1,7 @@
-"""Live runs of scores that come every 10 ms, in virtual time, and recordings in memory."""
+"""Live runs of scores that come every 10 ms, in virtual time."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,9 +9,7 @@ import numpy as np
 from flows.graph import Flow
 from flows.graph.testing import TestSink, VirtualLoop, run_virtually
 from flows.run.live_runner import LiveRunner
-from operators import Batch, Clock, Run, Scores, Sink, Source, ms
-from operators.batch import AnyBatch
-from operators.ports import Description
+from operators import Clock, Run, Scores, Sink, Source, ms
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -78,24 +76,3 @@ class Endless(Source[Scores]):
                 yield Scores(np.array([clock.now()]), np.array([0.9]))
         finally:
             self.closed = True
-
-
-class Memory:
-    """A recording held in memory."""
-
-    name = "memory"
-
-    def __init__(self, *batches: Batch) -> None:
-        self._batches = batches
-
-    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        return tuple(batch.finger for batch in self._batches if isinstance(batch, kind))
-
-    def read(self, kind: type[AnyBatch], finger: int, rows: int = 1000) -> Iterator[AnyBatch]:
-        for batch in self._batches:
-            if isinstance(batch, kind) and batch.finger == finger:
-                for start in range(0, len(batch), rows):
-                    yield batch[start : start + rows]
-
-    def describe(self) -> Description:
-        return {}

@@ -145,12 +145,3 @@ def test_a_recording_that_kills_its_workers_is_named_and_the_others_are_written(
         assert done.returncode == 1, done
         assert "in/sessions/deadly: its " in done.stderr
         assert session_names(tmp_path / name) == ["session-03"]
-
-
-def test_a_simulation_on_the_cluster_gives_the_bytes_of_one_process(
-    cluster: DaskCluster, tmp_path: Path
-) -> None:
-    for name, where in (("one", ["--jobs", "1"]), ("many", ["--cluster", cluster.url])):
-        done = slipflow("simulate", tmp_path / name, "--plan", "tiny", *where)
-        assert done.returncode == 0, done.stderr
-    assert contents(tmp_path / "one") == contents(tmp_path / "many")

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.testing import TestRecording, TestSink, TestSource, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, first_time, in_slices, replayed
@@ -26,17 +26,16 @@ from operators import (
     s,
 )
 from operators.batch import columns
-from tests.flows.run.live import Memory
 
 
-def recording(seconds: float = 5.0, finger: int = 0) -> Memory:
+def recording(seconds: float = 5.0, finger: int = 0) -> TestRecording:
     rng, start = np.random.default_rng(0), 1_700_000_000 * s
     time = start + np.arange(int(seconds * 100)) * 10 * ms  # (n,)
     counts = rng.integers(300, 500, (len(time), 6)).astype(np.int16)
     touch = Touch(time, counts, counts, np.ones(counts.shape, np.bool_), finger=finger)
     time = start + 3 * ms + np.arange(int(seconds * 125)) * 8 * ms
     velocity = rng.normal(0, 0.01, (len(time), 6))
-    return Memory(touch, Motion(time, time, velocity, np.full(velocity.shape, np.nan)))
+    return TestRecording("memory", [touch, Motion(time, time, velocity, np.full(velocity.shape, np.nan))])
 
 
 def labelling() -> tuple[Flow, TestSink]:
@@ -78,14 +77,14 @@ def test_a_replay_counts_rows_and_shows_event_time() -> None:
 
 def test_a_stream_that_the_recording_lacks_is_named() -> None:
     flow, _ = labelling()
-    touch_only = Memory(next(recording().read(Touch, 0, 1000)))
+    touch_only = TestRecording("memory", recording().read(Touch, 0, 1000))
     with pytest.raises(InputError, match="memory: has no motion stream, which source 'motion' needs"):
         ReplayRunner(flow, touch_only, "x")
 
 
 def test_an_empty_recording_is_an_error() -> None:
     flow, _ = labelling()
-    empty = Memory(Touch.empty(), Motion.empty())
+    empty = TestRecording("memory", [Touch.empty(), Motion.empty()])
     with pytest.raises(InputError, match="memory: is empty"):
         asyncio.run(ReplayRunner(flow, empty, "x").execute())
 
@@ -169,7 +168,7 @@ def test_two_sources_of_one_kind_take_the_fingertips_that_they_declare() -> None
     thumb, index = TestSink(), TestSink()
     flow.source(TestSource(Touch, fingers=(0,)), "thumb").to(thumb)
     flow.source(TestSource(Touch, fingers=(1,)), "index").to(index)
-    both = Memory(*(next(recording(1, finger=f).read(Touch, f, 1000)) for f in (0, 1)))
+    both = TestRecording("both", (each for f in (0, 1) for each in recording(1, f).read(Touch, f)))
     asyncio.run(ReplayRunner(flow, both, "x").execute())
     assert len(thumb.rows(Touch, 0)) == len(index.rows(Touch, 1)) == 100
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from flows.learn.evaluation.baselines import ACTIVITY, STROKES, Logistic
+from flows.learn.evaluation.baselines import ACTIVITY_FEATURES, STROKE_FEATURES, Logistic
 from flows.learn.labelled_recordings import Sampling
 from operators.batch import Counts, Flags
 
@@ -15,7 +15,7 @@ def shaking(seed: int) -> tuple[Counts, Flags]:
 
 
 def test_the_baseline_detects_shaking_of_any_cell() -> None:
-    fitted = Logistic.fitted(*shaking(0), ACTIVITY, Sampling())
+    fitted = Logistic.fitted(*shaking(0), ACTIVITY_FEATURES, Sampling())
     other, truth = shaking(1)
     assert ((fitted.score(other[:, :, ::-1]) > 0.5) == truth).mean() > 0.95
 
@@ -28,7 +28,7 @@ def test_features_cover_the_same_times_at_another_rate() -> None:
             one.compute(values[:, -one.length(sampling) :], sampling)
             for sampling, values in ((Sampling(), windows), (Sampling(300.0), fast))
         ]
-        for one in (ACTIVITY, STROKES)
+        for one in (ACTIVITY_FEATURES, STROKE_FEATURES)
     )
     slow, found = (np.expm1(each).reshape(50, 4, 2, 6) for each in activities)
     np.testing.assert_allclose(found[:, :, 0], slow[:, :, 0])  # variances

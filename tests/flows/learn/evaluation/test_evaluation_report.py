@@ -96,3 +96,12 @@ def test_the_front_has_the_methods_that_no_other_beats(report: Report, found: Ev
     assert chart[next(iter(found.methods))]["front"] == "yes", "the most accurate"
     speeds = [row["us/sample"] for row in chart.values()]
     assert speeds == sorted(speeds, key=lambda each: each or 0)
+
+
+def test_detectors_that_answer_nowhere_have_no_chart(
+    surfaces: list[LabelledRecording], having: Having, tmp_path: Path
+) -> None:
+    brief = replace(surfaces[0].piece(slice(60, 140)), split="test")  # within the warm-up
+    report = evaluation_report(evaluate(having([brief]), names=["tcn"], speed=1e-4), COMMAND)
+    assert [path.name for path in report.write(tmp_path, "brief") if path.suffix == ".svg"] == []
+    assert rows(report, "chart")["tcn"]["accuracy %"] is None

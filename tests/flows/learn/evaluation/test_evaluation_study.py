@@ -14,7 +14,6 @@ from flows.learn.measures import BALANCED, SHARES
 from flows.learn.training.recipe import Recipe
 from flows.report.results import estimates
 from flows.run.executor import workers
-from operators import Debounce
 from operators.detectors import Detector
 from operators.errors import InputError
 from operators.fingertip import TAKKTILE
@@ -42,17 +41,6 @@ def test_tasks_on_processes_give_the_same_results(found: Evaluation, tiny: Path)
     with workers(2) as executor:
         again = evaluate(tiny, names=names, executor=executor)
     assert again.results.equals(found.results.filter(pl.col("method").is_in(names)))
-
-
-def test_without_a_validation_split_the_papers_debounce_is_used(tiny: Path, having: Having) -> None:
-    everything = load(tiny)
-    assert evaluate(tiny, names=["psd"], split="validation").methods["psd"].chosen_on == "the paper"
-    dataset = having(
-        [replace(each, split="train") if each.split == "validation" else each for each in everything]
-    )
-    found = evaluate(dataset, names=["psd"])
-    assert found.methods["psd"].debounce == Debounce(0.5, 2, 2)
-    assert found.methods["psd"].chosen_on == "the paper"
 
 
 def test_with_all_recordings_judged_nothing_is_fitted_or_tuned(tiny: Path) -> None:
@@ -109,6 +97,14 @@ def test_a_learner_that_fails_on_one_group_is_missing(
     found = evaluate(having(still), hold_out=["all"], train=True, names=["psd", "logistic"])
     assert list(found.methods) == ["psd"]
     assert found.missing["logistic"]
+
+
+def test_a_method_that_is_not_judged_on_groups_is_named(
+    surfaces: list[LabelledRecording], having: Having
+) -> None:
+    for names in (["logistic"], ["tcn", "logistic"]):
+        with pytest.raises(InputError, match=r"^logistic: is not judged on groups; .*with --train"):
+            evaluate(having(surfaces), hold_out=["all"], names=names)
 
 
 def test_fingertips_of_a_session_are_recordings_of_their_own(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flows.learn.evaluation.folds import Fold
-from flows.learn.evaluation.methods import PAPER_RULE, Method, baselines, trained_methods
+from flows.learn.evaluation.methods import PAPER_RULE, FittedMethod, baselines, trained_methods
 from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
@@ -76,7 +76,7 @@ def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(
 
 
 def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[LabelledRecording]) -> None:
-    own, psd = Debounce(0.8, 3, 8), Method("psd", fitted(training, "psd")["psd"])
+    own, psd = Debounce(0.8, 3, 8), FittedMethod("psd", fitted(training, "psd")["psd"])
     fold = Fold("", training, training, training)
     tuned = tuned_on(training, psd.detector)
     for method, learned, debounce, origin in (
