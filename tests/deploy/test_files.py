@@ -139,7 +139,7 @@ def test_images_of_others_are_pinned_by_digest() -> None:
     shipped = (DEPLOY / "Dockerfile").read_text() + (DEPLOY / "compose.yaml").read_text()
     images = re.findall(r"^(?:FROM| +image:) (\S+)", shipped, re.MULTILINE)
     assert [each for each in images if not re.search(r":\d[\w.-]+@sha256:[0-9a-f]{64}$", each)] == [
-        "slipflow:0.1.0"
+        "slipflow:0.2.0"
     ]
 
 

@@ -75,7 +75,7 @@ def test_a_closed_pipe_ends_quietly() -> None:
 
 
 @pytest.mark.parametrize(
-    ("before", "code", "output"), [("default_int_handler", 130, ""), ("SIG_IGN", 0, "slipflow 0.1.0\n")]
+    ("before", "code", "output"), [("default_int_handler", 130, ""), ("SIG_IGN", 0, "slipflow 0.2.0\n")]
 )
 def test_ctrl_c_during_imports_ends_quietly_unless_the_parent_ignores_it(
     before: str, code: int, output: str
