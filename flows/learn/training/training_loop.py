@@ -69,6 +69,9 @@ class Crops:
 
         The counts of a slower hand are interpolated between rows; its rows, for the labels, are the nearest.
         """
+        if not self._varied.any():
+            rows = self.rows(first)
+            return rows, self.counts[rows].float()
         share, chosen = (torch.rand(len(first), generator=generator, device=first.device) for _ in range(2))
         slower = (chosen < how.stretch) & self._varied[first]
         factor = torch.where(slower, torch.exp(share * math.log(how.slowest)), 1.0)[:, None]
