@@ -5,9 +5,10 @@ is made from the other when it is first read: operators of slipflow take and giv
 of one row needs a single array; users' code and files read columns.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field
 from functools import cache, cached_property
+from operator import attrgetter
 from typing import Any, Final, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -84,8 +85,7 @@ class Batch(Declared):
     @property
     def cells(self) -> int:
         """Number of cells of the fingertip; 0 if the type has no column per cell."""
-        kind: Any = type(self)
-        name = cell_column(kind)
+        name = layout(type(self)).cell_column
         return int(getattr(self, name).shape[-1]) if name else 0
 
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> Self:
@@ -93,7 +93,7 @@ class Batch(Declared):
         kind = type(self)
         if "packed" in vars(self):
             return kind.unpack(self.packed[rows], self.finger)
-        return kind(*[getattr(self, name)[rows] for name in columns(kind)], finger=self.finger)
+        return kind(*[column[rows] for column in layout(kind).take(self)], finger=self.finger)
 
     @classmethod
     def empty(cls) -> Self:
@@ -119,9 +119,19 @@ class Batch(Declared):
         Raises:
             BatchError: if a column is invalid.
         """
-        rows = vars(self).get("packed")
-        if rows is None or rows.dtype != packed_type(type(self), self.cells):
+        expected, rows = layout(type(self)), vars(self).get("packed")
+        if rows is not None and rows.dtype is expected.row:
+            return self
+        if rows is not None and rows.dtype == packed_type(type(self), self.cells):
+            expected.row = rows.dtype
+            return self
+        try:
+            traits = expected.traits(self)
+        except AttributeError:  # a column is not an array
+            return self._check_each()
+        if traits != expected.valid:
             self._check_each()
+            expected.valid = traits
         return self
 
     def is_ordered(self) -> bool:
@@ -141,7 +151,7 @@ class Batch(Declared):
             raise BatchError(type(self).__name__, "time", reason)
         return self
 
-    def _check_each(self) -> None:
+    def _check_each(self) -> Self:
         """Check the columns one by one; the error names the invalid one."""
         kind, length, cells = type(self).__name__, next(iter(np.shape(self.time)), 0), CELLS
         for name, expected in columns(type(self)).items():
@@ -159,9 +169,26 @@ class Batch(Declared):
                 raise BatchError(kind, name, f"has shape {shape}, must be ({want})")
             if CELLS in expected.shape:
                 cells = shape[-1]
+        return self
 
 
 AnyBatch = TypeVar("AnyBatch", bound=Batch)
+
+
+class Layout:
+    """Cached column types and shapes of a batch type, for operations on every batch."""
+
+    def __init__(self, kind: type[Batch]) -> None:
+        expected = columns(kind)
+        traits = "__class__", "dtype", "shape"  # of each column
+        self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in traits))
+        self.valid: object = None  # traits of the newest valid batch
+        self.row: object = None  # type of the rows of the newest valid packed batch
+        self.cell_column = next((name for name, each in expected.items() if CELLS in each.shape), None)
+        getter = attrgetter(*expected)
+        self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
+            getter if len(expected) > 1 else lambda batch: (batch.time,)
+        )
 
 
 def pack(batch: Batch, row: np.dtype[Any]) -> NDArray[Any]:
@@ -177,8 +204,7 @@ def packed_type(kind: type[Batch], cells: int = BAROMETERS) -> np.dtype[Any]:
 
     A subtype begins with the columns of its base. Flags are bytes: numba has no records with arrays of flags.
     """
-    known: Any = kind
-    return _packed_type(known, cells if cell_column(known) else 0)
+    return _packed_type(cast("Any", kind), cells if layout(kind).cell_column else 0)
 
 
 @cache
@@ -191,6 +217,7 @@ def _packed_type(kind: type[Any], cells: int) -> np.dtype[Any]:
 
 
 _new: Final = object.__new__
+_layouts: Final[dict[type[Any], Layout]] = {}
 _empty: Final[dict[type[Any], Any]] = {}
 
 
@@ -203,10 +230,11 @@ def columns(kind: type[Batch]) -> Mapping[str, Column]:
     return declared[kind]
 
 
-@cache
-def cell_column(kind: type[Any]) -> str | None:
-    """Return the name of the first column that has a value per cell; None if there is none."""
-    return next((name for name, each in columns(kind).items() if CELLS in each.shape), None)
+def layout(kind: type[Batch]) -> Layout:
+    """Return the layout of a batch type."""
+    if kind not in _layouts:
+        _layouts[kind] = Layout(kind)
+    return _layouts[kind]
 
 
 def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
@@ -224,7 +252,7 @@ def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
         raise BatchError(kind.__name__, "finger", "cannot concatenate batches of several fingertips")
     if all("packed" in vars(batch) and type(batch) is kind for batch in full):
         return kind.unpack(np.concatenate([batch.packed for batch in full]), full[0].finger)
-    parts = ([getattr(batch, name) for batch in full] for name in columns(kind))
+    parts = zip(*map(layout(kind).take, full), strict=True)  # arrays of each column
     return kind(*map(np.concatenate, parts), finger=full[0].finger)
 
 
