@@ -31,7 +31,7 @@ class _Announcer(event.Listener):
     def on_start(self, event: object) -> None:
         """Log the first compilation."""
         if not self.begun:
-            log.info("compiling for this machine: up to a minute, once; later runs load the result")
+            log.info("compiling for this machine: up to some minutes if it is busy, once per kind of flow")
         self.begun = True
 
     def on_end(self, event: object) -> None:

@@ -97,15 +97,16 @@ class Broker:
         try:
             context = ssl.create_default_context(cafile=path)
         except ssl.SSLError:
-            reason = f"contains no CA certificate in PEM format ({CA})"
-            raise InputError(str(path), reason) from None
+            raise InputError(str(path), f"contains no CA certificate in PEM format ({CA})") from None
         except OSError as error:
             reason = f"cannot read the CA certificates ({CA}): {os_error_reason(error)}"
             raise InputError(str(path), reason) from None
-        own = os.environ.get(CERTIFICATE)
         try:
-            if own:
+            if own := os.environ.get(CERTIFICATE):
                 context.load_cert_chain(own, password="")  # never asks for a passphrase
+        except ssl.SSLError:
+            reason = f"contains no private key of its certificate, without a passphrase ({CERTIFICATE})"
+            raise InputError(str(own), f"{reason}: cat client.crt client.key > client.pem") from None
         except (OSError, ValueError) as error:
             reason = f"cannot use the client certificate and its key ({CERTIFICATE}): {error}"
             raise InputError(str(own), reason) from None

@@ -23,7 +23,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker, Message
+from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, PASSWORD_FILE, USER, Broker, Message
 from connectors.web.access import is_loopback
 from operators.batch import ms
 from operators.errors import EndpointError
@@ -210,7 +210,8 @@ class Link:
         """Return the likely remedy for a failed connection, empty if unknown."""
         text = str(error)
         if isinstance(error, MqttConnectError):
-            return f"; check {USER} and {PASSWORD}"
+            path, unset = os.environ.get(PASSWORD_FILE), "" if os.environ.get(USER) else ", which is not set,"
+            return f"; check {USER}{unset} and {f'the password in {path}' if path else PASSWORD}"
         if hint := next((hint for part, hint in _HINTS.items() if part in text), ""):
             return f"; {hint}"
         tls = self._url.startswith("mqtts:")

@@ -218,9 +218,8 @@ class Consumer(AsyncIterator[Event]):
 
         link = await connect(self._broker, f"slipflow-{self._reply_name}")
         try:  # heads last, so that an event in flight does not look like a gap
-            await link.listen(
-                f"{self._topic}/+/event", f"{self._topic}/replay/{self._reply_name}", f"{self._topic}/head"
-            )
+            names = "+/event", f"replay/{self._reply_name}", "head"
+            await link.listen(*(f"{self._topic}/{name}" for name in names))
         except BaseException:
             await link.disconnect()
             raise

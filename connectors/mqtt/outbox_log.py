@@ -153,9 +153,8 @@ class OutboxLog:
 
     def _read_segment(self, reader: LogReader, sent: dict[str, int]) -> None:
         if reader.identity not in (IDENTITY, b""):
-            raise InputError(
-                str(reader.path), "is not part of an outbox: name another outbox, or move it away"
-            )
+            reason = "is not part of an outbox: name another outbox, or move it away"
+            raise InputError(str(reader.path), reason)
         records = reader.records()
         first = next(records, None)
         if first is None:

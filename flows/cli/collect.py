@@ -8,6 +8,7 @@ import typer
 
 from flows.cli.options import Recordings, Rows, parse_rows
 from flows.cli.terminal import begin_log, note
+from flows.report.table import counted
 
 if TYPE_CHECKING:
     from connectors.ur.ur_state import Point, Pose
@@ -113,8 +114,6 @@ async def _collect(
 
 def _report(result: "Collector") -> None:
     """Print the sessions with their rows, gaps and dropped batches, and set the exit code."""
-    from flows.report.table import counted
-
     gaps = dropped = 0
     for run in result.runs:
         missing = sum(len(source.gaps) for source in run.sources.values())

@@ -71,9 +71,8 @@ def _as_text(found: "Findings", bad: int) -> str:
         lines.append(part)
         lines += [f"  {each.state:4} {each.subject}: {each.text}" for each in findings]
     total = sum(map(len, found.values()))
-    return "\n".join(
-        [*lines, f"{bad} of {total} checks failed" if bad else f"{total} checks: nothing is bad"]
-    )
+    verdict = f"{bad} of {total} checks failed" if bad else f"{total} checks: nothing is bad"
+    return "\n".join([*lines, verdict])
 
 
 def _as_json(found: "Findings") -> str:

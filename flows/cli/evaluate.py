@@ -31,8 +31,7 @@ def evaluate(
         bool, typer.Option("--train", help="With --hold-out: also train detectors on the other groups.")
     ] = False,
     stress: Annotated[
-        bool,
-        typer.Option("--stress", help="Judge detectors along simulated stresses, without a dataset."),
+        bool, typer.Option("--stress", help="Judge detectors along simulated stresses, without a dataset.")
     ] = False,
     chart: Annotated[
         bool, typer.Option("--chart", help="Also measure the CPU time of each detector.")

@@ -38,8 +38,7 @@ def experiment(
         int, typer.Option(min=0, help="Random seed of the first trial; it increases by 1 per trial.")
     ] = 900_000,
     stress: Annotated[
-        bool,
-        typer.Option("--stress", help="Also vary friction, mass, delay, sample rate and stiffness."),
+        bool, typer.Option("--stress", help="Also vary friction, mass, delay, sample rate and stiffness.")
     ] = False,
     jobs: Jobs = None,
     cluster: Cluster = None,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.live_view import add_metrics, add_page, print_json
+from flows.cli.live_view import add_metrics, add_page, check_metrics, print_json
 from flows.cli.options import (
     AsJson,
     Cluster,
@@ -107,6 +107,7 @@ def run(
     if pace and not replay:
         raise typer.BadParameter("--pace is for replays: add --replay PATH")
     limit = None if duration is None else parse_time("run", "--for", duration)  # ns
+    check_metrics(metrics)
     begin_log(log)
     flow = load_flow(target, settings)
     paths = recordings(replay or ())
@@ -217,10 +218,8 @@ def replay_all(
             note("interrupted: repeat the command to continue with the missing sessions")
             raise
     seconds = perf_counter() - began
-    summaries, failed = (
-        [each.summary for each in done if each.summary],
-        sum(bool(each.error) for each in done),
-    )
+    summaries = [each.summary for each in done if each.summary]
+    failed = sum(bool(each.error) for each in done)
     if as_json:
         sessions = [
             {"recording": each.recording, "error": each.error or None}

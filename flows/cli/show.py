@@ -22,8 +22,7 @@ _NONE: Final = "none"  # instead of a detector: no scores
 
 def show(
     session: Annotated[
-        Path,
-        typer.Argument(metavar="SESSION", help="Folder of a session, or of a dataset with one session."),
+        Path, typer.Argument(metavar="SESSION", help="Folder of a session, or of a dataset with one session.")
     ],
     *,
     detector: Annotated[

@@ -32,8 +32,7 @@ def train(
         ),
     ] = Path("model.safetensors"),
     method: Annotated[
-        str,
-        typer.Option(help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn."),
+        str, typer.Option(help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn.")
     ] = "tcn",
     parent: Annotated[
         str | None,

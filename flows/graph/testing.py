@@ -30,11 +30,7 @@ class TestSource(Source[B], Generic[B]):
     __test__ = False
 
     def __init__(
-        self,
-        kind: type[B],
-        batches: Iterable[B | Exception] = (),
-        *,
-        fingers: tuple[int, ...] = (EVERY,),
+        self, kind: type[B], batches: Iterable[B | Exception] = (), *, fingers: tuple[int, ...] = (EVERY,)
     ) -> None:
         self._kind, self._fingers = kind, fingers
         self._rest = list(batches)

@@ -46,12 +46,7 @@ class LiveRunner:
     """
 
     def __init__(
-        self,
-        flow: Flow,
-        session: str,
-        *,
-        clock: Clock | None = None,
-        duration: int | None = None,
+        self, flow: Flow, session: str, *, clock: Clock | None = None, duration: int | None = None
     ) -> None:
         self.compiled = CompiledFlow(flow)
         check_extras(flow.nodes)

@@ -55,7 +55,8 @@ class Summary:
             gaps = f"{len(source.gaps)} {'gap' if len(source.gaps) == 1 else 'gaps'}"
             lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
         for name, sink in self.sinks.items():
-            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped")
+            waiting = f", {sink.waiting} not acknowledged (in the outbox)" if sink.waiting else ""
+            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{waiting}")
         return "\n".join(lines)
 
 

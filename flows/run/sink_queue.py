@@ -120,7 +120,9 @@ class SinkQueue:
             lost = self.sink.pending
             self.status.rows -= lost
             self.status.dropped += lost
-            self.status.waiting, self.status.unstored = self.sink.waiting, 0
+            waiting = self.sink.waiting
+            self.status.waiting = None if waiting is None else max(0, waiting - lost)
+            self.status.unstored = 0
             self._room.set()
 
     def _take(self, batch: Batch) -> bool:

@@ -173,3 +173,6 @@ async def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its
     monkeypatch.setenv(CERTIFICATE, "/missing.pem")
     with pytest.raises(InputError, match=rf"cannot use the client certificate and its key \({CERTIFICATE}\)"):
         Broker.parse(url).tls()
+    monkeypatch.setenv(CERTIFICATE, str(tmp_path / "broker.crt"))
+    with pytest.raises(InputError, match=r"no private key .*: cat client.crt client.key > client.pem"):
+        Broker.parse(url).tls()

@@ -96,6 +96,12 @@ async def test_a_missing_broker_a_wrong_password_and_missing_rights_are_bad(
     monkeypatch.setenv(PASSWORD, "wrong")
     [wrong] = await found(guarded.url)
     assert (wrong.state, "check SLIPFLOW_MQTT_USER and SLIPFLOW_MQTT_PASSWORD" in wrong.text) == ("bad", True)
+    (tmp_path / "wrong").write_text("wrong")
+    monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "wrong"))
+    monkeypatch.delenv(USER)
+    [wrong] = await found(guarded.url)
+    remedy = f"; check SLIPFLOW_MQTT_USER, which is not set, and the password in {tmp_path / 'wrong'}"
+    assert wrong.text.endswith(remedy)
     missing = tmp_path / "missing"
     monkeypatch.setenv(PASSWORD_FILE, str(missing))
     [unreadable] = await found(guarded.url)

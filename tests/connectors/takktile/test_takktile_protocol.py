@@ -4,11 +4,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from connectors.takktile.takktile_protocol import (
-    Coefficients,
-    OverloadDetector,
-    Reading,
-)
+from connectors.takktile.takktile_protocol import Coefficients, OverloadDetector, Reading
 
 BYTES = "3ECE B3F9 C517 33C8"
 DATASHEET = Coefficients(2009.75, -2.3758544921875, -0.92047119140625, 0.0007901191711425781)

@@ -11,15 +11,7 @@ from unittest.mock import MagicMock
 import pytest
 
 from connectors.ur import control_process
-from connectors.ur.control_process import (
-    Command,
-    ControlClient,
-    Move,
-    MoveTo,
-    Reply,
-    Signal,
-    serve,
-)
+from connectors.ur.control_process import Command, ControlClient, Move, MoveTo, Reply, Signal, serve
 from tests.loopback import own_host
 from tests.waiting import PATIENCE
 

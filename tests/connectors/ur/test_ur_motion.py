@@ -17,16 +17,7 @@ from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
 from flows.run.diagnosis import diagnose
 from flows.run.live_runner import LiveRunner
-from operators import (
-    DeviceClock,
-    EndpointError,
-    Finding,
-    Motion,
-    ParameterError,
-    concat,
-    ms,
-    s,
-)
+from operators import DeviceClock, EndpointError, Finding, Motion, ParameterError, concat, ms, s
 from tests.emulators.ur_control_box import SafetyMode
 from tests.emulators.ur_controller import ANYWHERE, CB3, E_SERIES, UrController
 

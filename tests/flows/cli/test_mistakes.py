@@ -44,6 +44,10 @@ MISTAKES = [
     ("run live --set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
     ("run live --set =1", "--set : write it as NAME=VALUE"),
     ("run live --listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
+    (
+        "run broken.py --metrics 0.0.0.0:9464",  # not loaded
+        "--metrics 0.0.0.0:9464: other machines can connect, so set SLIPFLOW_PAGE_TOKEN, for example to the",
+    ),
     ("run live --metrics ::1:80", "--metrics ::1:80: write it as PORT or HOST:PORT"),
     ("check live --set detector=oracle", "oracle: is not a detector: give "),
     (

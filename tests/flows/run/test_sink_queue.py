@@ -220,4 +220,4 @@ def test_the_status_of_a_run_has_the_numbers_of_waiting_and_unstored_rows() -> N
 
     status = execute(flow_of(Endless(), Unstored()), duration=3 * s).sinks["unstored"]
     assert seen == [(7, 5)]
-    assert (status.waiting, status.unstored, status.dropped) == (8, 0, 5)
+    assert (status.waiting, status.unstored, status.dropped) == (3, 0, 5)
