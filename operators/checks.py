@@ -1,6 +1,7 @@
 """Checks of parameter values."""
 
 from collections.abc import Iterable
+from numbers import Real
 
 from operators.errors import ParameterError
 
@@ -15,7 +16,7 @@ def check_above(owner: str, name: str, value: float, low: float, unit: str = "")
     Raises:
         ParameterError: if it is not.
     """
-    if not value > low:
+    if not (is_number(value) and value > low):
         raise ParameterError(owner, name, value, f"above {_number(low)} {unit}".rstrip())
     if unit == "ns":
         check_ns(owner, name, value)
@@ -31,10 +32,19 @@ def check_at_least(owner: str, name: str, value: float, least: float, unit: str 
     Raises:
         ParameterError: if it is not.
     """
-    if not value >= least:
+    if not (is_number(value) and value >= least):
         raise ParameterError(owner, name, value, f"at least {_number(least)} {unit}".rstrip())
     if unit == "ns":
         check_ns(owner, name, value)
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value can be compared with numbers; a text cannot.
+
+    >>> is_number("5"), is_number(5)
+    (False, True)
+    """
+    return isinstance(value, Real)
 
 
 def check_ns(owner: str, name: str, value: float) -> None:

@@ -98,7 +98,7 @@ def load(target: str) -> Declaration:
         raise InputError(path, f"has no flow {name!r}; it has {', '.join(found) or 'none'}")
     if not name and len(found) != 1:
         if not found:
-            raise InputError(path, "has no flow: add a Flow, or a function annotated to return one")
+            raise InputError(path, "has no flow: add a Flow, or a function annotated with `-> Flow`")
         raise InputError(path, f"has several flows, choose one: {', '.join(f'{path}:{n}' for n in found)}")
     return found[name or next(iter(found))]
 
