@@ -18,7 +18,7 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_439,
     "product": 31_882,
     "product files": 215,
-    "tests": 32_727,
+    "tests": 32_721,
     "commands": 16,
     "options": 77,
     "words": 36_981,
