@@ -142,7 +142,7 @@ class ColumnMap:
         for item in re.split(r"[,\n](?=[^,\n=]*=)", text.strip()) if text.strip() else ():
             key, equals, value = map(str.strip, item.partition("="))
             if not equals:
-                raise ParameterError("import", "--map", text, f"written as {_EXAMPLE}")
+                raise ParameterError("import", "--map", text, f"written as {_EXAMPLE}; for a file: @{item}")
             texts = tuple(each.strip() for each in value.split(",") if each.strip())
             table, _, name = key.partition(".")
             if key in SIZES or (table == COUNTS and name.isdecimal()):

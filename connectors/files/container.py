@@ -57,12 +57,10 @@ def read_table(path: Path, separator: str | None = None) -> RawTable:
     where = str(path)
     content = read(path, LIMIT)
     sha256 = hashlib.sha256(content).hexdigest()
-    if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
-        return _read_parquet(where, content, sha256)
     if content.startswith(_GZIP):
         content = _unzipped(where, content)
-        if content.startswith(_PARQUET):
-            return _read_parquet(where, content, sha256)
+    if content.startswith(_PARQUET) or path.suffix.lower() == ".parquet":
+        return _read_parquet(where, content, sha256)
     head = path.suffix.lower().encode() + b"\n" + content[: 1 << 12]  # the ending tells apart what is zipped
     for first, (name, remedy) in _OTHERS.items():
         if re.match(rb"\.?\w*\n(?:%b)" % first, head):

@@ -47,7 +47,7 @@ _AXES: Final = ("vx", "vy", "vz", "wx", "wy", "wz")
 _WORDS: Final = {  # usual values of labels
     label: values.split("|")
     for label, values in {
-        "slip": "slip|slipping|sliding|slide|rutscht|gleiten|gleitet|1|true",
+        "slip": "slip|slipping|sliding|slide|rutscht|rutschen|gleiten|gleitet|1|true",
         "static": "static|no slip|no_slip|noslip|stick|stable|rest|hold|still|0|false|haften|haftet|ruhe",
         "unknown": "unknown|-1|unbekannt|?",
     }.items()

@@ -59,7 +59,7 @@ def import_(
     from storage.toml_text import read_text
 
     stated = ColumnMap.parse(read_text(Path(columns[1:])) if columns.startswith("@") else columns)
-    failed, present, last, columns_before = 0, 0, "", list[str]()
+    failed, last, columns_before = 0, "", list[str]()
     with progress_bar("importing") as update:
         update(0, len(files), files[0].name)
         done = import_files(files, out, stated, group=group, split=split, dry_run=dry_run)
@@ -67,16 +67,15 @@ def import_(
             if isinstance(found, InputError):
                 failed += 1
                 text = f"error: {found}"
+            elif found.state == "present":
+                last = found.session
+                text = f"{found.session}: left out, the dataset has it; delete it there to import it again"
             else:
-                present += found.state == "present"
                 last = found.session
                 text = found.report(short=found.interpretation() == columns_before)
                 columns_before = found.interpretation()
             update(min(number, len(files)), len(files))
             typer.echo(text)
-    if present:
-        remedy = "delete one to import it again"
-        note(f"{counted(present, 'session')} left out: the dataset has them already; {remedy}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)

@@ -246,6 +246,8 @@ def import_files(
 
 def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bool) -> list[Part]:
     """Return the parts of a file; a unit other than counts gets the resolution in `steps`, if it is there."""
+    if path.is_dir():
+        raise InputError(str(path), f"is a folder: give {path}/*.csv")
     found = interpreted(path, columns, split=split)
     unit, resolution = found[0].columns.unit, found[0].resolution
     if columns.resolution is None and unit != "count" and steps.setdefault(unit, resolution) != resolution:

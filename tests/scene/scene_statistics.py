@@ -19,7 +19,6 @@ RATE: Final = 100.0  # Hz
 FREQUENCIES: Final = (2.0, 5.0, 10.0, 20.0)  # Hz
 _ZEROING: Final = Zero().scans  # samples at the start that determine the baseline
 _LOADED: Final = 20  # counts from zero
-_DEEP: Final = -400  # counts: no barometer floors above this
 
 
 @dataclass(frozen=True, slots=True)

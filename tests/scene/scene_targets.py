@@ -76,9 +76,6 @@ def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
     counted = [count for each in recordings for count in confusions(each, network)]
     statistics = measure(recordings)
 
-    def of_kinds(group: MotionGroup) -> Reals:
-        return np.asarray(np.sum([count for kind, count in counted if group(kind)], axis=0))
-
     return np.array(
         [
             *(

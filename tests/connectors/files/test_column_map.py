@@ -33,7 +33,7 @@ def test_commas_or_line_breaks_separate_the_items_of_a_text() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("t", "--map is 't', must be written as time=t"),
+        ("t.map", "must be written as time=t,counts=p0..p5,units.time=ms; for a file: @t.map"),
         ("force=f", "key is 'force', must be one of time, date, counts"),
         ("counts=p0..p127,p128", "must be 1 to 128 column names"),
         ("velocity=a,b", "velocity is 'a,b', must be 3 or 6 column names"),
