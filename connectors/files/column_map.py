@@ -240,10 +240,6 @@ def _range(text: str) -> tuple[float, float]:
     return low, high
 
 
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(each) for each in text.split(",") if each.strip())
-
-
 _CHOICES: Final[Mapping[str, Sequence[str]]] = {
     "labelled": tuple(LABELS),
     "separator": tuple(SEPARATORS),
@@ -256,7 +252,7 @@ _PARSERS: Final[Mapping[str, tuple[Callable[[str], Any], str]]] = {  # parser an
     "range": (_range, "LOW:HIGH, the readings at the lowest and at the highest pressure, such as 0:4000"),
     "rate": (float, "a number"),
     "zeroed": ({"true": True, "false": False}.__getitem__, "true or false"),
-    "missing": (_numbers, "numbers such as -999"),
+    "missing": (lambda text: tuple(map(float, text.split(",") if text else ())), "numbers such as -999"),
     **dict.fromkeys(_CHOICES, (str, "")),
 }
 

@@ -90,8 +90,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
             warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
-            many = int(np.count_nonzero(~valid[rows]))
-            warnings.append(f"missing readings: {many}, in {bad} of {stop - start} rows")
+            warnings.append(f"missing readings: {np.count_nonzero(~valid[rows])}, in {bad} of {stop - start} rows")
         found = table.file, table.sha256, columns, frozenset(stated.columns), fingertip, tuple(table.notes)
         parts.append(Part(*found, tuple(warnings), touch, motion, labels[rows]))
     return parts
@@ -130,5 +129,12 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
         text = f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
         table.add_problem(text, place, fix=None if columns.labels else f"labels.slip={words[0]}")
+    given = [(label, [text for text in codes if text and codes[text] == LABELS[label]]) for label in LABELS]
+    meanings = "; ".join(f"{label}: {', '.join(words):.100}" for label, words in given if words)
+    table.notes += [meanings] if meanings else []
+    if columns.labels and (absent := sorted(known.keys() - set(map(label_value, codes)))):
+        has = ", ".join(f"{text!r} ({many})" for text, many in texts.value_counts(sort=True).rows())
+        which = " or ".join(map(repr, absent))
+        table.warnings.append(f"no row has the label {which}; the column has {has:.200}")
     labels: Codes = found.fill_null(UNKNOWN).to_numpy()
     return labels

@@ -82,9 +82,8 @@ def reals_of(table: RawTable, name: str, columns: ColumnMap) -> Reals:
     """Return the numbers of a column (n,); NaN for missing ones."""
     values = reals(table.columns[name], columns.decimal_sign)
     signs = " with a decimal comma" if columns.decimal == "comma" else ""
-    table.check(
-        name, values.is_not_null().to_numpy(), f"a number{signs}, without signs of thousands, or empty"
-    )
+    must_be = f"a number{signs}, without signs of thousands, or empty"
+    table.check(name, values.is_not_null().to_numpy(), must_be)
     found: Reals = values.to_numpy()
     return found
 

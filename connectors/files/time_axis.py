@@ -23,14 +23,13 @@ _ENOUGH: Final = 10  # rows from which on a rate is judged
 _COARSE: Final = 0.1  # largest share of the rows that one time may have
 _SHOWN: Final = 5  # parts in an error
 _MOST: Final = 1000  # wraps in a file
-_NEAR: Final = 20  # usual intervals, of the step over a wrap
+_NEAR: Final = 20  # usual intervals, of the step over a wrap; a longer step is a pause
 _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     4_294_967_296_000: "32-bit clock of microseconds",
     4_294_967_296_000_000: "32-bit clock of milliseconds",
     65_536_000_000: "16-bit clock of milliseconds",
     86_400_000_000_000: "time of day",
 }
-_MONTH: Final = 12
 _LIMIT: Final = float(1 << 63)  # ns
 _EPOCHS: Final = (9e8, 4.2e9)  # s; from 1998 to 2103
 _DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
@@ -78,7 +77,11 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
         return columns, unknown, ()
     time = continued(raw.to_numpy(), table.notes)
     parts = _parts(table, name, time, split=split)
-    rate = _rate(table, name, time, parts)
+    rate, steps = _rate(table, name, time, parts), np.diff(time)
+    if rate and len(pauses := np.flatnonzero(steps > max(_NEAR * s / rate, s / 4))):
+        longest, first = steps[pauses].max() / s, f"{table.place} {table.numbers[pauses[0]]}"
+        several = f"{len(pauses)} pauses of up to {longest:.1f} s, the first after {first}"
+        table.warnings.append(several if len(pauses) > 1 else f"1 pause of {longest:.1f} s, after {first}")
     plausible = rate is None or SLOWEST <= rate <= FASTEST
     if rate and not (plausible or stated or epoch):
         _add_unit_problem(table, name, rate)
@@ -141,10 +144,8 @@ def _rate(table: RawTable, name: str, time: Times, parts: Parts) -> float | None
         table.add_problem(reason, about=TIME, fix="time=,rate=ROWS_PER_SECOND")
         return None
     if most > 1:
-        text = (
-            f"{len(part) - values} of {len(part)} rows share the time of the row before (up to {most} rows)"
-        )
-        table.warnings.append(f"column {name}: {text}; the rate is that of the rows over the time")
+        text = f"column {name}: {len(part) - values} of {len(part)} rows share the time of the row before"
+        table.warnings.append(f"{text} (up to {most} rows); the rate is that of the rows over the time")
     return rows_per_second(part)
 
 
@@ -172,9 +173,9 @@ def date_order(table: RawTable, name: str) -> str:
     parts = texts.str.extract_groups(r"^(\d{1,2})([-/. ])(\d{1,2}|[A-Za-z]{3})[-/. ]\d{4}").struct.unnest()
     parts = parts.drop_nulls()
     first, second = (parts[each].cast(pl.Int64, strict=False) for each in ("1", "3"))
-    if second.null_count() or (parts["2"] == ".").any() or (first > _MONTH).any():
+    if second.null_count() or (parts["2"] == ".").any() or (first > 12).any():
         return "dmy"
-    if (second > _MONTH).any():
+    if (second > 12).any():
         return "mdy"
     if (first != second).any():
         doubt = f"column {name}: {texts.drop_nulls()[0]!r:.40} may begin with the day or the month"
@@ -196,8 +197,7 @@ def of_numbers(column: pl.Series, columns: ColumnMap) -> pl.Series:
         return _rounded(column.cast(pl.Float64, strict=False), unit)
     if unit == "ns":
         return column.cast(pl.Int64, strict=False)
-    decimals = column.cast(pl.Decimal(38, _DIGITS[unit]), strict=False)
-    return decimals.to_physical().cast(pl.Int64, strict=False)
+    return column.cast(pl.Decimal(38, _DIGITS[unit]), strict=False).to_physical().cast(pl.Int64, strict=False)
 
 
 def _rounded(column: pl.Series, unit: str) -> pl.Series:

@@ -295,6 +295,27 @@ def test_labels_may_have_other_values(
     assert Trace(path, ColumnMap.parse(f"label=state,{labels}")).labels.tolist() == expected
 
 
+def test_pauses_are_a_warning(write: Write) -> None:
+    times = [*range(0, 1000, 10), *range(3000, 3500, 10)]
+    lines = [f"{time},{time % 7},2,3,4,5,6" for time in times]
+    [*_, warning] = Trace(write(f"t_ms{HEADER[1:]}", *lines)).warnings
+    assert warning == "1 pause of 2.0 s, after line 101"
+    again = write(f"t_ms{HEADER[1:]}", *lines, "5000,1,2,3,4,5,6")
+    assert "2 pauses of up to 2.0 s, the first after line 101" in Trace(again).warnings
+
+
+def test_what_labels_mean_is_noted_and_a_label_that_no_row_has_is_a_warning(write: Write) -> None:
+    values = ["Haften", "Rutschen", "Haften", "Unklar"]
+    path = write(f"{HEADER},state", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
+    found = Trace(path, ColumnMap.parse("label=state,labels.slip=Rutschen"))
+    assert found.notes[-1] == "slip: Rutschen; static: Haften, Unklar"
+    assert not any("no row has" in each for each in found.warnings)
+    wrong = Trace(path, ColumnMap.parse("label=state,labels.slip=rutscht")).warnings
+    [warning] = [each for each in wrong if each.startswith("no row has the label 'rutscht'; the column has ")]
+    assert "'Haften' (2), " in warning
+    assert "'Rutschen' (1)" in warning
+
+
 @pytest.mark.parametrize("kind", [dict, pl.DataFrame, pd.DataFrame])
 def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object]) -> None:
     time = np.arange(100) * 10_000_000
