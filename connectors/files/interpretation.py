@@ -90,7 +90,8 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
             warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
-            warnings.append(f"missing readings: {np.count_nonzero(~valid[rows])}, in {bad} of {stop - start} rows")
+            many = int(np.count_nonzero(~valid[rows]))
+            warnings.append(f"missing readings: {many}, in {bad} of {stop - start} rows")
         found = table.file, table.sha256, columns, frozenset(stated.columns), fingertip, tuple(table.notes)
         parts.append(Part(*found, tuple(warnings), touch, motion, labels[rows]))
     return parts

@@ -40,10 +40,7 @@ PLANS: Final[Mapping[str, PaperPlan]] = {
     "paper": PaperPlan(),
     "wide": PaperPlan(repeats=6, rotations=4, vary=varied),
     "slow": PaperPlan(
-        speeds=(0.004, 0.006, 0.01, 0.02),
-        repeats=4,
-        rotations=0,
-        strokes=PaperStrokes(stroke=1.5, pause=1.0),
+        speeds=(0.004, 0.006, 0.01, 0.02), repeats=4, rotations=0, strokes=PaperStrokes(stroke=1.5, pause=1.0)
     ),
     "calm": PaperPlan(repeats=6, rotations=1, vary=calm),
     "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, strokes=PaperStrokes(rounds=1)),

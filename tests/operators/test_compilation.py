@@ -12,18 +12,7 @@ from numba.core import caching
 from numba.core.errors import TypingError
 from numba.core.registry import CPUDispatcher
 
-from operators import (
-    Align,
-    Debounce,
-    Motion,
-    Sample,
-    Scores,
-    Touch,
-    Zero,
-    compilation,
-    ms,
-    steps,
-)
+from operators import Align, Debounce, Motion, Sample, Scores, Touch, Zero, compilation, ms, steps
 from operators.batch import packed_type
 from operators.compilation import compile_function, compile_program
 from operators.steps import Record

@@ -47,15 +47,7 @@ from operators import (
     segment,
 )
 from operators.batch import Counts, Reals, Times
-from operators.detectors import (
-    FrequencyCnn,
-    PaperTcn,
-    Psd,
-    Tcn,
-    frequency_cnn,
-    paper_tcn,
-    tcn,
-)
+from operators.detectors import FrequencyCnn, PaperTcn, Psd, Tcn, frequency_cnn, paper_tcn, tcn
 from operators.operator import AnyOperator, output_type
 
 Value = TypeVar("Value")
