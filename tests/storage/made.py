@@ -95,11 +95,7 @@ def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled
 
 
 def record(
-    root: Path,
-    batches: Sequence[Any],
-    session: str = "one",
-    split: str | None = None,
-    part_rows: int = 20,
+    root: Path, batches: Sequence[Any], session: str = "one", split: str | None = None, part_rows: int = 20
 ) -> Session:
     """Write batches as a session of a dataset, in parts of some rows, and open it."""
     run_sink(Dataset(root, part_rows=part_rows), new_run(session, {"touch": {"split": split}}), batches)
