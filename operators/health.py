@@ -1,9 +1,9 @@
 """Detection of faulty barometers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from math import inf, isnan
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
@@ -36,25 +36,23 @@ class Health(Operator[Touch, Faults]):
       readings. A cell that reaches the end of its range is saturated; if it begins there, it is also stuck.
     - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
       wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events
-      keep the quality `good`. Not detected in zeroed counts.
-    - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second.
-      The seconds count from the first row. One is quiet if the standard deviation of every cell is below 1
-      count, as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should
-      start unloaded, and drift in contact or next to a noisy cell is not detected. A perfectly constant load
-      is reported as drift; so is a cell at its floor in zeroed counts.
+      keep the quality `good`. Not detected in zeroed counts, or if the range is unknown.
+    - drifting: the mean of a quiet second differs by more than `drift` from that of the first one. In a quiet
+      second the standard deviation of every cell is below 1 count, as if unloaded. So start unloaded; drift
+      in contact or next to a noisy cell is not detected. A perfectly constant load is reported as drift; so
+      is a cell at its floor in zeroed counts. Seconds count from the first row.
 
     All faults except drift end after `clear_after` without fault. A value above 0 merges the faults of a
-    cell that is repeatedly pressed to the end of its range.
-
-    Pauses of the stream count as 25 ms at most. Rows of equal time are ordered by cell, then kind.
+    cell that is repeatedly pressed to the end of its range. Pauses of the stream count as 25 ms at most. Rows
+    of equal time are ordered by cell, then kind.
 
     Args:
         dead_after: Time without answer, ns.
         stuck_after: Time without change, ns.
         saturated_after: Time at the end of the range, ns.
         clear_after: Time without fault that ends it, ns.
-        floor: Highest saturated raw count at the low end; by default 1 % of full scale.
-        ceiling: Lowest saturated raw count at the high end; by default 99 % of full scale.
+        floor: Highest saturated raw count at the low end; by default 1 % of the fingertip's range, in a flow.
+        ceiling: Lowest saturated raw count at the high end; by default 99 % of it.
         drift: Largest difference of means without a fault, counts.
 
     Raises:
@@ -81,6 +79,13 @@ class Health(Operator[Touch, Faults]):
         check_at_least("Health", "clear_after", self.clear_after, 0, "ns")
         if self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
+
+    def within(self, ends: tuple[int, int] | None) -> Self:
+        """Return the operator for counts of this range; None: unknown. A chosen floor or ceiling stays."""
+        low, high = sorted(ends or (-(1 << 16), 1 << 16))  # no count of 16 bits is at the end of the latter
+        end = (high - low) // 100
+        chosen = (self.floor, self.ceiling) != (10, 1013)
+        return self if chosen else replace(self, floor=low + end, ceiling=high - end)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the functions that examine a row and give the faults that start or end in it."""

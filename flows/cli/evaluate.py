@@ -64,7 +64,7 @@ def evaluate(
       slipflow evaluate recordings --chart
       slipflow evaluate --stress --method tcn --method psd --jobs 2
     """
-    from flows.learn.evaluation.evaluation_report import evaluation_report, stress_report
+    from flows.learn.evaluation.evaluation_report import evaluation_report, size_text, stress_report
     from flows.learn.evaluation.evaluation_study import evaluate as run_evaluation
     from flows.learn.evaluation.stress_study import stress as run_stress
     from flows.run.executor import workers
@@ -91,6 +91,8 @@ def evaluate(
                 executor=executor,
                 progress=update,
             )
+    if not stress:
+        note(f"judged on {found.subject}: {size_text(found)}")
     for line in (*(f"not evaluated: {name}: {why}" for name, why in found.missing.items()), *found.notes):
         note(line)
     report = (stress_report if stress else evaluation_report)(found, command_line())

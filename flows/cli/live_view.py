@@ -55,11 +55,8 @@ def watch_cells(flow: "Flow") -> "Node | None":
     if first_streams(flow, Faults):
         return None
     for node, source in flow.sources().items():
-        limits = source.fingertip and source.fingertip.range
-        if node.gives is Touch and limits:
-            low, high = sorted(limits)
-            end = max(1, (high - low) // 100)  # counts at each end of the range
-            return flow.add("faults", Health(clear_after=2 * s, floor=low + end, ceiling=high - end), node)
+        if node.gives is Touch and source.fingertip and source.fingertip.range:
+            return flow.add("faults", Health(clear_after=2 * s), node)
     return None
 
 

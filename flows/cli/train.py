@@ -77,12 +77,13 @@ def train(
         recipe = Recipe(filters=filters, steps=steps or usual, seed=seed)
     else:
         recipe = PaperRecipe(method, PAPER_NETWORKS.get(method, 1), seed=seed)
+    held_out = "the held-out part" if parent else "validation"
     with progress_bar(f"training {parent or method}") as update:
 
         def progress(done: int, total: int, check: "Check | None") -> None:
             update(done, total)
             if check:
-                text = f"step {done} of {total}: accuracy {check.accuracy:.2f} % on validation"
+                text = f"step {done} of {total}: accuracy {check.accuracy:.2f} % on {held_out}"
                 note(f"{text}, {check.seconds:.0f} s")
 
         try:

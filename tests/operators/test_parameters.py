@@ -37,7 +37,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         {"wait": 10 * ms},
     ],
     Label: [
-        *({"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"limit": nan}, {"rotation": -0.1}, {"within": -1}),
+        *({"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"limit": nan}, {"rotation": -0.1}, {"within": -1})
     ],
     MaskLifted: [{"contact_pose": BASE, "margin": -0.001}],
     SlidingMotion: [{"speed": -0.1}, {"span": 0}, {"rest": 1}],

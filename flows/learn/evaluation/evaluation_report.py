@@ -103,11 +103,13 @@ def stress_report(of: Evaluation, command: str) -> Report:
 def _notes(of: Evaluation) -> str:
     """Return what a reader must know, one sentence each."""
     missing = [f"not evaluated: {name}, {reason}" for name, reason in of.missing.items()]
-    lines = [_size(of.results.filter(method=of.leader)), *of.notes, *missing]
+    lines = [size_text(of), *of.notes, *missing]
     return " ".join(f"{line[0].upper()}{line[1:].rstrip('.')}." for line in lines)
 
 
-def _size(results: pl.DataFrame) -> str:
+def size_text(of: Evaluation) -> str:
+    """Return how much was judged."""
+    results = of.results.filter(method=of.leader)
     recordings, minutes = results["recording"].n_unique(), results.filter(metric="minutes")["value"].sum()
     return f"{counted(recordings, 'recording')}, {minutes:.1f} minutes after the warm-up"
 
@@ -124,7 +126,7 @@ def _samples(of: Evaluation) -> Section:
     shown = {name: each for name, each in {**SHARES, **SAMPLES}.items() if name not in BALANCED}
     table = estimate_table(estimates(of.results, shown, draws=0), DECIMALS)
     paper = {name: TABLE_1.get(PAPER_ROWS.get(name, "")) for name in of.methods}
-    tables = [_with_column(table, 2, "paper's %", paper)]
+    tables = [_with_column(table, 2, "paper's %", paper) if of.as_paper else table]
     return Section("samples", "Samples: Table I", SAMPLES_TEXT, tables, folded=True)
 
 

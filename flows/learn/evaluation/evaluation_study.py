@@ -48,6 +48,7 @@ class Evaluation:
     notes: Sequence[str] = ()  # what a reader must know to judge the numbers
     label: pl.DataFrame = field(default_factory=joined)  # the arm-speed label as a method
     speeds: pl.DataFrame = field(default_factory=joined)  # CPU time of each method
+    as_paper: bool = False  # simulated by the paper's plan: its numbers compare
 
     @property
     def leader(self) -> str:
@@ -111,7 +112,7 @@ def evaluate(
         found = replace(found, speeds=speed_results(detectors, chosen, span=speed))
     true = all(each.sliding is not None for each in chosen)
     label = joined(map(_label_results, chosen) if true else ())
-    return replace(found, notes=notes, label=label)
+    return replace(found, notes=notes, label=label, as_paper=all(each.plan == "paper" for each in chosen))
 
 
 def judge_all(

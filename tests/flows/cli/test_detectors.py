@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from flows.cli.train import train as train_command
-from flows.learn.training import training_loop
+from flows.learn.training import trainer, training_loop
+from flows.learn.training.trained_model import Check, Progress
 from storage.models import shipped
 from tests.command import slipflow
 
@@ -18,6 +19,7 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
     options = ("--method", "psd", "--method", model, "--json")
     done = slipflow("evaluate", str(tiny), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
+    assert "judged on tiny, split: test: 2 recordings, 0.4 minutes after the warm-up\n" in done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     rows = found["sections"]["samples"]["tables"][0]["rows"]
     assert {row["method"] for row in rows} == {"psd", "tcn"}
@@ -40,6 +42,20 @@ def test_interrupted_training_stops_without_a_model(
         train_command([tiny], out=tmp_path / "m.safetensors")
     assert "stopped: no model was written to" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("parent", "part"), [("tcn", "the held-out part"), (None, "validation")])
+def test_training_names_the_part_that_its_accuracy_is_of(
+    parent: str | None, part: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def check(*_: object, progress: Progress, **__: object) -> None:
+        progress(1, 1, Check(1, 1.0, 0.1, 90.0, 90.0))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trainer, "train", check)
+    with pytest.raises(KeyboardInterrupt):
+        train_command([Path("data")], parent=parent)
+    assert f" % on {part}, " in capsys.readouterr().err
 
 
 HIDING = """

@@ -2,13 +2,15 @@ from dataclasses import replace
 from pathlib import Path
 from shutil import copy
 
+import numpy as np
 import pytest
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
-from operators import Score, Touch, Zero, Zeroed
+from operators import Health, Pool, Score, Touch, Zero, Zeroed, ms, s
+from operators.batch import Faults
 from operators.detectors import Psd
 from operators.errors import FingertipError, FlowError
 from operators.fingertip import TAKKTILE, Fingertip, grid
@@ -61,6 +63,26 @@ def test_a_detector_that_fits_or_does_not_say_is_accepted() -> None:
     assert problems(flow(TAKKTILE, Score(load_detector("tcn")))) == []
     assert problems(flow(replace(TAKKTILE, layout=grid(16)), Score(Psd()))) == []
     assert len(problems(flow(replace(TAKKTILE, rate=50.0), Score(Psd())))) == 1
+
+
+@pytest.mark.parametrize(
+    ("ends", "found"), [((1023, 0), [[1]]), ((0, 4095), [[0]]), ((-40, 4095), []), (None, [])]
+)
+def test_cells_at_the_end_of_their_fingertips_range_are_saturated(
+    ends: tuple[int, int] | None, found: list[int]
+) -> None:
+    made, sink = Flow("watch"), TestSink()
+    (made.source(Fast(replace(TAKKTILE, range=ends))) | Pool() | Health(stuck_after=9 * s)).to(sink)
+    time, cells = np.arange(0, s, 10 * ms), np.full((100, 6), 500, np.int16)
+    cells[10:, :2] = 40, 1020
+    touch = Touch(time, cells, cells, np.ones_like(cells, np.bool_))
+    compiled = CompiledFlow(made)
+    saturated = [
+        batch.barometer.tolist()
+        for _, batch in compiled.push({compiled.entries[0]: touch})
+        if isinstance(batch, Faults)
+    ]
+    assert saturated == found
 
 
 def test_a_sink_learns_the_fingertips_of_its_streams() -> None:

@@ -47,7 +47,8 @@ def test_the_numbers_are_those_of_the_results_with_the_papers_beside_them(
     report: Report, found: Evaluation
 ) -> None:
     accuracy = dict(estimates(found.results, {"": SHARES["accuracy %"]}).select("method", "value").rows())
-    samples = rows(report, "samples")
+    samples = rows(evaluation_report(replace(found, as_paper=True), COMMAND), "samples")
+    assert "paper's %" not in rows(report, "samples")["psd"], "of another plan"
     assert {name: row["accuracy %"] for name, row in samples.items()} == accuracy
     assert (samples["psd"]["paper's %"], samples["logistic"]["paper's %"]) == (57.4, None)
     events, rule = rows(report, "events"), found.methods["psd"].debounce
