@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from numbers import Real
+from typing import cast
 
 from operators.errors import ParameterError
 
@@ -9,21 +10,19 @@ _SHORTEST = 1_000  # ns; a shorter time lacks its unit
 
 
 def check_above(owner: str, name: str, value: float, low: float, unit: str = "") -> None:
-    """Require `value` > `low`; NaN fails.
-
-    >>> check_above("Debounce", "threshold", 0.5, 0)
+    """Require `value` > `low`; NaN and a text fail.
 
     Raises:
         ParameterError: if it is not.
     """
-    if not (is_number(value) and value > low):
+    if not (isinstance(cast("object", value), Real) and value > low):
         raise ParameterError(owner, name, value, f"above {_number(low)} {unit}".rstrip())
     if unit == "ns":
         check_ns(owner, name, value)
 
 
 def check_at_least(owner: str, name: str, value: float, least: float, unit: str = "") -> None:
-    """Require `value` >= `least`; NaN fails.
+    """Require `value` >= `least`; NaN and a text fail.
 
     >>> check_at_least("Label", "delay", -1, 0, "ns")
     Traceback (most recent call last):
@@ -32,19 +31,10 @@ def check_at_least(owner: str, name: str, value: float, least: float, unit: str 
     Raises:
         ParameterError: if it is not.
     """
-    if not (is_number(value) and value >= least):
+    if not (isinstance(cast("object", value), Real) and value >= least):
         raise ParameterError(owner, name, value, f"at least {_number(least)} {unit}".rstrip())
     if unit == "ns":
         check_ns(owner, name, value)
-
-
-def is_number(value: object) -> bool:
-    """Return whether a value can be compared with numbers; a text cannot.
-
-    >>> is_number("5"), is_number(5)
-    (False, True)
-    """
-    return isinstance(value, Real)
 
 
 def check_ns(owner: str, name: str, value: float) -> None:

@@ -173,7 +173,7 @@ class Grip(GripController):
     margin: float = 1.0
     latency: int = 240 * ms
     release_rate: float = 4.0
-    _impulse: float = field(default=0.0, init=False, repr=False)  # N, sum of the forces of the latest slip
+    _total: float = field(default=0.0, init=False, repr=False)  # N, sum of the forces of the latest slip
     _decisions: int = field(default=0, init=False, repr=False)  # for slip, in the latest slip
     _since: int = field(default=0, init=False, repr=False)  # ns, latest decision within a slip
     # (ns, N) of each command within `latency`
@@ -197,12 +197,14 @@ class Grip(GripController):
         earlier = history[0][1]  # N, commanded `latency` ago
         if registered:
             if time - self._since > self.latency:
-                self._impulse, self._decisions = 0.0, 0
+                self._total, self._decisions = 0.0, 0
             span = 1 - self.threshold
             evidence = (probability - self.threshold) / span if span else 1.0
-            self._impulse, self._decisions, self._since = self._impulse + earlier, self._decisions + 1, time
+            self._total += earlier
+            self._decisions += 1
+            self._since = time
             return force + self.gain * evidence * earlier * elapsed
         if not self._decisions or time - self._since < self.latency:
             return force
-        sufficient = self._impulse / self._decisions * (1 + self.margin)
+        sufficient = self._total / self._decisions * (1 + self.margin)
         return max(force * (1 - self.release_rate * elapsed), min(sufficient, force))

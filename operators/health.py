@@ -10,6 +10,7 @@ import numpy as np
 from operators.batch import Faults, Times, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.operator import Operator
 from operators.steps import Record, RowType, Steps
 
@@ -51,8 +52,8 @@ class Health(Operator[Touch, Faults]):
         stuck_after: Time without change, ns.
         saturated_after: Time at the end of the range, ns.
         clear_after: Time without fault that ends it, ns.
-        floor: Highest saturated raw count at the low end; by default 1 % of the fingertip's range, in a flow.
-        ceiling: Lowest saturated raw count at the high end; by default 99 % of it.
+        floor: Highest saturated raw count at the low end; None: 1 % of the fingertip's range.
+        ceiling: Lowest saturated raw count at the high end; None: 99 % of it.
         drift: Largest difference of means without a fault, counts.
 
     Raises:
@@ -68,8 +69,8 @@ class Health(Operator[Touch, Faults]):
     stuck_after: int = 2 * s
     saturated_after: int = 50 * ms
     clear_after: int = 0
-    floor: int = 10
-    ceiling: int = 1013
+    floor: int | None = None
+    ceiling: int | None = None
     drift: float = 30.0
 
     def __post_init__(self) -> None:
@@ -77,18 +78,20 @@ class Health(Operator[Touch, Faults]):
             check_above("Health", name, getattr(self, name), 0, "ns")
         check_above("Health", "drift", self.drift, 0, "counts")
         check_at_least("Health", "clear_after", self.clear_after, 0, "ns")
-        if self.floor >= self.ceiling:
+        if self.floor is not None and self.ceiling is not None and self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
 
-    def within(self, ends: tuple[int, int] | None) -> Self:
-        """Return the operator for counts of this range; None: unknown. A chosen floor or ceiling stays."""
-        low, high = sorted(ends or (-(1 << 16), 1 << 16))  # no count of 16 bits is at the end of the latter
+    def for_fingertip(self, given: Fingertip) -> Self:
+        """Return the operator with the floor and ceiling of the fingertip's range, unless they are given."""
+        low, high = sorted(given.range or (-(1 << 16), 1 << 16))  # no count of 16 bits is at its ends
         end = (high - low) // 100
-        chosen = (self.floor, self.ceiling) != (10, 1013)
-        return self if chosen else replace(self, floor=low + end, ceiling=high - end)
+        floor = low + end if self.floor is None else self.floor
+        return replace(self, floor=floor, ceiling=high - end if self.ceiling is None else self.ceiling)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the functions that examine a row and give the faults that start or end in it."""
+        if self.floor is None or self.ceiling is None:
+            return self.for_fingertip(TAKKTILE).steps(*given)
         cells, zeroed = given[0].cells, issubclass(given[0].kind, Zeroed)
         table = np.zeros((_SUMS + 3, cells), np.int64)
         table[_LAST], table[_FAULTY:_SUMS] = (self.floor + self.ceiling) // 2, -self.clear_after

@@ -96,6 +96,10 @@ class AnyOperator(ABC):
         """
         return given
 
+    def for_fingertip(self, given: Fingertip) -> Self:
+        """Return the operator with the defaults for this fingertip of its input, which a flow knows."""
+        return self
+
     @property
     def late(self) -> int:
         """Rows dropped because they arrived after newer ones."""

@@ -8,7 +8,6 @@ from flows.graph.node import Node, location
 from flows.graph.validation import sink_fingertips, trace_fingertips, validate
 from operators.batch import BAROMETERS, EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
-from operators.health import Health
 from operators.operator import Join, Operator, fuses
 from operators.ports import Source
 from operators.segment import Segment, Stage, compiler
@@ -234,9 +233,8 @@ class CompiledFlow:
                 continue
             given = [types[parent] for parent in node.inputs]
             try:
-                part = node.part
-                if isinstance(part, Health) and node in fingertips:
-                    part = part.within(fingertips[node].range)
+                known = fingertips.get(node.inputs[0])
+                part = node.part if known is None else node.part.for_fingertip(known)
                 operators = [part.reset_copy() for _ in node.fingers]
                 steps = operators[0].steps(*given) if fuses(type(operators[0])) else None
                 types[node] = operators[0].row_type(*given)

@@ -48,7 +48,7 @@ class Crops:
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
         self._offsets = torch.arange(length, device=device)
         varied = np.repeat([each.plan in STRETCHED for each in usable], [*map(len, usable)])
-        self._varied = torch.as_tensor(varied).to(device)  # (n,)
+        self._varied = torch.as_tensor(varied).to(device) if varied.any() else None  # (n,)
         _, of_recording = np.unique([each.dataset for each in usable], return_inverse=True)
         crops = np.bincount(of_recording, weights=[*map(len, first)])  # of each dataset
         sizes = crops.astype(np.int64)
@@ -69,7 +69,7 @@ class Crops:
 
         The counts of a slower hand are interpolated between rows; its rows, for the labels, are the nearest.
         """
-        if not self._varied.any():
+        if self._varied is None:
             rows = self.rows(first)
             return rows, self.counts[rows].float()
         share, chosen = (torch.rand(len(first), generator=generator, device=first.device) for _ in range(2))
