@@ -177,10 +177,10 @@ class _SessionCheck:
         recovered = cast("dict[str, Any] | None", about.get("recovered"))
         if recovered is not None:
             rows = ", ".join(f"{count} rows of {table}" for table, count in recovered["rows"].items())
-            text = f"was recovered: {rows or 'no rows'}"
+            text = f"was recovered: {rows or 'all its rows were in parts'}"
             if "sinks" not in about:  # not closed, so it has no counts of dropped rows
                 text += "; what the recorder could not write before it was killed is unknown"
-            self._add("repaired" if rows else "lossy", text)
+            self._add("repaired", text)
             for each in recovered["lost"]:
                 cut = each in recovered.get("cut", [])
                 how = "cut off" if cut else "lost"

@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_053,
+    "operators": 5_052,
     "connectors": 10_536,
     "storage": 3_859,
-    "flows": 12_444,
-    "product": 31_892,
+    "flows": 12_442,
+    "product": 31_889,
     "product files": 215,
-    "tests": 32_758,
+    "tests": 32_757,
     "commands": 16,
     "options": 77,
-    "words": 36_983,
+    "words": 36_982,
 }
 
 

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
 from math import inf
+from operator import attrgetter
 from pathlib import Path
 from random import Random
 from shutil import rmtree
@@ -71,9 +72,7 @@ class World:
     folder: Path
     rig_runs: list[RigRun] = field(default_factory=list[RigRun])
     received: list[tuple[float, Identity]] = field(default_factory=list[tuple[float, Identity]])
-    processed: dict[Identity, list[float]] = field(
-        default_factory=dict[Identity, list[float]]
-    )  # ends, loop time, s
+    processed: dict[Identity, list[float]] = field(default_factory=dict)  # ends, loop time, s
     consumer_kills: list[float] = field(default_factory=list[float])
     power_losses: list[float] = field(default_factory=list[float])
     reports: list[str] = field(default_factory=list[str])
@@ -169,11 +168,8 @@ class World:
             runner.stop()
         await runner.execute()
         rig_run.dropped = sum(sink.dropped for sink in runner.run.sinks.values() if sink.records)
-        if runner.run.error:
-            rig_run.error = runner.run.error
-        rig_run.error += "".join(
-            f" {name}: {sink.error}" for name, sink in runner.run.sinks.items() if sink.error
-        )
+        errors = (f" {name}: {sink.error}" for name, sink in runner.run.sinks.items() if sink.error)
+        rig_run.error = "".join((runner.run.error, *errors))
 
     async def _keep_consumer(self) -> None:
         while not self.finished:
@@ -355,10 +351,7 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
             prepare(stack)
             world.loop.run_until_complete(asyncio.wait_for(world.main(), LIMIT))
             found = [*world.errors, *world.loop.failures, *violations(world)]
-        rig_runs = [
-            (rig_run.session, rig_run.end, rig_run.ended, rig_run.rows, rig_run.events)
-            for rig_run in world.rig_runs
-        ]
+        rig_runs = [*map(attrgetter("session", "end", "ended", "rows", "events"), world.rig_runs)]
         observed = repr((world.received, world.reports, rig_runs, found)).replace(str(folder), "")
         return Outcome(
             [each.replace(str(folder), "") for each in found],
@@ -375,15 +368,14 @@ def _simulated(world: World) -> Generator[ExitStack]:
     """Replace clock, randomness, disk and network of the process by those of the world."""
     random = Random(world.schedule.seed)
     quiet = logging.getLogger("slipflow")
-    level = quiet.level
 
     def token(size: int) -> str:
         return random.randbytes(size).hex()
 
     with ExitStack() as stack:
         enter = stack.enter_context
+        stack.callback(quiet.setLevel, quiet.level)
         quiet.setLevel(logging.CRITICAL)
-        stack.callback(quiet.setLevel, level)
         finalizers = list[Callable[[], object]]()
         enter(patch.object(weakref, "finalize", partial(_finalize_at_end, finalizers)))
         enter(patch.object(time, "time_ns", world.host_time))

@@ -95,4 +95,4 @@ async def test_a_rig_that_was_copied_while_it_ran_uses_no_number_again_and_no_fa
         touch = Session.open(rig / "recordings/sessions" / name).frame("touch")
         assert len(touch) >= rows - 10
         assert touch["time"].to_list() == [number * 10 * ms for number in range(len(touch))]
-    assert verify(rig / "recordings").worst == "repaired"
+    assert verify(rig / "recordings").code == 3  # repaired; a row that was being written may be cut off
