@@ -18,10 +18,10 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_442,
     "product": 31_889,
     "product files": 215,
-    "tests": 32_757,
+    "tests": 31_715,
     "commands": 16,
     "options": 77,
-    "words": 36_982,
+    "words": 36_971,
 }
 
 

@@ -1,11 +1,10 @@
 """What the dataflow costs: two streams, as-of align, label, 100-sample window, cheap score.
 
 Run by `make bench`. Every variant must give the reference's scores exactly. All take turns; the table shows
-medians and the ratio to the reference within the same turn. `bench_peers` adds other engines.
+medians and the ratio to the reference within the same turn.
 """
 
 import time
-from collections.abc import Callable
 from functools import partial
 from statistics import median
 
@@ -14,9 +13,8 @@ import polars as pl
 
 from operators import Motion, Touch, ms
 from operators.batch import Reals
+from tests.benchmarks.engine_job import HALF, LENGTH, Job, plain_python, slipflow
 from tests.benchmarks.machine import print_head, take_turns
-from tests.benchmarks.peers import push_graph, slipflow_batches
-from tests.benchmarks.peers.job import HALF, LENGTH, Job, Meter, Run
 
 SAMPLES, TURNS = 20_000, 5
 REFERENCE = "polars join_asof + numpy"
@@ -52,34 +50,32 @@ def plain(touch: Touch, motion: Motion) -> Reals:
     return scores
 
 
-def reference(touch: Touch, motion: Motion) -> float:
-    """Return the CPU time of the reference, s."""
+def reference(touch: Touch, motion: Motion) -> tuple[float, Reals]:
+    """Return the CPU time of the reference, s, and its scores."""
     began = time.process_time()
-    plain(touch, motion)
-    return time.process_time() - began
+    scores = plain(touch, motion)
+    return time.process_time() - began, scores
 
 
-def checked(name: str, run: Run, expected: Reals) -> float:
-    """Return the CPU time of a run, s, whose scores must be the expected ones."""
-    meter = Meter()
-    scores = np.concatenate([np.atleast_1d(score) for _, _, score in run(meter)])
+def checked(name: str, job: Job, expected: Reals) -> float:
+    """Return the CPU time of a job, s, whose scores must be the expected ones."""
+    spent, scores = job()
     if scores.tobytes() != expected.tobytes():
         raise SystemExit(f"{name}: wrong scores")
-    return meter.spent
+    return spent
 
 
 def main() -> None:
     """Measure and print the table."""
     print_head(f"{SAMPLES} samples, {TURNS} turns")
     touch, motion = streams(SAMPLES, 0)
-    job = Job(touch.time[None], touch.counts[None], motion.time, motion.velocity)
-    runs = {"plain Python, per record": push_graph.prepare(job, 1)}
+    expected = plain(touch, motion)
+    jobs: dict[str, Job] = {REFERENCE: partial(reference, touch, motion)}
+    jobs["plain Python, per record"] = plain_python(touch, motion)
     for rows in (1, 10, 100, 1000, SAMPLES):
         name = "slipflow, whole" if rows == SAMPLES else f"slipflow, batches of {rows}"
-        runs[name] = slipflow_batches.prepare(job, rows)
-    expected = plain(touch, motion)
-    measures: dict[str, Callable[[], float]] = {REFERENCE: partial(reference, touch, motion)}
-    measures |= {name: partial(checked, name, run, expected) for name, run in runs.items()}
+        jobs[name] = slipflow(touch, motion, rows)
+    measures = {name: partial(checked, name, job, expected) for name, job in jobs.items()}
     costs = take_turns(measures, TURNS)
     print(f"{'':28}{'us/sample':>10}{'ratio':>8}")
     for name, seconds in costs.items():
