@@ -10,7 +10,7 @@ import polars as pl
 from connectors.files.column_map import LABEL, LABELS, MOTIONS, UNITS, ColumnMap
 from connectors.files.number_format import MISSING, with_decimal
 from connectors.files.raw_table import RawTable
-from connectors.files.readings import described, readings_of, reals_of, touch_of
+from connectors.files.readings import described, doubts_at_rest, readings_of, reals_of, touch_of
 from connectors.files.roles import completed, label_value, label_values
 from connectors.files.time_axis import time_axis
 from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch, s
@@ -28,6 +28,7 @@ class Part:
     file: str  # name, also of a table in memory
     sha256: str  # of the file, hex; empty for a table in memory
     columns: ColumnMap  # complete, without absent quantities
+    unused: tuple[str, ...]  # columns of the table that are not in the map
     stated: frozenset[str]  # quantities that the user mapped; others were recognised by their names
     fingertip: Fingertip | None  # None: the rate is unknown
     notes: tuple[str, ...]  # conclusions on how the data is read
@@ -76,24 +77,26 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         raise InputError(table.file, "has no columns of numbers or texts" if len(table) else "has no rows")
     columns = with_decimal(table, completed(table, stated))
     columns, time, ends = time_axis(table, replace(columns, separator=table.separator), split=split)
-    columns, counts, valid = readings_of(table, columns, time)
+    columns, counts, valid = readings_of(table, columns)
     velocity, labels = _velocity(table, columns), _labels(table, columns)
     table.stop()
     fingertip, parts = described(columns) if columns.rate else None, list[Part]()
+    used = {name for names in columns.columns.values() for name in names}
+    unused = tuple(name for name in (*table.columns, *table.left_out) if name not in used)
     moving: Flags = np.all(np.isfinite(velocity), axis=1)
     for start, stop in ends:
         rows = slice(start, stop)
         touch = touch_of(columns, time[rows], counts[rows], valid[rows])
         still = np.full((stop - start, 6), np.nan)
         motion = Motion(time[rows], time[rows], velocity[rows], still, finger=EVERY)[moving[rows]]
-        warnings = [*table.warnings]
+        warnings = [*table.warnings, *doubts_at_rest(touch)]
         if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
             warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
             many = int(np.count_nonzero(~valid[rows]))
             warnings.append(f"missing readings: {many}, in {bad} of {stop - start} rows")
-        found = table.file, table.sha256, columns, frozenset(stated.columns), fingertip, tuple(table.notes)
-        parts.append(Part(*found, tuple(warnings), touch, motion, labels[rows]))
+        found = table.file, table.sha256, columns, unused, frozenset(stated.columns), fingertip
+        parts.append(Part(*found, tuple(table.notes), tuple(warnings), touch, motion, labels[rows]))
     return parts
 
 

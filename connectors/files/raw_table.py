@@ -43,14 +43,21 @@ class RawTable:
         """Return the table of typed columns.
 
         Lists of equal length become columns ``name0``, ``name1``, ..., structs ``name.field``.
+
+        Raises:
+            InputError: if two columns get the same name.
         """
         columns, reasons = dict[str, pl.Series](), dict(left_out or {})
         for column in frame:
             for name, values in _flat(column.name, column):
+                if name in columns:
+                    raise InputError(
+                        file, f"column {name} is also a part of column {column.name}: rename one"
+                    )
                 if reason := _unusable(values):
                     reasons[name] = reason
                 else:
-                    columns.setdefault(name, _plain(values))
+                    columns[name] = _plain(values)
         return cls(columns, file, "row", np.arange(frame.height), left_out=reasons, sha256=sha256)
 
     def __len__(self) -> int:

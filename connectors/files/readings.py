@@ -1,5 +1,6 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -25,8 +26,8 @@ _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
 
 
-def readings_of(table: RawTable, columns: ColumnMap, time: Times) -> tuple[ColumnMap, Counts, Flags]:
-    """Return the readings of a table with times (n,) as counts (n, cells), and which are valid.
+def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts, Flags]:
+    """Return the readings of a table as counts (n, cells), and which are valid.
 
     The map gets resolution, offset, missing and zeroed. Readings that mean none become invalid.
     """
@@ -44,7 +45,6 @@ def readings_of(table: RawTable, columns: ColumnMap, time: Times) -> tuple[Colum
     if zeroed is None:
         zeroed = _is_zeroed(readings)
         table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
-    table.warnings += _doubts_at_rest(readings[time <= time[0] + s], readings)
     resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
     if columns.resolution is not None and not _is_multiple(readings, resolution):
         table.warnings.append(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
@@ -203,11 +203,14 @@ def _sentinels(readings: Reals) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def _doubts_at_rest(start: Reals, readings: Reals) -> list[str]:
-    """Return the doubt that the fingertip is loaded in the first second."""
-    span = _quantiles(readings, 0.99) - _quantiles(readings, 0.01)
+def doubts_at_rest(touch: Mapping[int, Touch]) -> list[str]:
+    """Return the doubt that a fingertip is loaded in the first second of its rows."""
+    time = next(iter(touch.values())).time
+    readings = np.hstack([np.where(each.valid, each.counts, np.nan) for each in touch.values()])
+    start = readings[time <= time[0] + s]
     halves = start[: len(start) // 2 + 1], start[len(start) // 2 :]
     if len(readings) > len(start) and not any(np.isnan(half).all(axis=0).any() for half in halves):
+        span = _quantiles(readings, 0.99) - _quantiles(readings, 0.01)
         first, second = (_quantiles(half, 0.5) for half in halves)
         if np.any(np.abs(second - first) > _MOVES * span):
             return ["the readings change in the first second: the baseline needs an unloaded start"]

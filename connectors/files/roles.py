@@ -92,14 +92,17 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
     A time is required unless the map has a rate.
     """
     groups, found = cell_groups(list(table.columns)), dict[str, tuple[str, ...]]()
+    mapped = {key: _matched(key, names, table) for key, names in stated.columns.items()}
+    taken = {name for names in mapped.values() for name in names}
+    free = [name for name in table.columns if name not in taken]
     for quantity in SIZES:
-        keys = [key for key in stated.columns if _quantity(key) == quantity]
-        found |= {key: _matched(key, stated.columns[key], table) for key in keys}
+        keys = [key for key in mapped if _quantity(key) == quantity]
+        found |= {key: mapped[key] for key in keys}
         moves = quantity in MOTIONS and any(stated.columns.get(key) or found.get(key) for key in MOTIONS)
         if quantity == COUNTS and not keys:
             found[COUNTS] = _cells(groups, table)
         elif not (keys or moves or (quantity == LABEL and stated.labelled)):
-            found[quantity] = _usual(quantity, table)
+            found[quantity] = _usual(quantity, free, table)
     if not found[TIME]:
         del found[DATE]
         if stated.rate is None and not stated.columns.get(TIME):
@@ -214,19 +217,22 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
     return tuple(found)
 
 
-def _usual(quantity: str, table: RawTable) -> tuple[str, ...]:
-    """Return the columns with a usual name of a quantity; none, if there are none."""
+def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
+    """Return those of the `free` columns with a usual name of a quantity; none, if there are none."""
     if quantity == VELOCITY:
-        axes = {_word(each): each for each in table.columns}
+        axes = {_word(each): each for each in free}
         size = next((size for size in (6, 3) if set(_AXES[:size]) <= set(axes)), 0)
         return tuple(axes[axis] for axis in _AXES[:size])
-    usual = re.compile(_NAMES[quantity])
-    names = [name for name in table.columns if usual.fullmatch(_word(split_unit(quantity, name)[0]))]
+    names = [name for name in free if _has_usual_name(quantity, name)]
     names = ["t"] if "t" in names else names  # T may be a temperature
     if len(names) > 1:
         text = f"columns {' and '.join(names)} may be {quantity}; state one, as {quantity}={names[0]}"
         table.add_problem(text, about=quantity)
     return tuple(names[:1])
+
+
+def _has_usual_name(quantity: str, name: str) -> bool:
+    return bool(re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, name)[0])))
 
 
 def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
@@ -282,11 +288,12 @@ def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable)
         free = [each for each in free if each != name]
     if not any(_quantity(key) == COUNTS for key in columns.columns):
         several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
-        numbers = tuple(name for name in free if _is_number(table.columns[name]))[:CELL_LIMIT]
+        others = {name for name in free for quantity in _NAMES if _has_usual_name(quantity, name)}
+        numbers = tuple(name for name in free if name not in others and _is_number(table.columns[name]))
         if [len(each) for each in several] == 2 * [len(several[0]) if several else 0]:
             items += [f"counts.{finger}={_short(names)}" for finger, names in enumerate(several)]
         else:
-            items.append(f"counts={_short(several[0] if several else numbers) or 'NAME,NAME'}")
+            items.append(f"counts={_short(several[0] if several else numbers[:CELL_LIMIT]) or 'NAME,NAME'}")
     return items
 
 

@@ -205,7 +205,9 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     again = [pl.col(column) == name for column, name in zip(frame.columns, names, strict=True)]
     named_again = pl.all_horizontal(again).fill_null(value=False)  # by a logger that started again
     keep = filled.select(pl.any_horizontal(pl.all())).to_series() & ~frame.select(named_again).to_series()
-    numbers, frame = np.flatnonzero(keep.to_numpy()) + shape.first + 1, frame.filter(keep)
+    numbers, left = np.flatnonzero(keep.to_numpy()) + shape.first + 1, len(keep) - int(keep.sum())
+    notes += [f"left out {left} lines without values, or with the names again"] if left else []
+    frame = frame.filter(keep)
     often, columns = Counter(named(names)), dict[str, pl.Series]()
     for name, given, column, used in zip(named(names), names, frame, filled, strict=True):
         if often[name] == 1 and (given or used.any()):

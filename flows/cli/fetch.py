@@ -34,7 +34,7 @@ def fetch(
 
     recipes = {each.name: each for each in (GRASPS, STROKES)}
     if name is None:
-        typer.echo("\n".join(f"{each.name}: {each.summary}" for each in recipes.values()))
+        typer.echo("\n".join(map(str, recipes.values())))
         return
     check_choice("fetch", "NAME", name, recipes)
     if out is None:
@@ -42,5 +42,5 @@ def fetch(
     recipe = recipes[name]
     with progress_bar("fetching") as update:
         seconds = recipe.fetch(out, update)
-    typer.echo(f"{name}: {recipe.summary}\n  source: {recipe.page}\n  {recipe.about}")
+    typer.echo(f"{recipe}\n  source: {recipe.page}\n  {recipe.about}")
     typer.echo(f"{out}: {counted(len(seconds), 'session')}, {sum(seconds) / 60:.1f} minutes")

@@ -30,6 +30,7 @@ from storage.description import read_session
 from storage.layout import SESSION, SESSIONS, may_exist, session_folder, session_folders
 
 _DEFAULT: Final = ColumnMap()
+_SHOWN: Final = 10  # columns that are not used
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
 
 
@@ -129,6 +130,9 @@ class TraceImport:
             low, high = found.range
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
+        if part.unused:
+            more = f" and {len(part.unused) - _SHOWN} more" if len(part.unused) > _SHOWN else ""
+            lines.append(f"  not used {' '.join(part.unused[:_SHOWN])}{more}")
         if not self.label_source:
             lines.append("  no labels and no motion: no samples")
         elif self.label_source.startswith("arm"):

@@ -55,6 +55,9 @@ class DatasetRecipe:
     registry: Path
     recordings: Callable[[Mapping[str, Path]], Iterator[SourceRecording]]
 
+    def __str__(self) -> str:
+        return f"{self.name}: {self.summary}\n  licence: {self.licence}"
+
     @property
     def base_url(self) -> str:
         """Address of the folder of the files."""

@@ -47,7 +47,7 @@ def recordings(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
 GRASPS: Final = DatasetRecipe(
     name="grasps",
     summary="Slip in a grasp while the arm moves (XELA uSkin on a Franka arm, 60 Hz, labels by a marker)\n  "
-    "7 recordings, 1.88 MB; licence: MIT\n  "
+    "7 recordings, 1.88 MB\n  "
     "cite: Nazari, Mandil and Ghalamzan, Proactive slip control by learned slip model and trajectory"
     " adaptation, CoRL 2022, https://github.com/imanlab/proactive-slip-control",
     licence="MIT",

@@ -46,7 +46,7 @@ def recordings(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
 STROKES: Final = DatasetRecipe(
     name="strokes",
     summary="A finger strokes six surfaces (BioTac on a Shadow hand, 100 Hz, joint speed)\n  "
-    "47 recordings, 122 MB; licence: none\n  "
+    "47 recordings, 122 MB\n  "
     "cite: nomadik, vibrotexturerecog (recordings of 2017), https://github.com/nomadik/vibrotexturerecog",
     licence="none",
     about="The repository states no licence, so all rights remain with its authors: download it for your own "

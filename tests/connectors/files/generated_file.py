@@ -173,7 +173,8 @@ def _text(
     file.content = text.encode(encoding)
     file.about += [repr(separator), "comma" if comma else "point", repr(thousands), encoding, repr(above)]
     signs = any("," in each or "." in each for each in values)
-    doubtful = signs and not any(_is_plain(each, "," if comma else ".") for each in values)
+    numbers = [each for each in values if ":" not in each]
+    doubtful = signs and not any(_is_plain(each, "," if comma else ".") for each in numbers)
     file.refusable |= doubtful or thousands != ""
     if draw.random() < 0.15:
         file.content, file.name = gzip.compress(file.content), "trace.csv.gz"

@@ -10,6 +10,7 @@ from hypothesis.extra import numpy as st_numpy
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.readings import COUNT_LIMIT, offsets, resolution_of
+from connectors.files.trace import interpreted
 from operators.batch import Reals, Touch, Zeroed
 from operators.errors import InputError, ParameterError
 from operators.fingertip import Fingertip
@@ -88,6 +89,16 @@ def test_readings_relative_to_the_unloaded_fingertip_have_no_offset() -> None:
         assert trace.offset.any() != zeroed
     assert Trace(table([-0.5, 2.0]), columns("N")).kind is Zeroed
     assert Trace(table([-0.5, 2.0]), columns("N", zeroed=False)).kind is Touch
+
+
+def test_a_part_that_begins_loaded_is_a_warning_of_this_part_only() -> None:
+    unloaded = [500.0] * 150 + [400.0] * 150
+    loaded = [500.0] * 50 + [400.0] * 250
+    for first, second in ((unloaded, loaded), (loaded, unloaded)):
+        time = [*np.arange(300) / 100] * 2
+        parts = interpreted({"t": time, "p0": first + second, "p1": [500.0] * 600}, split=True)
+        doubts = [any("change in the first second" in each for each in part.warnings) for part in parts]
+        assert doubts == [first is loaded, second is loaded]
 
 
 def test_a_given_resolution_is_kept_and_must_fit() -> None:

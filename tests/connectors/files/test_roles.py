@@ -91,6 +91,10 @@ def test_a_temperature_is_no_cell_even_if_it_is_mapped() -> None:
             "s1..s6 or c0..c5 may be the cells; state counts=..., or counts.0=",
         ),
         (("t", *CELLS, "label", "slip"), "columns label and slip may be label; state one, as label=label"),
+        (
+            ("t", "time", "vx", "vy", "vz", "speed", "left", "right"),
+            "try --map time=t,velocity=vx,vy,vz,counts=left,right",
+        ),
         (("t", "L2", "L1", "R2", "R1"), "try --map time=t,counts.0=L1,L2,counts.1=R1,R2"),
     ],
 )
@@ -133,3 +137,4 @@ def test_mapped_columns_are_not_recognised_by_name() -> None:
     found = roles(names, "time=time_ns,label=,velocity=s1,s2,s3")
     assert found.columns == {"time": ("time_ns",), "counts": CELLS, "velocity": ("s1", "s2", "s3")}
     assert found.units == {"time": "ns", "counts": "count", "velocity": "m/s"}
+    assert "speed" not in roles(("t", "v", "w"), "counts=v,w").columns

@@ -64,6 +64,12 @@ def test_a_table_is_found_below_other_lines(write: Write, content: str, names: s
     assert read_table(path).numbers[0] == first
 
 
+def test_lines_that_are_left_out_are_counted(write: Write) -> None:
+    table = read_table(write(f"t,p0,p1\n{BODY}\n,,\nt,p0,p1\n{BODY}"))
+    assert table.numbers.tolist() == [2, 3, 7, 8]
+    assert table.notes == ["left out 3 lines without values, or with the names again"]
+
+
 def test_a_row_of_units_is_not_a_row_of_values(write: Write) -> None:
     assert read_table(write(f"t,p0,p1\n[s],[kPa],-\n{BODY}")).units == {"t": "[s]", "p0": "[kPa]", "p1": "-"}
     assert read_table(write(f"t,p0,p1\n{BODY}")).units == {}
