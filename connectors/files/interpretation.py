@@ -80,7 +80,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
     columns, counts, valid = readings_of(table, columns)
     velocity, labels = _velocity(table, columns), _labels(table, columns)
     table.stop()
-    fingertip, parts = described(columns) if columns.rate else None, list[Part]()
+    fingertip, parts = described(columns, columns.rate) if columns.rate else None, list[Part]()
     used = {name for names in columns.columns.values() for name in names}
     unused = tuple(name for name in (*table.columns, *table.left_out) if name not in used)
     moving: Flags = np.all(np.isfinite(velocity), axis=1)

@@ -108,25 +108,23 @@ def touch_of(columns: ColumnMap, time: Times, counts: Counts, valid: Flags) -> d
     return found
 
 
-def described(columns: ColumnMap) -> Fingertip:
+def described(columns: ColumnMap, rate: float) -> Fingertip:
     """Return the fingertip of the counts that a complete map gives; a range becomes counts.
 
     Raises:
-        ParameterError: if the layout does not fit the cells, or the map has no rate.
+        ParameterError: if the layout does not fit the cells.
     """
     cells = len(next(iter(columns.cells.values())))
     layout = columns.layout or (TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells))
     if columns.layout is not None and Fingertip(layout, 1.0).cells != cells:
         must_be = f"of {cells} cells, as many as the counts have"
         raise ParameterError("Trace", "layout", layout_text(layout), must_be)
-    if columns.rate is None:
-        raise ParameterError("column map", "rate", None, "stated: rows per second")
     resolution, limits = columns.resolution or 1.0, None
     if columns.range is not None:
         middle = np.mean(columns.offset or (0,))
         ends = np.clip(np.rint(np.array(columns.range) / resolution - middle), -COUNT_LIMIT, COUNT_LIMIT)
         limits = int(ends[0]), int(ends[1])
-    return Fingertip(layout, columns.rate, columns.unit, resolution, limits)
+    return Fingertip(layout, rate, columns.unit, resolution, limits)
 
 
 def resolution_of(values: Reals, *, offset: bool) -> float:

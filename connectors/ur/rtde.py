@@ -13,11 +13,11 @@ from collections.abc import Awaitable, Mapping
 from contextlib import suppress
 from enum import IntEnum
 from struct import Struct
-from typing import Final, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from operators.batch import Times, s
+from operators.batch import Times
 from operators.errors import EndpointError, SlipflowError, os_error_reason
 from operators.ports import Clock
 from storage.background_task import BackgroundTask
@@ -29,7 +29,7 @@ PORT: Final = 30004
 PROTOCOL: Final = 2  # version
 LARGEST: Final = 8192  # bytes of a package, twice the size of all variables of a controller
 TIMEOUT: Final = 1.0  # s, for the connection and between packages
-TEXTS: Final = 10  # messages that are logged per minute
+TEXTS: Final = 10  # messages that are logged per connection
 BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
 
 _NO_ANSWER: Final = f"does not answer within {TIMEOUT:g} s: check its address and its power"
@@ -108,13 +108,6 @@ class Version(NamedTuple):
     bugfix: int
     build: int
 
-    @classmethod
-    def read(cls, payload: bytes) -> Self:
-        """Parse the version in a controller's answer."""
-        if len(payload) != _VERSION.size:
-            raise RtdeError(f"the controller's version has {len(payload)} bytes, must have {_VERSION.size}")
-        return cls(*_VERSION.unpack(payload))
-
     def __str__(self) -> str:
         return ".".join(map(str, self))
 
@@ -152,8 +145,7 @@ class RtdeClient:
     def __init__(self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], rate: float) -> None:
         self.endpoint = f"rtde://{host}:{port}"
         self.controller: Version | None = None
-        self.texts = self._logged = 0  # `_logged` counts those since `_minute`, ns
-        self._minute = clock.now()
+        self.texts = 0
         self._address, self._clock = (host, port), clock
         self._outputs, self._rate = outputs, rate
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
@@ -197,7 +189,10 @@ class RtdeClient:
         self._stream = await asyncio.open_connection(*self._address)
         if await self._ask(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big")) != b"\1":
             raise RtdeError(f"the controller does not support RTDE version {PROTOCOL}: update its software")
-        self.controller = Version.read(await self._ask(Kind.CONTROLLER))
+        version = await self._ask(Kind.CONTROLLER)
+        if len(version) != _VERSION.size:
+            raise RtdeError(f"the controller's version has {len(version)} bytes, must have {_VERSION.size}")
+        self.controller = Version(*_VERSION.unpack(version))
         wanted = _RATE.pack(self._rate) + ",".join(self._outputs).encode()
         recipe = granted_recipe(self._outputs, await self._ask(Kind.OUTPUTS, wanted))
         if await self._ask(Kind.START) != b"\1":
@@ -241,17 +236,12 @@ class RtdeClient:
             await self._received.put(error)
 
     def _count_text(self, payload: bytes) -> None:
-        """Count a message, and log it unless `TEXTS` of this minute were logged."""
+        """Count a message, and log the first `TEXTS` of this connection."""
         self.texts += 1
-        if (now := self._clock.now()) - self._minute > 60 * s:
-            self._minute, self._logged = now, 0
-        self._logged += 1
-        if self._logged <= TEXTS:
+        if self.texts <= TEXTS:
             log.warning("controller: %s", text(payload))
-        elif self._logged == TEXTS + 1:
-            log.warning(
-                "%s sends many messages: they are counted, and %d a minute logged", self.endpoint, TEXTS
-            )
+        elif self.texts == TEXTS + 1:
+            log.warning("%s sends many messages: further ones are only counted", self.endpoint)
 
     async def _unread(self) -> list[tuple[int, bytes]]:
         """Wait for packages; raise the error that ends them after the last one."""
