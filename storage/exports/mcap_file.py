@@ -5,7 +5,6 @@ Foxglove shows as times and which no reader rounds. JSON has no NaN: values that
 and a column without any finite value is omitted from its message.
 """
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +28,6 @@ from storage.session import Session
 
 _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
 _BATCH: Final = 5000  # rows between progress updates
-_JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # slow to create
 _INT64: Final = np.dtype(np.int64)
 _TYPES: Final = {"b": "boolean", "i": "integer", "f": "number"}
 _STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -70,7 +69,7 @@ def export(
             name, first = topic(table, finger), next(session.read(table.kind, finger, 1))
             if name not in channels:
                 schema = message_schema(table, type(first), first.cells)
-                number = writer.register_schema(schema["title"], "jsonschema", _JSON.encode(schema).encode())
+                number = writer.register_schema(schema["title"], "jsonschema", msgspec.json.encode(schema))
                 channels[name] = writer.register_channel(name, "json", number)
             streams.append(_rows(session, table, finger))
         rows = merge(*streams, key=itemgetter(0))
@@ -130,7 +129,7 @@ def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
         if batch.finger != EVERY:
             message["finger"] = batch.finger
         message |= {name: values[row] for name, values in columns if values[row] is not None}
-        yield time, _JSON.encode(message).encode()
+        yield time, msgspec.json.encode(message)
 
 
 def _rows(session: Session, table: Table, finger: int) -> Iterator[_Message]:
@@ -160,13 +159,8 @@ def _values(values: NDArray[Any], column: Column) -> list[Any]:
         return [_stamp(value) for value in values.tolist()]
     if column.names:
         return [column.names[code] for code in values.tolist()]
-    if column.dtype.kind != "f" or np.isfinite(values).all():
-        return list(values.tolist())
-    known = values.astype(object)
-    known[~np.isfinite(values)] = None
-    if not column.shape:
-        return list(known.tolist())
-    return [row if any(each is not None for each in row) else None for row in known.tolist()]
+    known = np.isfinite(values).reshape(len(values), -1).any(axis=1)
+    return [row if any_known else None for row, any_known in zip(values.tolist(), known, strict=True)]
 
 
 def _is_span(column: Column) -> bool:
@@ -179,4 +173,4 @@ def _stamp(time: int) -> dict[str, int]:
 
 
 def _text(value: object) -> str:
-    return value if isinstance(value, str) else _JSON.encode(value)
+    return value if isinstance(value, str) else msgspec.json.encode(value).decode()
