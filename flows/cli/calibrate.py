@@ -20,13 +20,13 @@ def calibrate(
         typer.Option(
             "--on",
             metavar="DATASET|SESSION",
-            help="Labelled recordings that the model has not learned from, also without slips; repeatable.",
+            help="Labelled recordings that the model has not learned from; slips are not needed; repeatable.",
         ),
     ],
     false_alarms: Annotated[
         str,
         typer.Option(
-            metavar="RATE", help="Highest rate of false alarms, per static time, such as 1/min or 6/h."
+            metavar="RATE", help="Highest rate of false alarms, per time without slip, such as 1/min or 6/h."
         ),
     ] = "1/min",
     confidence: Annotated[
@@ -44,15 +44,13 @@ def calibrate(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Tune the debounce for a stated rate of false alarms.
+    """Choose settings of the debounce that keep a stated rate of false alarms.
 
-    Chooses threshold, run length and release of the debounce such that false alarms are at most as frequent
-    as RATE on data like the given recordings, with the given confidence. The model card records the settings,
-    the data and its static minutes. Flows use them with `false_alarms`.
+    On data like the given recordings, false alarms are then at most as frequent as RATE, with the given
+    confidence. The model card records the settings; flows use them with their parameter `false_alarms`.
 
-    Without any false alarm, 1/min at 95% needs 3 static minutes, and 6/h needs 30. The error for too little
-    data says how much more is needed. Record many sessions: each counts as one example of your conditions.
-    The rate need not hold on other fingertips, motions or surfaces.
+    Without any false alarm, 1/min at 95% needs 3 static minutes, and 6/h needs 30. Record many sessions: each
+    counts as one example of your conditions. The rate need not hold on other fingertips, motions or surfaces.
 
     Examples:
       slipflow calibrate mine.safetensors --on recordings --false-alarms 1/min --confidence 95%

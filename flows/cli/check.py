@@ -8,10 +8,9 @@ from flows.cli.options import Settings, Target, parse_settings
 
 
 def check(target: Target, *, settings: Settings = None) -> None:
-    """Find errors in a flow without running it, and draw it.
+    """Find errors in a flow without running it, and print its graph and parameters.
 
-    Prints the graph, and the flow's parameters with their values, as --set takes them. Exits 2 if there are
-    errors.
+    Exits 2 if there are errors.
 
     Examples:
       slipflow check record --set delay=70ms

@@ -42,10 +42,10 @@ def collect(
     """Drive an arm through a collection plan and record it.
 
     The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth, workspace, limits
-    and seed. Unless it gives the pose of the surface, start with the fingertip just touching it. Each stroke
-    moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then commits the recording. The
-    collection ends, with the arm stopped, if the controller stops, a limit of the plan is exceeded, or a
-    fingertip gives no samples or measures no contact. A robot needs the ur extra, except with --dry-run.
+    and seed. Unless it states the pose of the surface, start with the fingertip just touching it. Ctrl-C
+    stops the arm and then stores the recording. The collection also stops if the controller stops, a limit of
+    the plan is exceeded, or a fingertip gives no samples or measures no contact. A robot needs the extra
+    `ur`, except with --dry-run.
 
     Examples:
       slipflow collect tiny --virtual --out lab

@@ -26,8 +26,8 @@ def demo(
     """Detect slip on a simulated rig; no hardware is needed.
 
     Records a labelled dataset, shows touch and slips on the live page, and compares the detected slips with
-    the true ones. Exits 1 if a source was down or silent at the end, or rows were lost. `slipflow run demo`
-    runs the same flow with all options of `run`.
+    the true ones. Exits as `slipflow run` does; `slipflow run demo` runs the same flow with all options of
+    `run`.
 
     Examples:
       slipflow demo --for 1min

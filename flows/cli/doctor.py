@@ -27,9 +27,9 @@ def doctor(
     """Check this machine, and the devices that a flow uses.
 
     Checks Python, packages, clock, disk and I2C buses, and with a flow its devices, servers and folders. Each
-    line is good, a note, or bad and says how to fix it. Nothing moves; the bus is scanned, the broker
-    gets one message on the topic doctor of the rig, and a temporary file is written to each disk. End runs
-    that use the same devices first. Exits 1 if anything is bad.
+    line is good, a note, or bad and says how to fix it. Nothing moves; doctor scans the bus, sends one
+    message to the broker (topic doctor of the rig), and writes a temporary file to each disk. First end runs
+    that use the same devices. Exits 1 if anything is bad.
 
     Examples:
       slipflow doctor

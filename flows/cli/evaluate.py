@@ -40,7 +40,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Judge only this detector; or judge this model file, too; repeatable (default: all).",
+            help="Judge only this detector, or also this model file; repeatable (default: all detectors).",
         ),
     ] = None,
     jobs: Jobs = None,
@@ -50,13 +50,13 @@ def evaluate(
 ) -> None:
     """Compare detectors on a dataset.
 
-    Prints Tables I and III next to the paper's results, false alarms, missed slips and delay, with intervals
-    over recordings. Baselines are fitted to the train split; recordings that are judged do not count. Writes
-    a report as evaluation.html, .md, .json and figures. Baselines need the baselines extra, --train the
-    train extra.
+    Prints accuracy (Tables I and III of the paper, with its results), false alarms, missed slips and delay,
+    with intervals over recordings. Baselines are fitted to the train split, without recordings that are
+    judged. Writes evaluation.html, .md, .json and figures (with --stress, stress.html and so on). Baselines
+    need the extra `baselines`, --train the extra `train`, figures `report`.
 
-    With --hold-out, detectors are judged on surfaces or objects; --train shows what training on the others
-    gives. With --stress, the scene is simulated from nominal to extreme conditions.
+    With --hold-out, detectors are judged on surfaces or objects. With --stress, the scene is simulated from
+    nominal to extreme conditions.
 
     Examples:
       slipflow evaluate recordings --method mine.safetensors --method psd

@@ -12,7 +12,9 @@ from flows.cli.terminal import command_line, prepare_report, progress_bar, write
 def experiment(
     name: Annotated[
         str,
-        typer.Argument(metavar="tap|lift", help="tap: hit held objects. lift: lift weakly gripped objects."),
+        typer.Argument(
+            metavar="tap|lift", help="tap: a mallet hits held objects. lift: lift weakly gripped objects."
+        ),
     ],
     *,
     trials: Annotated[int, typer.Option(min=1, help="Number of trials of each object.")] = 20,
@@ -45,10 +47,10 @@ def experiment(
     out: ReportFolder = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Run a robot experiment of the paper in closed loop, simulated.
+    """Run a robot experiment of the paper in simulation.
 
-    Prints success next to the paper's, false slips, failed trials by ending, slides and holding forces.
-    Writes NAME.html, .md, .json and figures.
+    Detected slips change the grip force. Prints success next to that of the paper, false slips, causes of
+    failed trials, slides and holding forces. Writes tap.html or lift.html, .md, .json and figures.
 
     Examples:
       slipflow experiment tap

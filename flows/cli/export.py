@@ -31,12 +31,12 @@ def export(
 ) -> None:
     """Export recordings to LeRobot or MCAP.
 
-    lerobot: each session becomes an episode. The observation is the zeroed counts of all fingertips, the
-    action is the arm velocity. Each frame takes the nearest sample; without one it repeats the frame before
-    it, with `valid` false. Requires samples, which `slipflow run record` writes.
+    lerobot: each session becomes an episode. The observation has the zeroed counts of all fingertips, the
+    action is the velocity of the arm. Each frame takes the nearest sample; without one it repeats the values
+    before it, with `valid` false. Requires samples, which `slipflow run record` writes.
 
-    mcap: every row of every stream at its event time, on the topics /touch/FINGER, /motion, /samples/FINGER,
-    /slip/FINGER and /faults; one file per session. Requires the extra `mcap`.
+    mcap: one file per session, with all rows on the topics /touch/FINGER, /motion, /samples/FINGER,
+    /slip/FINGER and /faults. Requires the extra `mcap`.
 
     Examples:
       slipflow export recordings lerobot --to lerobot --rate 50

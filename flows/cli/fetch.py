@@ -18,9 +18,9 @@ def fetch(
 ) -> None:
     """Download, verify and import a public dataset of real touch.
 
-    slipflow contains recipes, no data. A recipe states the source and its commit, the checksum of each file,
-    licence and citation. A file with another checksum is never imported. Verified files stay in the
-    cache; a clone of the source in the cache needs no network.
+    slipflow contains recipes, no data. A recipe states the source, the checksum of each file, licence and
+    citation. Verified files stay in the cache; without a network, make the cache a clone of the source. Needs
+    the extra `fetch`.
 
     Examples:
       slipflow fetch

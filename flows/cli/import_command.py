@@ -45,7 +45,7 @@ def import_(
     """Import CSV or Parquet files of any fingertip as sessions.
 
     Use --dry-run first to check how the columns are interpreted. Files that the dataset has already are left
-    out. Read other formats in Python and pass a DataFrame to flows.lab.importing.import_frame.
+    out. For other formats, pass a DataFrame to flows.lab.importing.import_frame in Python.
 
     Examples:
       slipflow import trace.csv recordings --dry-run

@@ -33,22 +33,22 @@ Cluster = Annotated[
     str | None,
     typer.Option(
         metavar="URL",
-        help="Dask cluster to run on, such as tcp://127.0.0.1:8786; its machines share all folders.",
+        help="Dask cluster to run on, such as tcp://127.0.0.1:8786; its machines must share all folders.",
     ),
 ]
 Listen = Annotated[
     str | None,
     typer.Option(
         metavar="[HOST:]PORT",
-        help="Address of the page (default: 127.0.0.1:8765, or any free port). A HOST that other machines"
-        " reach needs SLIPFLOW_PAGE_TOKEN.",
+        help="Address of the page (default: 127.0.0.1:8765, or any free port). For other machines set"
+        " SLIPFLOW_PAGE_TOKEN, and HOST to 0.0.0.0.",
     ),
 ]
 NoBrowser = Annotated[
     bool, typer.Option("--no-browser", help="Only print the address of the page, open no browser.")
 ]
 Log = Annotated[
-    Format, typer.Option("--log", help="Log as text, or as json: slips and failures, one object per line.")
+    Format, typer.Option("--log", help="Log as text, or as json: slips and failures as one object per line.")
 ]
 Recordings = Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")]
 ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]

@@ -66,8 +66,8 @@ def run(
         str | None,
         typer.Option(
             metavar="[HOST:]PORT",
-            help="Serve Prometheus metrics, at 9464 for example. A HOST that other machines reach needs"
-            " SLIPFLOW_PAGE_TOKEN, their bearer token.",
+            help="Serve Prometheus metrics, for example at 9464. For other machines set SLIPFLOW_PAGE_TOKEN,"
+            " the bearer token, and HOST to 0.0.0.0.",
         ),
     ] = None,
     log: Log = Format.TEXT,
@@ -76,8 +76,8 @@ def run(
     """Run a flow live, or replay recordings through it.
 
     A live run ends with its sources, after --for, or at Ctrl-C. Recordings are replayed in parallel, each to
-    a session of its name; a repeated command omits those that exist. Exits 1 if a source was down or silent
-    at the end, rows were lost, or a replay failed; the others continue.
+    a session of its name; a repeated command leaves out those that exist. Exits 1 if a source was down or
+    silent at the end, rows were lost, or one of several replays failed; the other replays continue.
 
     Examples:
       slipflow run live --for 30s --page

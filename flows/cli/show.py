@@ -38,11 +38,9 @@ def show(
 ) -> None:
     """Show a recorded session in a browser, and label it by hand.
 
-    Scores the recorded touch again. Shows the recorded slip events if there are any, else those found by the
-    detector. A slider changes the threshold. Drag over the curves to zoom, and over the bands below them to
-    mark slip, static or unknown; `slipflow train` and `evaluate` use these labels. Ends at Ctrl-C.
-
-    Without a detector, the page shows no probability and only recorded events; it can still be labelled.
+    The detector scores the recorded touch again. Shows the recorded slip events if there are any, else those
+    of the detector. Drag over the curves to zoom, and over the bands below them to mark slip, static or
+    unknown; `slipflow train` and `evaluate` use these labels. Ends at Ctrl-C.
 
     Examples:
       slipflow show recordings/sessions/stroke-9 --detector psd

@@ -36,9 +36,7 @@ def train(
     ] = "tcn",
     parent: Annotated[
         str | None,
-        typer.Option(
-            "--from", metavar="MODEL", help="Train this tcn further, a file or a shipped one, on few labels."
-        ),
+        typer.Option("--from", metavar="MODEL", help="Train this tcn further: a model file, or tcn."),
     ] = None,
     filters: Annotated[
         int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
@@ -52,12 +50,12 @@ def train(
 ) -> None:
     """Train a slip detector.
 
-    Learns from the train split; the validation split selects the best checkpoint, calibrates the probability
-    and tunes the debounce; the test split is only reported. Labels by hand replace those by arm speed.
-    Ctrl-C stops the training without a model. Needs the train extra.
+    Learns from the train split. The validation split selects the best weights, calibrates the probability and
+    tunes the debounce; the test split is only reported. Labels by hand replace those by arm speed. Ctrl-C
+    stops the training without a model. Needs the extra `train`.
 
-    With --from, a tcn of any size learns further from few labels: two minutes suffice. The test split, or
-    else the last 30 % of each recording, is held out to compare the new model with the old one.
+    With --from, a tcn learns further from few labels: two minutes suffice. The test split, or else the last
+    30 % of each recording, is held out to compare the new model with the old one.
 
     Examples:
       slipflow train recordings -o mine.safetensors

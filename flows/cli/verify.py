@@ -33,15 +33,15 @@ def verify(
 ) -> None:
     """Read all files of a dataset and report losses and damage.
 
-    Compares every file with the manifest: SHA-256, page checksums, rows and times. During a recording it
-    checks the committed part. Changes nothing without --repair, which moves the rows of a killed recorder's
-    journal into the dataset, as opening such a session with slipflow does. Files that do not belong to the
-    session are moved to its folder `damaged`.
+    Compares every file with the manifest: SHA-256, page checksums, rows and times. A recording in progress is
+    checked up to its last commit. Changes nothing without --repair, which moves the rows of a killed
+    recorder's journal into the dataset, as opening such a session with slipflow does, and damaged or unknown
+    files of the session into its folder `damaged`.
 
     Exits 0 if the data is complete; 3 if something was or can be repaired without loss of rows on disk, or
     rows are known to be missing (for example dropped ones); 1 if recorded data is lost or damaged, even after
-    a repair. With --json this is "code", and "worst" is good, repairable, repaired, lossy or lost. How many
-    rows a killed recorder could not write, for example because the disk was full, is unknown.
+    a repair. With --json, "code" has this number, and "worst" is good, repairable, repaired, lossy or lost.
+    The rows that a killed recorder could not write, for example because the disk was full, are unknown.
 
     Examples:
       slipflow verify recordings

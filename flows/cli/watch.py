@@ -23,9 +23,7 @@ def watch(
     rig: Annotated[str, typer.Option(help="Show only this rig; +: all rigs.")] = "+",
     since: Annotated[
         str,
-        typer.Option(
-            help="Start with new events (now), or with all events that the rigs still have (start)."
-        ),
+        typer.Option(help="now: start with new events; start: with all events that the rigs still have."),
     ] = "now",
     position: Annotated[
         Path | None,
@@ -37,10 +35,10 @@ def watch(
 ) -> None:
     """Print slip events from an MQTT broker, each once.
 
-    Fetches missed events from the rigs, and reports events that are lost. Each line shows the
-    times from the decisive sample to the event, by the rig's clock, and to its arrival here, by this
-    machine's clock, if it was within a day. Reconnects to a broker that it has reached once; exits 2 if it
-    cannot reach it at the start. Stops at Ctrl-C.
+    Fetches missed events from the rigs, and reports events that are lost. Each line shows the time from the
+    deciding sample to the event, by the clock of the rig, and to the arrival here, by the clock of this
+    machine (if less than a day). Exits 2 if it cannot reach the broker at the start; later it reconnects.
+    Stops at Ctrl-C.
 
     Examples:
       slipflow watch mqtt://localhost --site lab
