@@ -8,9 +8,9 @@ from flows.cli.options import Settings, Target, parse_settings
 
 
 def check(target: Target, *, settings: Settings = None) -> None:
-    """Find errors in a flow without running it, and print its graph and parameters.
+    """Find errors in a flow without running it, and print it.
 
-    Exits 2 if there are errors.
+    Prints the graph, and the parameters with their values. Exits 2 if there are errors.
 
     Examples:
       slipflow check record --set delay=70ms

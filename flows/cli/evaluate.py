@@ -40,7 +40,7 @@ def evaluate(
         list[str] | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Judge only this detector, or also this model file; repeatable (default: all detectors).",
+            help="NAME: judge only this detector. FILE: judge this model, too. Repeatable (default: all).",
         ),
     ] = None,
     jobs: Jobs = None,
