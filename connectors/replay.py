@@ -17,8 +17,7 @@ Given = TypeVar("Given", bound=Batch)
 class Replay(Source[Given], Generic[Given]):
     """Recorded stream as a source: each row is a batch, due at its recorded time on the clock of the run.
 
-    Rows keep their recorded timestamps. `ReplayRunner` reads the recording itself, at full speed. A run reads
-    the recording; the declaration of a flow does not.
+    Rows keep their recorded timestamps. The declaration of a flow does not read the recording.
 
     Args:
         recording: Recording to replay.

@@ -35,7 +35,7 @@ _SPAN: Final = 5 * s  # minimum span of rows for a drift estimate
 
 @dataclass
 class DeviceClock(Operator[Motion, Motion]):
-    """Replace arrival times by the host times of the device's own stamps.
+    """Replace the arrival time of each row by the host time at which the device measured it.
 
     The host time of a row follows from the lower envelope of (arrival - device stamp) over the `window`
     before it: a line with offset and drift (Moon et al. 1999). Time never decreases and is

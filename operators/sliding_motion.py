@@ -24,7 +24,7 @@ class SlidingMotion(Operator[Truth, Motion]):
     `speed`, but the mean over `rest` exceeds a third of it.
 
     Args:
-        speed: Mean speed from which on the contact slips, m/s; that of `Label`.
+        speed: Mean speed from which the contact slips, m/s; as in `Label`.
         span: Time over which the speed is the mean, ns.
         rest: Time over which a contact at rest has hardly slid, ns.
 

@@ -24,16 +24,15 @@ _DEFAULT: Final = ColumnMap()
 class Trace:
     """`Recording` of fingertips, and of the motion if there is one, loaded completely and checked.
 
-    The file is read at the first access of an attribute: a flow can declare a trace without reading it.
-    Decimal times are converted exactly, then rounded to the nearest ns. Other columns are ignored.
-    Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an offset. A
-    missing reading is an invalid cell. Temperatures are 0 (unknown) and the arm's pose is NaN. A speed
+    The file is read at the first access of an attribute, not by the declaration of a flow. Other columns are
+    ignored. Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an
+    offset. A missing reading is an invalid cell. Temperatures are 0 (unknown) and the pose is NaN. A speed
     becomes a velocity along x of the base frame. A row without a velocity adds no row of motion.
 
     Args:
         source: A CSV or Parquet file, a polars or pandas DataFrame, a dictionary of arrays, or a part of an
             interpretation.
-        columns: Map of the columns; what it does not state is concluded from the data.
+        columns: Map of the columns; the rest is concluded from the data.
         name: Name of a DataFrame.
         about: Further entries of the description, such as ``group``, the surface or object.
 

@@ -57,17 +57,19 @@ class Gripper(Sink[Commands]):
     Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers close with
     the first commanded force, and stop at an object. Closing the sink leaves them as they are.
 
-    A command is executed on arrival, whatever its timestamp. A force of NaN has no effect. A
-    force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
-    fingers move again only for a higher force or another position.
+    A command is executed on arrival, whatever its timestamp. A force of NaN has no effect; others are limited
+    to `limits`. A lower force may not loosen the grip: according to the manual, stopped fingers move again
+    only for a higher force or another position.
 
-    The status is read every 0.1 s. A restarted gripper is activated and grips again. A gripper that
-    fails (silent, lost, or with a fault) is tried again every second; meanwhile `write` raises, and the
-    newest command is sent afterwards. Faults that need a reset are left to the user during a run.
+    A restarted gripper is activated and grips again. A gripper that fails (silent, lost, or with a fault) is
+    tried again every second; meanwhile `write` raises, and the newest command is sent afterwards. Faults that
+    need a reset are left to the user during a run.
 
     Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual".
 
     Args:
+        host: Address of the gripper.
+        unit: Modbus unit id; 0 or 9 with some adapters.
         limits: Minimum and maximum force, N.
 
     Attributes:
@@ -82,7 +84,7 @@ class Gripper(Sink[Commands]):
 
     host: str
     port: int = PORT
-    unit: int = UNIT  # some grippers are set to 0 or 9
+    unit: int = UNIT
     limits: tuple[float, float] = (WEAKEST, STRONGEST)
 
     extra = "gripper"

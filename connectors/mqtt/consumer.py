@@ -36,20 +36,25 @@ class _Reply(Document, frozen=True):
 
 
 class Consumer(AsyncIterator[Event]):
-    """Slip events of the rigs that match `site` and `rig`, each once; ``+`` matches any.
+    """Slip events from a broker, each once.
 
-    Events arrive as soon as the broker delivers them; a missed event is fetched from the rig and arrives
-    late, after newer ones. Events that the rig no longer keeps are reported as lost. Malformed messages and
-    lost connections are reported too; the consumer reconnects.
+    A missed event is fetched from the rig and arrives late, after newer ones. Events that the rig no longer
+    keeps are reported as lost. The consumer reconnects after a lost connection.
 
-    With `position_file` it resumes at the saved position. The position is saved when the loop requests the
-    next event, so after a crash the event in progress is delivered again: deduplicate on `Event.identifier`.
-    One consumer at a time can use a file. The events of a new rig start with its next one (``since="now"``),
-    or with the oldest that it keeps (``since="start"``).
+    The position is saved when the loop requests the next event, so after a crash the event in progress is
+    delivered again: deduplicate on `Event.identifier`. One consumer at a time can use a file.
 
         async with Consumer("mqtt://localhost", site="lab", position_file="events.position") as events:
             async for event in events:
                 print(event.time, event.finger, event.state)
+
+    Args:
+        url: Address of the broker, see `connectors.mqtt.broker.Broker`.
+        site: Site; ``+``: all.
+        rig: Rig; ``+``: all.
+        position_file: File of the position at which the consumer resumes; None: it does not resume.
+        since: Events of a rig without a position: from its next one (``now``) or its oldest one (``start``).
+        report: Takes messages about lost events, malformed messages and lost connections.
 
     Raises:
         ParameterError: if `url`, `site`, `rig` or `since` is invalid.

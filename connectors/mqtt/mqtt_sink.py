@@ -33,16 +33,19 @@ class Mqtt(Sink[Slips | Faults]):
     """Slip events and the state of each fingertip over MQTT 5, without losing an event.
 
     Events are numbered and stored in the outbox, a folder that is kept between runs, before they are sent.
-    They are sent until the broker acknowledges them, in a later run if necessary. A power cut loses at most
-    the newest events that are neither sent nor on disk. `connectors.mqtt.consumer.Consumer` fetches events
-    that it missed.
+    They are sent until the broker acknowledges them, in a later run if necessary, with the same id. A power
+    cut loses at most the newest events that are neither sent nor on disk. While the disk is full or fails,
+    events are sent from memory, and a kill may lose them. Faults mark later events as degraded.
 
-    docs/reference/mqtt.md describes the topics below ``slip/v1/<site>/<rig>``: events, state of each
-    fingertip, number of the newest event, status (also the last will), description and health of the run.
-
-    An event that is sent again has the same id. While the disk is full or fails, events are sent from memory,
-    and stored once the disk works; they may be lost if the process is killed before. Closing waits until all
-    events are stored. Faults mark later events as degraded and appear in the health document.
+    Args:
+        url: Address of the broker, see `connectors.mqtt.broker.Broker`.
+        site: Name of the site in the topics.
+        rig: Name of the rig, unique within the site; empty: name of this host.
+        model: ``id`` and ``sha256`` of the detector, for the events.
+        threshold: Probability from which a sample counts as slip, for the events.
+        consecutive: Decisions that start a slip, for the events.
+        outbox: Folder; None: one per site and rig in $XDG_STATE_HOME/slipflow.
+        connect_required: False: start also without the broker; events wait in the outbox.
 
     Raises:
         ParameterError: if a parameter is out of range.
@@ -50,14 +53,14 @@ class Mqtt(Sink[Slips | Faults]):
 
     live_only = True
 
-    url: str  # see `connectors.mqtt.broker.Broker`
+    url: str
     site: str = "lab"
-    rig: str = ""  # unique within the site; empty: name of this host
-    model: Mapping[str, str] = field(default_factory=dict[str, str])  # id and sha256 of the detector
-    threshold: float | None = None  # probability from which a sample counts as slip, reported in events
-    consecutive: int | None = None  # samples required for an onset, reported in events
-    outbox: str | Path | None = None  # folder; None: one per site and rig in $XDG_STATE_HOME/slipflow
-    connect_required: bool = True  # False: start without the broker; events wait in the outbox
+    rig: str = ""
+    model: Mapping[str, str] = field(default_factory=dict[str, str])
+    threshold: float | None = None
+    consecutive: int | None = None
+    outbox: str | Path | None = None
+    connect_required: bool = True
 
     def __post_init__(self) -> None:
         self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
@@ -89,10 +92,7 @@ class Mqtt(Sink[Slips | Faults]):
         return self._outbox.waiting
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
-        """Check password, TLS, access rights and response time of the broker, and the disk of the outbox.
-
-        Publishes one message, which is not retained, on the topic ``doctor`` of the rig.
-        """
+        """Check the disk of the outbox, and the broker by one message on the topic ``doctor`` of the rig."""
         from connectors.mqtt.broker_link import diagnose_broker
 
         for finding in await asyncio.to_thread(check_disk, self._outbox_path()):

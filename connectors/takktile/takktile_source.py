@@ -22,21 +22,18 @@ VALID_LEAST: Final = 0.5  # smallest share of valid samples of a cell
 class TakkTile(Source[Touch]):
     """Fingertips of six barometers each, scanned together in a separate thread.
 
-    All barometers convert at the same time; a sample's time is the start of the conversion. A cell is valid
-    if it answers with a plausible reading; invalid cells have the received counts, or 0. A late scan does not
-    delay later scans, and a missed scan is not repeated.
-
-    If no cell answers for 0.25 s, the sensor is lost and the source fails. The bus is locked against other
-    programs that scan it.
+    All barometers convert at the same time; the time of a sample is the start of the conversion. A cell is
+    valid if it answers with a plausible reading; invalid cells have the received counts, or 0. A late scan
+    does not delay later scans, and a missed scan is not repeated. If no cell answers for 0.25 s, the source
+    fails. The bus is locked against other programs.
 
     Args:
         bus: Number of the I2C bus (1 for /dev/i2c-1), or its path.
-        rows: Rows of the fingertips, as programmed into their ATtinys: 0 to 7.
+        rows: Row numbers of the fingertips, 0 to 7, as programmed into their microcontrollers.
         fingers: Numbers of the fingertips in the flow (default 0, 1 and so on).
         rate: Scans per second, Hz; below 333, because a conversion takes 3 ms.
 
     Attributes:
-        path: Path of the bus.
         coefficients: Coefficients of the six cells, by finger; None: not read yet, or not plausible.
 
     Raises:

@@ -28,9 +28,8 @@ _MAX_UPTIME: Final = 4e9  # s, 128 years
 class UrMotion(Source[Motion]):
     """Pose and velocity of a UR arm's tool centre point (TCP) in the base frame.
 
-    `time` is the arrival of a package, `device_time` the controller's timestamp (ns since its start); both
-    are unfiltered. Packages that arrive together, for example after a stall, have nearly one arrival time.
-    `DeviceClock` converts the controller's time into host time and removes the network jitter::
+    `time` is the arrival of a package, `device_time` the controller's timestamp (ns since its start). A flow
+    converts the latter into host time, without the jitter of the network::
 
         motion = flow.source(UrMotion("10.0.0.2"))
         motion.to(dataset)  # as received
@@ -41,12 +40,16 @@ class UrMotion(Source[Motion]):
 
     Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 
+    Args:
+        host: Address of the controller.
+        rate: Packages per second, Hz; at most 125 on a CB3 controller, 500 on an e-Series.
+
     Raises:
         ParameterError: if the host is empty, or no controller has the rate.
     """
 
     host: str
-    rate: float = 125.0  # Hz; at most 125 on a CB3 controller, 500 on an e-Series
+    rate: float = 125.0
     port: int = PORT
     _about: dict[str, Json] = field(default_factory=dict[str, Json], init=False, repr=False)
 
@@ -114,10 +117,7 @@ class UrMotion(Source[Motion]):
         yield rate_finding(client.endpoint, np.rint(stamps * s).astype(np.int64), self.rate, remedy)
 
     def describe(self) -> Description:
-        """Return arm, address, rate, controller version and counts, which are updated live.
-
-        ``messages`` are those of the controller since the last connection.
-        """
+        """Return arm, address, rate, controller version, and counts that are updated live."""
         return self._about
 
     def _check_controller(self, client: RtdeClient) -> None:

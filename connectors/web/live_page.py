@@ -57,9 +57,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     Connect each stream to show: touch (raw touch is ignored if there is zeroed touch, too), motion, scores,
     slips and faults. The health covers all sources and sinks of the run.
 
-    A browser requests each frame over a WebSocket when it has shown the previous one, at most 40 per second.
-    The frame has all that is new since then, so a slow browser gets fewer and larger ones, at most the last
-    30 s. The page may drop rows and never slows the run.
+    The page may drop rows and never slows the run. A slow browser gets fewer frames, at most 40 per second.
 
     Only this machine can reach the page unless `host` is set, which requires SLIPFLOW_PAGE_TOKEN. The
     connection is not encrypted: outside a trusted network, use a TLS proxy that keeps the header Host.
@@ -67,7 +65,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     Args:
         port: Port to listen on; 0 for any free port; None for 8765, or any free port if that is in use.
         host: Address of this machine to listen on, 0.0.0.0 for all.
-        threshold: Probability from which a sample counts as slip, marked on the page.
+        threshold: Probability from which a sample counts as slip, marked on the page; None: no mark.
         opened: Called with the URL once the page is open.
 
     Raises:

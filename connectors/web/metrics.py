@@ -45,13 +45,12 @@ class Metrics(Sink[Scores | Slips | Faults]):
     ``/healthz`` answers 200 while the event loop runs. ``/readyz`` answers 200 if a source delivers and no
     source or sink fails, else 503 with the names of those that fail. Neither needs the token.
 
-    The metrics cover all sources and sinks of the run, in SI units, as counters where possible, so that
-    Prometheus can derive rates. Connect slips for counts and latency, faults for the health of barometers,
-    and scores for their quality. The sink may drop rows and never slows the run.
+    The metrics cover all sources and sinks of the run, in SI units. Connect slips for counts and latency,
+    faults for the health of barometers, and scores for their quality. The sink may drop rows and never slows
+    the run.
 
-    Only this machine can read the metrics unless `host` is set, which requires a token: Prometheus sends it
-    as ``Authorization: Bearer TOKEN``. The metrics have names, counts and times, but no error texts, because
-    these may be confidential.
+    Only this machine can read the metrics unless `host` is set, which requires SLIPFLOW_PAGE_TOKEN:
+    Prometheus sends the token as ``Authorization: Bearer TOKEN``. The metrics contain no error texts.
 
     Args:
         port: Port to listen on; 0 for any free port.

@@ -50,7 +50,7 @@ class StreamingDetector(Detector, Protocol):
     """Detector that also processes samples one by one, each once, at low cost per sample."""
 
     def steps(self, hop: int, cells: int) -> Steps:
-        """Return the step from zeroed touch to scores, for the scores of `Score` with the same `hop`.
+        """Return the step that `Score` with the same `hop` runs, from zeroed touch to scores.
 
         They start at the `length`-th sample and agree with `score` of the same window to 1e-5.
 
