@@ -67,7 +67,7 @@ class HandLabels:
     spans: tuple[LabelSpan, ...] = ()  # in order of fingertip and time
 
     def replace(self, label: Codes, time: Times, finger: int) -> tuple[Codes, Flags]:
-        """Return the labels (n,) of samples at `time` (n,), replaced within spans, and a mask of these (n,)."""
+        """Return the labels (n,) of samples at `time` (n,), replaced within spans, and where (n,)."""
         label, by_hand = label.copy(), np.zeros(len(label), np.bool_)
         for span in self.spans:
             if span.finger == finger:

@@ -13,15 +13,15 @@ ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
     "operators": 5_052,
-    "connectors": 10_507,
+    "connectors": 10_506,
     "storage": 3_853,
-    "flows": 12_449,
-    "product": 31_861,
+    "flows": 12_442,
+    "product": 31_853,
     "product files": 215,
     "tests": 31_722,
     "commands": 16,
     "options": 77,
-    "words": 36_971,
+    "words": 35_494,
 }
 
 

@@ -11,7 +11,7 @@ from flows.cli.terminal import Format
 if TYPE_CHECKING:
     from flows.graph import Flow
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result on stdout as one JSON object.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 Duration = Annotated[
     str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
 ]
