@@ -1,8 +1,7 @@
 """What a replay of short sessions costs: Parquet to slips with the shipped detector, by stage.
 
 Run by `make bench`. The flow is touch | Zero | Score(tcn) | Debounce. CPU time of one process, after the
-imports and the detector's compilation, for which another replay comes first. `bench_scaling` measures long
-recordings and several processes.
+imports and the detector's compilation, for which another replay comes first.
 """
 
 import asyncio
@@ -28,7 +27,6 @@ from storage import Dataset, Session, load_debounce, load_detector
 from tests.benchmarks.machine import print_head
 
 RATE = 100  # Hz
-BLOCK = 60 * RATE  # rows of a part
 TURNS, ROWS = 5, 1000  # rows of a batch
 STAGES = ("open", "check and plan", "read", "operators", "the rest")
 

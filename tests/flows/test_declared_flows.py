@@ -13,12 +13,11 @@ from flows.graph import Flow
 from flows.graph.loading import load
 from flows.graph.testing import run_virtually
 from flows.graph.validation import problems
-from flows.live import live
 from flows.record import record
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner
-from operators import Motion, ParameterError, Run, Source, Touch, s
+from operators import Motion, Run, Source, Touch, s
 from storage import Dataset, Session
 
 
@@ -54,11 +53,6 @@ def test_a_recorded_session_has_labelled_samples_and_replays_to_the_same(tmp_pat
     assert live["velocity"].arr.first().is_not_nan().mean() == pytest.approx(1, abs=0.02)
 
 
-def test_live_prints_slip_events(capsys: pytest.CaptureFixture[str]) -> None:
-    run_for(live(), 20)
-    assert "slip onset" in capsys.readouterr().out
-
-
 def test_the_report_of_the_demo_compares_onsets_with_the_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,10 +66,3 @@ def test_the_report_of_the_demo_compares_onsets_with_the_truth(
     assert "onset delay: median" in text
     assert f"{tmp_path}/sessions/test/samples/*.parquet" in text
     assert set(Session.open(tmp_path).tables) == {"touch", "motion", "samples", "slips", "episodes", "truth"}
-
-
-def test_a_negative_delay_or_seed_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="record: delay is -1, must be at least 0 ns"):
-        record(str(tmp_path), delay=-1)
-    with pytest.raises(ParameterError, match="SimulatedRig: seed is -5, must be at least 0"):
-        live(seed=-5)

@@ -7,7 +7,6 @@ from operators.rotation import compose, quaternion, rotate, rotation_difference
 
 angles = st.floats(-4, 4)
 vectors = st.tuples(angles, angles, angles)
-parts = st.floats(0, 1)
 
 
 @given(rotation=vectors, vector=vectors)

@@ -173,15 +173,6 @@ def test_a_session_is_never_written_over(tmp_path: Path) -> None:
     assert session_names(tmp_path) == ["one", "three", "two"]
 
 
-def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "dataset.json").write_text('{"version": 1}')
-    with pytest.raises(
-        InputError, match=r"dataset\.json: has version 1; this slipflow reads version 2: read it with"
-    ):
-        run_sink(Dataset(tmp_path), new_run(), [])
-    assert [path.name for path in tmp_path.iterdir()] == ["dataset.json"]
-
-
 @pytest.mark.parametrize("value", [float("nan"), [float("inf")]])
 def test_a_description_that_cannot_be_json_is_refused_at_the_start(tmp_path: Path, value: Json) -> None:
     with pytest.raises(InputError, match="description of source 'rig': is not JSON"):

@@ -16,7 +16,6 @@ from operators.batch import Motion, Touch
 from operators.errors import InputError
 
 SHARED = Path(__file__).parents[3].parent / "shared/real"
-TIME = np.arange(50) / 100
 
 
 @pytest.fixture

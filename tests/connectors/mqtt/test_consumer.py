@@ -11,7 +11,6 @@ from msgspec.structs import replace
 
 from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
-from connectors.mqtt import consumer, position
 from connectors.mqtt.broker import Message
 from connectors.mqtt.broker_link import Link
 from operators.errors import EndpointError, ParameterError
@@ -89,27 +88,6 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
         f"ignoring malformed message: {UR10}/2/event: has an event of lab/ur10/0",
         f"ignoring malformed message: {UR10}/3/event: is 100000 bytes long; the limit is 65536",
     } < {*reports}
-
-
-async def test_a_lost_outbox_is_reported_and_the_new_one_followed(
-    broker: TestBroker, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reports = list[str]()
-    monkeypatch.setattr(position, "RETURN_WITHIN", 0.1)
-    monkeypatch.setattr(position, "REQUEST_EVERY", 0.1)
-    monkeypatch.setattr(consumer, "CHECK_EVERY", 0.1)
-    async with Consumer(broker.url, report=reports.append) as events:
-        async with publishing(broker, run, outbox=tmp_path / "a") as sink:
-            await following(events)
-            await sink.write(slips(1, 0))
-            assert await take(events, 2) == [1, 2]
-            epoch = inside(sink, "_outbox").epoch
-        broker.publish(f"{UR10}/head", f'{{"epoch": "{epoch}", "last_seq": 3}}')
-        async with publishing(broker, run, outbox=tmp_path / "b") as sink:
-            await sink.write(slips(1))
-            assert await take(events, 1) == [1]
-            await waiting(events, lambda: bool(reports))
-    assert reports == [f"lab/ur10: event 3 of epoch {epoch} is lost: no longer kept"]
 
 
 async def test_dropped_messages_are_reported_and_their_events_fetched(

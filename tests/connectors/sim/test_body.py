@@ -11,12 +11,10 @@ from connectors.sim.finger import pad
 from connectors.sim.objects import OBJECTS, Object
 from connectors.sim.scene import Parameters
 from operators.batch import Reals
-from tests.connectors.sim import body_numpy
 
 BOX = OBJECTS["box"]
 EVEN = Parameters(texture=0.0, static_friction=1.0, kinetic_friction=1.0, stribeck_speed=1.0)  # Coulomb
 STIFF = replace(EVEN, stiffness=4e5, shear_stiffness=7.6e8, step=1e-4)  # nothing gives
-GLUE = replace(EVEN, static_friction=1e4, kinetic_friction=1e4)
 
 
 class Held:
@@ -57,40 +55,6 @@ class Held:
     def friction(self) -> float:
         """Friction of both sides together."""
         return float(self.grip.contact.mu_s + self.grip.mu)
-
-
-def both(
-    thing: Object, parameters: Parameters, drives: list[Reals], place: tuple[float, float] = (0.0, 0.0)
-) -> list[Reals]:
-    """Return the states after each stretch of both forms, the compiled one first: (2, n) numbers."""
-    forms = [(Held(thing, parameters, place), by) for by in (body, body_numpy)]
-    seen: list[Reals] = []
-    for drive in drives:
-        rows: list[Reals] = []
-        for held, by in forms:
-            tractions, *slid = held.go(drive, by)
-            state = held.body
-            rows.append(
-                np.concatenate([
-                    tractions.ravel() / 1e4, state.pose, state.velocity, state.passive.ravel() * 1e2,
-                    state.slide, state.table, held.pad.gap, slid,
-                ])
-            )  # fmt: skip
-        seen.append(np.stack(rows))
-    return seen
-
-
-@pytest.mark.parametrize("name", OBJECTS)
-def test_both_forms_agree_while_the_pad_sticks(name: str) -> None:
-    """Closing, lifting off the table, slipping passive fingers, and taps from above and from the side."""
-    thing = OBJECTS[name]
-    held = Held(thing, GLUE)
-    drive = held.drive(0.5, 3.0)
-    drive[:50, 3] = np.linspace(0.0, 3.0, 50)
-    drive[100:200, 1] = 0.05
-    drive[300:310, 7], drive[400:410, 6], drive[400:410, 8] = -3.0, 3.0, -0.1
-    for ours, theirs in both(thing, GLUE, np.split(drive, 50), place=(0.004, 0.01)):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9)
 
 
 def test_what_is_held_too_weakly_falls_with_what_friction_leaves_of_its_weight() -> None:

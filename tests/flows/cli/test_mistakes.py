@@ -55,6 +55,8 @@ MISTAKES = [
         "live: has no parameter 'seeds'; did you mean 'seed'? It has detector, brok",
     ),
     ("check record --set delay=70mm", "delay is '70mm', must be a time with its unit: 500ms, 30s, 1h or 30d"),
+    ("check record --set delay=-1ms", "record: delay is -1000000, must be at least 0 ns"),
+    ("check lift --set thing=anvil", "lift: thing is 'anvil', must be one of box, ball"),
     ("doctor --set a=1", "--set requires a flow"),
     ("show .", ": is not a session"),
     ("show none --listen 0.0.0.0:0", "Page: token is None"),  # none is not read

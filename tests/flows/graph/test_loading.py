@@ -40,25 +40,11 @@ def test_the_only_flow_of_a_file_needs_no_name(tmp_path: Path) -> None:
     assert declaration.flow().name == "pressed 0.5 2 False None"
 
 
-def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"pressed: has no parameter 'limit'; it has threshold, count, name"):
-        load(_file(tmp_path, GOOD)).flow({"limit": "1"})
-    with pytest.raises(InputError, match=r"did you mean 'threshold'\? It has threshold, count"):
-        load(_file(tmp_path, GOOD)).flow({"treshold": "1"})
-    with pytest.raises(InputError, match=r"mine: has no parameter 'limit'; it has none"):
-        load(_file(tmp_path, GOOD + "\nmine = pressed()\n") + ":mine").flow({"limit": "1"})
-
-
 def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
     code = GOOD + "\nmine = pressed()\n"
     assert isinstance(load(_file(tmp_path, code) + ":mine").flow(), Flow)
     with pytest.raises(InputError, match=r"several flows, choose one: .*:pressed, .*:mine"):
         load(_file(tmp_path, code))
-
-
-@pytest.mark.parametrize("name", ["live", "record"])
-def test_a_ready_made_flow_needs_no_path(name: str) -> None:
-    assert load(name).name == name
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,6 @@
 """Simulated datasets: reproducible, complete or absent, and the same as a live recording."""
 
 import hashlib
-import signal
-import subprocess
-import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -18,14 +15,13 @@ from flows.graph import Flow
 from flows.graph.testing import run_virtually
 from flows.lab import simulation
 from flows.lab.simulation import planned_recordings, simulate
-from flows.learn.labelled_recordings import SPLITS
 from flows.record import declare_recording
 from flows.run.clocks import LoopClock
 from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from operators import Label
 from operators.batch import SLIP, STATIC
-from operators.errors import EndpointError, ParameterError, SlipflowError
+from operators.errors import SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
 from tests.command import slipflow
@@ -103,13 +99,6 @@ def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest
     assert seen == {-1, STATIC, SLIP}
 
 
-def test_six_tenths_of_the_samples_are_static(tiny: Path) -> None:
-    labels = Counter(pl.read_parquet(f"{tiny}/sessions/*/samples/*.parquet")["label"].to_list())
-    assert labels[-1] < 0.01 * labels.total()
-    assert 0.5 < labels[0] / (labels[0] + labels[1]) < 0.7
-    assert {session.about["split"] for session in sessions(tiny)} == {*SPLITS}
-
-
 def test_rotations_are_slips_although_the_tcp_stands_still(tiny: Path) -> None:
     session = Session.open(tiny / "sessions" / "sphere-rotation-01")
     samples = session.frame("samples").filter(pl.col("label") == 1)
@@ -154,17 +143,6 @@ def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(se
         assert 2 <= sum(groups[f"{curvature}-{speed}", "validation"] for speed in ("050", "075", "100")) <= 3
 
 
-def test_an_interrupted_simulation_leaves_nothing(tmp_path: Path) -> None:
-    def stop(done: int, of: int) -> None:
-        if done == 1:
-            assert (tmp_path / "out.partial").is_dir()
-            raise KeyboardInterrupt(of)
-
-    with pytest.raises(KeyboardInterrupt):
-        simulate(tmp_path / "out", "tiny", 0, progress=stop)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
     def spoil(done: int, of: int) -> None:
         if done == 0:
@@ -175,34 +153,6 @@ def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
         simulate(tmp_path / "out", "tiny", 0, executor=executor, progress=spoil)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: Path) -> None:
-    code = (
-        "import os, signal; from pathlib import Path; from flows.lab.simulation import simulate\n"
-        "def kill(done, of): done == 1 and os.kill(os.getpid(), signal.SIGKILL)\n"
-        f"simulate(Path({str(tmp_path / 'out')!r}), 'tiny', 0, progress=kill)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=False)
-    assert done.returncode == -signal.SIGKILL
-    assert [path.name for path in tmp_path.iterdir()] == ["out.partial"]
-    with pytest.raises(
-        EndpointError, match=r"out\.partial: is being written by another process, or was left"
-    ):
-        simulate(tmp_path / "out", "tiny", 0)
-
-
-def test_an_existing_dataset_or_file_is_kept(tmp_path: Path, tiny: Path) -> None:
-    (tmp_path / "file").write_text("")
-    before = hashes(tiny)
-    for path in (tiny, tmp_path / "file"):
-        with pytest.raises(EndpointError, match="exists already: give another name"):
-            simulate(path, "tiny", 0)
-    with pytest.raises(EndpointError, match="cannot be written: "):
-        simulate(tmp_path / "file" / "below", "tiny", 0)
-    with pytest.raises(ParameterError, match="seed is -1, must be at least 0"):
-        simulate(tmp_path / "out", "tiny", -1)
-    assert hashes(tiny) == before
 
 
 @pytest.mark.usefixtures("few")

@@ -1,6 +1,5 @@
 """Simulated recordings: their data in addition to counts and labels."""
 
-from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 from typing import TypeVar
@@ -16,10 +15,8 @@ from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
 from flows.learn.evaluation.stress_study import stressed
 from flows.learn.labelled_recordings import (
-    SPLITS,
     TURNS,
     LabelledRecording,
-    by_split,
     hand_label_summary,
     load,
     simulated_recording,
@@ -171,19 +168,6 @@ def test_a_session_whose_fingertip_is_unknown_is_refused_with_the_remedy(tmp_pat
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
     scenes = {plan: {each.seed for each in planned_recordings(plan, 0)} for plan in ("paper", "tiny")}
     assert not scenes["paper"] & scenes["tiny"]
-
-
-def test_a_folder_that_is_not_there_is_told_as_such(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="none: there is no such folder"):
-        load(tmp_path / "none")
-
-
-def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> None:
-    recordings = load(tiny)
-    parts = by_split(iter([*recordings, replace(recordings[0], split="")]))
-    assert tuple(parts) == SPLITS
-    assert sum(map(len, parts.values())) == len(recordings)
-    assert all(each.split == split for split, found in parts.items() for each in found)
 
 
 def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:

@@ -78,24 +78,10 @@ def test_a_bar_in_a_cell_ends_no_column_of_a_markdown_table() -> None:
     assert lines == [r"| group | \|v\| |", "| ----- | ----: |", r"| a\|b  |   1.0 |"]
 
 
-def test_markdown_has_the_tables_and_the_command() -> None:
-    markdown = report().markdown("found")
-    assert markdown.startswith("# A <page>\n\nof & findings\n\n## one")
-    assert markdown.count("| <b>tcn</b> |   1 & 2 |") == 3
-    assert markdown.endswith("\n\n    slipflow evaluate 'a<b>'\n")
-
-
 def test_json_has_facts_and_unrounded_numbers_by_section() -> None:
     data = json.loads(json.dumps(report().json(), allow_nan=False))
     assert (data["split"], data["command"]) == ("test", "slipflow evaluate 'a<b>'")
     assert data["sections"]["one"]["tables"][0]["rows"][1] == {"method": "psd", "F1 < 90": 3.25}
-
-
-def test_a_terminal_shows_headings_and_tables() -> None:
-    text = report().terminal()
-    assert "one & so <on>" in text
-    assert text.count("| psd ") == 3
-    assert "Printed by" not in text
 
 
 def test_the_figures_in_the_markdown_file_are_written_next_to_it(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flows.run.executor import DaskWorkers, map_tasks, one_thread, workers
-from operators.errors import EndpointError, ParameterError, SlipflowError
+from operators.errors import EndpointError, SlipflowError
 from tests.flows.run.worked import work
 from tests.waiting import wait_until
 
@@ -91,11 +91,6 @@ if __name__ == "__main__":
         wait_until(place.exists, parent)
         parent.kill()
     wait_until(lambda: ended(int(place.read_text())))
-
-
-def test_jobs_on_a_cluster_are_refused() -> None:
-    with pytest.raises(ParameterError, match="jobs is 2, must be omitted"), workers(2, "tcp://127.0.0.1:1"):
-        pass
 
 
 def test_a_scheduler_that_does_not_answer_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

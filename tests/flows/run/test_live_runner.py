@@ -41,16 +41,6 @@ from tests.flows.run.live import Endless, execute, flow_of, scores, times
 from tests.waiting import PATIENCE
 
 
-def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
-    recorder, viewer = TestSink(), TestSink()
-    recorder.records = True
-    run = execute(flow_of(TestSource(Scores, scores(0, 50)), recorder, viewer))
-    assert times(recorder) == times(viewer) == list(range(50))
-    assert (recorder.opened, recorder.closed) == (1, 1)
-    assert [(sink.rows, sink.records) for sink in run.sinks.values()] == [(50, True), (50, False)]
-    assert (run.sources["scores"].rows, run.sources["scores"].up) == (50, False)
-
-
 def test_a_missing_extra_is_an_error_before_anything_starts(hide_packages: Callable[..., None]) -> None:
     sink = TestSink()
     sink.extra = "gripper"
@@ -118,21 +108,19 @@ def test_a_source_that_never_works_again_stops_no_other_and_its_gap_is_recorded(
     assert gap.end == pytest.approx(run.start + 10 * s)
 
 
-SINGLE: Any = np.ones(1, np.float32)
 OTHER_TYPE: Any = Slips.empty()
 
 
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (Scores(np.array([0]), SINGLE), "scores: yielded Scores.probability: is float32, must be an array"),
         (Scores(np.arange(2), np.ones(1)), r"yielded Scores.probability: has shape \(1,\), must be \(2\)"),
         (Scores(np.array([3, 4, 2]), np.ones(3)), "scores: yielded Scores.time: decreases at row 2, must"),
         (OTHER_TYPE, "scores: yielded Slips, but declares Scores"),
         (ParameterError("Fingertip", "seed", -5, "at least 0"), "Fingertip: seed is -5, must be at least 0"),
         (KeyError("force"), r"flow 'f': scores: KeyError: 'force' \(testing\.py:\d+\)"),
     ],
-    ids=["dtype", "shape", "order", "type", "parameter", "mistake"],
+    ids=["shape", "order", "type", "parameter", "mistake"],
 )
 def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
     wrong: Scores | Exception, message: str

@@ -68,13 +68,6 @@ def test_a_paced_replay_equals_a_full_speed_replay() -> None:
     assert identical(full.rows(Labelled, 0), live.rows(Labelled, 0))
 
 
-def test_a_replay_counts_rows_and_shows_event_time() -> None:
-    flow, _ = labelling()
-    run = asyncio.run(ReplayRunner(flow, recording(2), "x").execute())
-    assert {name: status.rows for name, status in run.sources.items()} == {"touch": 200, "motion": 250}
-    assert run.clock.now() - run.start == 250 * 8 * ms - 8 * ms + 3 * ms
-
-
 def test_a_stream_that_the_recording_lacks_is_named() -> None:
     flow, _ = labelling()
     touch_only = TestRecording("memory", recording().read(Touch, 0, 1000))
@@ -87,23 +80,6 @@ def test_an_empty_recording_is_an_error() -> None:
     empty = TestRecording("memory", [Touch.empty(), Motion.empty()])
     with pytest.raises(InputError, match="memory: is empty"):
         asyncio.run(ReplayRunner(flow, empty, "x").execute())
-
-
-@pytest.mark.parametrize(
-    ("failure", "reason"),
-    [
-        (AssertionError(), "AssertionError"),
-        (KeyError("x"), "KeyError: 'x'"),
-        (EndpointError("disk", "full"), "disk: full"),
-    ],
-)
-def test_the_error_of_a_replay_is_that_of_its_sink(failure: Exception, reason: str) -> None:
-    flow = Flow("f")
-    flow.source(TestSource(Touch)).to(TestSink(failures=[failure]))
-    runner = ReplayRunner(flow, recording(), "x")
-    with pytest.raises(type(failure)):
-        asyncio.run(runner.execute())
-    assert runner.run.error == reason
 
 
 class ClosesWithError(TestSink):

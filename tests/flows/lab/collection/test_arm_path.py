@@ -66,9 +66,3 @@ def test_too_steep_a_path_is_refused_with_the_least_radius() -> None:
     with pytest.raises(ParameterError, match=r"0\.0300 m for strokes of 0\.0300 m"):
         Surface("cylinder_y", 0.02).waypoints(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
     Surface("cylinder_x", 0.02).waypoints(0.03, 0.0)  # along its axis
-
-
-@pytest.mark.parametrize("radius", [0.0, -0.06, math.inf, math.nan])
-def test_an_invalid_radius_is_refused(radius: float) -> None:
-    with pytest.raises(ParameterError, match="radius"):
-        Surface("sphere", radius)

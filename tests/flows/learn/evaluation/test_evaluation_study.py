@@ -118,12 +118,6 @@ def test_fingertips_of_a_session_are_recordings_of_their_own(
     ]
 
 
-def test_labels_by_hand_are_noted(surfaces: list[LabelledRecording], having: Having) -> None:
-    by_hand = replace(surfaces[0], split="test", by_hand=5)
-    [note] = evaluate(having([by_hand]), names=["tcn"]).notes
-    assert note == "labels by hand: 5 of 700 samples of 1 recording"
-
-
 def die(_: Fold) -> Detector:
     os._exit(1)
 

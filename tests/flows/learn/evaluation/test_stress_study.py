@@ -16,11 +16,9 @@ from flows.learn.evaluation.stress_study import (
     condition_name,
     every_condition,
     stress,
-    stressed,
 )
-from flows.learn.labelled_recordings import simulated_recordings
-from flows.learn.measures import BALANCED, judged
-from flows.report.results import estimates, joined
+from flows.learn.measures import BALANCED
+from flows.report.results import estimates
 
 TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, strokes=PaperStrokes(rounds=1))
 SEED = 7
@@ -61,17 +59,6 @@ def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: 
     for metric in ("sliding: slip as slip", "sliding: static as static", "sliding: delay ms"):
         assert values(nominal, metric) == values(off, metric)
     assert values(nominal, "slip as slip") != values(off, "slip as slip")
-
-
-def test_the_numbers_are_those_of_the_stressed_recordings(found: Evaluation) -> None:
-    recordings = simulated_recordings(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
-    psd = found.methods["psd"]
-    assert psd.debounce
-    expected = joined(
-        judged(each, each.probabilities(psd.detector), psd.debounce, method="psd", condition="friction 0.3")
-        for each in recordings
-    )
-    assert under(found, "friction", 0.3).equals(expected)
 
 
 def test_the_report_has_a_row_for_each_level_and_a_panel_for_each_field(
