@@ -18,10 +18,10 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_442,
     "product": 31_853,
     "product files": 215,
-    "tests": 31_027,
+    "tests": 30_831,
     "commands": 16,
     "options": 77,
-    "words": 35_497,
+    "words": 35_496,
 }
 
 

@@ -4,16 +4,10 @@ import gc
 import os
 import platform
 import subprocess
-import time
 from collections.abc import Callable, Mapping
 from typing import TypeVar
 
 import numpy as np
-
-from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow
-from operators import Touch, ms
-from operators.batch import Counts
 
 Key = TypeVar("Key")
 
@@ -50,26 +44,3 @@ def take_turns(measures: Mapping[Key, Callable[[], float]], turns: int) -> dict[
             if turn:
                 found[key].append(cost)
     return found
-
-
-def live_cost(flow: Flow, counts: Counts) -> Callable[[], float]:
-    """Return a function that pushes samples one by one through a flow, and returns the CPU us of a sample.
-
-    Args:
-        flow: Flow with one source, of touch.
-        counts: (n, cells) samples at 100 Hz. Later passes have one time, so that no row is late.
-    """
-    compiled, valid = CompiledFlow(flow), np.ones_like(counts, np.bool_)
-    push = compiled.pusher(*compiled.entries)
-    rows = Touch(np.arange(len(counts)) * 10 * ms, counts, counts, valid, finger=0).packed.copy()
-    push(Touch.unpack(rows.copy(), 0))
-    rows["time"] = rows["time"][-1]
-    pieces = [rows[at : at + 1] for at in range(len(rows))]
-
-    def measure() -> float:
-        began = time.process_time()
-        for row in pieces:
-            push(Touch.unpack(row, 0))
-        return (time.process_time() - began) / len(pieces) * 1e6
-
-    return measure

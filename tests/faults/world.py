@@ -1,7 +1,6 @@
 """One simulation: a rig that records and publishes, a broker, a consumer, and the faults of a schedule."""
 
 import asyncio
-import errno
 import hashlib
 import logging
 import os
@@ -27,6 +26,7 @@ from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
 from storage import files
 from storage.background_task import BackgroundTask
+from tests.faults.effects import EFFECTS
 from tests.faults.invariants import CAPACITY, PART_ROWS, SMALL, excess, violations
 from tests.faults.schedule import STALL_MAX, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
@@ -80,9 +80,9 @@ class World:
 
     def __post_init__(self) -> None:
         self.random = Random(self.schedule.seed)
-        self.disk = SimulatedDisk(self.folder, Random(self.random.random()))
-        self.broker = SimulatedBroker(Random(self.random.random()))
-        self.loop = SimulatedLoop(Random(self.random.random()))
+        self.disk: SimulatedDisk = SimulatedDisk(self.folder, Random(self.random.random()))
+        self.broker: SimulatedBroker = SimulatedBroker(Random(self.random.random()))
+        self.loop: SimulatedLoop = SimulatedLoop(Random(self.random.random()))
         self.loop.latency = self._latency
         self.loop.set_exception_handler(self._unhandled)
         self.devices = [Device(finger, Random(self.random.random())) for finger in FINGERS]
@@ -234,7 +234,7 @@ class World:
 
     def _apply(self, fault: Fault) -> None:
         if not self.healed:
-            start, end = _EFFECTS[fault.kind]
+            start, end = EFFECTS[fault.kind]
             if end and fault.start + fault.duration <= self.loop.time():
                 return  # the host slept through it
             start(self, fault)
@@ -250,23 +250,23 @@ class World:
 
     def _heal(self) -> None:
         self.healed = True
-        for _, end in _EFFECTS.values():
+        for _, end in EFFECTS.values():
             if end:
                 end(self)
         self.disk.kill_in = 0
         for device in self.devices:
             device.failing, device.silent_until = False, 0.0
 
-    def kill_rig(self, fault: Fault) -> None:
+    def kill_rig(self) -> None:
         if self.rig:
             self.rig.kill()
 
-    def kill_consumer(self, fault: Fault) -> None:
+    def kill_consumer(self) -> None:
         if self.consumer:
             self.consumer_kills.append(self.loop.time())
             self.consumer.kill()
 
-    def lose_power(self, fault: Fault) -> None:
+    def lose_power(self) -> None:
         """Cut the rig's power: its process ends, and its disk keeps durable data and some of the rest."""
         if not self.rig or not self.rig_runs:
             return
@@ -284,56 +284,6 @@ class World:
     def step_clock(self, fault: Fault) -> None:
         """Set the host's clock by up to an hour."""
         self._step += int((fault.size - 0.5) * 7200 * 10**9)
-
-
-def _set(name: str, value: Callable[[Fault], Any], rest: Any = 0) -> "_Effect":
-    """Return an effect that sets an attribute of the world and later resets it."""
-    owner, _, attribute = name.rpartition(".")
-
-    def start(world: World, fault: Fault) -> None:
-        setattr(getattr(world, owner) if owner else world, attribute, value(fault))
-
-    def end(world: World) -> None:
-        setattr(getattr(world, owner) if owner else world, attribute, rest)
-
-    return start, end
-
-
-def _with_device(name: str, value: Callable[[World, Fault], Any]) -> "_Effect":
-    """Return an effect that sets an attribute of one of the devices."""
-    return lambda world, fault: setattr(
-        world.devices[int(fault.size * 1e6) % 2], name, value(world, fault)
-    ), None
-
-
-_Effect = tuple[Callable[[World, Fault], object], Callable[[World], object] | None]
-_EFFECTS: Final[dict[str, _Effect]] = {
-    "kill rig": (World.kill_rig, None),
-    "kill rig at disk operation": (
-        lambda world, fault: setattr(world.disk, "kill_in", 1 + int(fault.size * 40 * world.schedule.span)),
-        None,
-    ),
-    "kill consumer": (World.kill_consumer, None),
-    "power loss": (World.lose_power, None),
-    "disk full": _set("disk.error", lambda _: errno.ENOSPC),
-    "disk error": _set("disk.error", lambda _: errno.EIO),
-    "fsync error": _set("disk.fsync_error", lambda _: True, rest=False),
-    "slow disk": _set("slow", lambda fault: 0.5 * fault.size, 0.0),
-    "broker down": (lambda world, _: world.broker.stop(forget=False), lambda world: world.broker.start()),
-    "broker restart without memory": (
-        lambda world, _: world.broker.stop(forget=True),
-        lambda world: world.broker.start(),
-    ),
-    "connections cut": (lambda world, _: world.broker.cut_all(), None),
-    "slow network": _set("broker.delay", lambda fault: 0.2 * fault.size, 1e-3),
-    "publish refused": _set(
-        "broker.refused", lambda fault: {"event" if fault.size < 0.5 else "head"}, set[str]()
-    ),
-    "source fails": _with_device("failing", lambda *_: True),
-    "source silent": _with_device("silent_until", lambda world, fault: world.loop.time() + fault.duration),
-    "loop stalls": (World.stall, None),
-    "clock steps": (World.step_clock, None),
-}
 
 
 def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda _: None) -> Outcome:

@@ -10,7 +10,6 @@ import pytest
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
-from connectors.files.container import read_table
 from connectors.files.interpretation import speeds_of
 from operators.batch import Motion, Touch
 from operators.errors import InputError
@@ -63,14 +62,6 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
         put(path, t=times, p0=[1, 2, 3], p1=[1, 2, 3])
         with pytest.raises(InputError, match=rf"row {row}, column t: is \S+, must be {must_be}"):
             _ = Trace(path).touch
-
-
-def test_a_file_of_many_values_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    put(path, t=np.zeros(1 << 18))
-    monkeypatch.setattr("connectors.files.raw_table.VALUES", 1 << 17)
-    assert path.stat().st_size < 1 << 14
-    with pytest.raises(InputError, match="has more than 0 million values, the limit: split it into several"):
-        read_table(path)
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,7 @@
 import asyncio
 import threading
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from errno import EIO, ENOSPC
+from errno import ENOSPC
 from pathlib import Path
 
 import pytest
@@ -11,7 +10,7 @@ from connectors.events import Event
 from connectors.mqtt import outbox, outbox_log
 from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError, InputError
-from storage.append_log import AppendLog, LogReader
+from storage.append_log import AppendLog
 from tests.connectors.mqtt.made import EVENT, opened
 from tests.inside import inside
 from tests.storage.disk_steps import observed
@@ -185,46 +184,6 @@ async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path
     (tmp_path / "other").mkdir()
     AppendLog(tmp_path / "other" / "1.log", b"precious").close()
     assert "is not part of an outbox" in await refusal(tmp_path / "other")
-
-
-async def test_an_orderly_close_waits_for_a_slow_disk(
-    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.01)
-    monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
-    box = Outbox(tmp_path / "outbox")
-    await box.open()
-    disk.writes.clear()
-    for _ in range(3):
-        await box.append([EVENT] * 100)
-    closing = asyncio.create_task(box.close())
-    with suppress(TimeoutError):
-        await asyncio.wait_for(asyncio.shield(closing), 0.1)
-    assert (closing.done(), box.unstored) == (False, 300)
-    disk.writes.set()
-    await closing
-    assert box.unstored == 0
-    async with opened(Outbox(tmp_path / "outbox")) as again:
-        assert again.waiting == 300
-
-
-async def test_losses_of_a_failing_disk_are_exact(
-    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
-    box = Outbox(tmp_path / "outbox")
-    await box.open()
-    await box.append([EVENT] * 5)
-    disk.write_error = OSError(EIO, "Input/output error")
-    await box.append([EVENT] * 7)
-    box.acknowledge((await box.next(8))[:6])
-    await box.append([EVENT] * 3)
-    await box.close()
-    assert (box.unstored, box.not_kept) == (9, 1)
-    assert caplog.messages[-2].endswith("9 events are lost")
-    reader = LogReader(min((tmp_path / "outbox").glob("*.log")))
-    events = [record for record in reader.records() if b"specversion" in record.data]
-    assert len(events) == 5
 
 
 @pytest.mark.virtual

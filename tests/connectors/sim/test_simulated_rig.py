@@ -32,15 +32,6 @@ def gather(*sources: Source[Any], start: int = ORIGIN) -> list[Any]:
     return run_virtually(main())
 
 
-def test_both_streams_run_at_their_rates_from_one_origin() -> None:
-    rig = SimulatedRig(Scene(PLAN))
-    t, m = gather(rig.touch, rig.motion)
-    assert t.time[0] == ORIGIN
-    assert set(np.diff(t.time).tolist()) == {10_000_000}
-    assert m.time[0] == ORIGIN + 70_000_000
-    assert set(np.diff(m.time).tolist()) == {8_000_000}
-
-
 def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
     rig = SimulatedRig(Scene(PLAN))
     first, second = annotations(rig), annotations(rig, ORIGIN + 500)
@@ -65,12 +56,6 @@ def test_each_move_is_an_episode() -> None:
     assert (episodes.speed[2], episodes.angular_speed[2]) == (0.1, 0.0)
     assert episodes.force[:2].tolist() == [0.0, 2.0]
     assert np.isnan([episodes.force[2], *episodes.depth]).all()
-
-
-def test_the_truth_has_a_row_for_each_touch_row() -> None:
-    touch, _, truth = annotations(SimulatedRig(Scene(PLAN)))
-    np.testing.assert_array_equal(truth.time, touch.time)
-    assert len(true_slips(truth)) == 1
 
 
 def truth(sliding: list[float], start: int = 0) -> Truth:

@@ -1,11 +1,9 @@
 import asyncio
 import logging
 import math
-import re
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +12,6 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, VirtualLoop
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from flows.run.run_summary import Summary
 from flows.run.sink_queue import SinkQueue
 from operators import (
     Align,
@@ -26,11 +23,9 @@ from operators import (
     Join,
     Motion,
     OperatorError,
-    ParameterError,
     Run,
     Sample,
     Scores,
-    SlipflowError,
     Slips,
     Touch,
     Zero,
@@ -76,113 +71,6 @@ def test_a_stop_flushes_and_commits_and_a_stopped_replay_is_incomplete(
     run = execute(flow, stops=(0.5,))
     assert (len(sink.rows(Slips)), sink.closed) == (1, 1)
     assert (run.live, run.recording, run.error) == (True, recording, error)
-
-
-class LibraryError(Exception):
-    """Not one of Python's."""
-
-
-def test_a_failing_source_is_started_again_and_its_gap_recorded(caplog: pytest.LogCaptureFixture) -> None:
-    failures = OSError("unplugged"), LibraryError("no answer"), RuntimeError("not connected"), EOFError()
-    sink = TestSink()
-    with caplog.at_level(logging.WARNING):
-        run = execute(flow_of(TestSource(Scores, [*scores(0, 10), *failures, *scores(500, 10)]), sink))
-    assert times(sink) == [*range(10), *range(500, 510)]
-    assert run.sources["scores"].failures == 4
-    [gap] = run.sources["scores"].gaps
-    assert (gap.reason, gap.start, gap.end > gap.start) == ("unplugged", 90 * ms, True)
-    assert caplog.messages == ["scores failed, retrying: unplugged", "scores works again"]
-
-
-def test_a_source_that_never_works_again_stops_no_other_and_its_gap_is_recorded() -> None:
-    sink = TestSink()
-    flow = flow_of(TestSource(Scores, scores(0, 100)), sink)
-    broken = TestSource(Scores, [*scores(0, 10), *[OSError("gone")] * 1000])
-    flow.source(broken, name="broken").to(TestSink())
-    run = execute(flow, duration=10 * s)
-    assert times(sink) == list(range(100))
-    status = run.sources["broken"]
-    assert (status.up, status.error) == (False, "gone")
-    [gap] = status.gaps
-    assert (gap.start, gap.reason) == (90 * ms, "gone")
-    assert gap.end == pytest.approx(run.start + 10 * s)
-
-
-OTHER_TYPE: Any = Slips.empty()
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (Scores(np.arange(2), np.ones(1)), r"yielded Scores.probability: has shape \(1,\), must be \(2\)"),
-        (Scores(np.array([3, 4, 2]), np.ones(3)), "scores: yielded Scores.time: decreases at row 2, must"),
-        (OTHER_TYPE, "scores: yielded Slips, but declares Scores"),
-        (ParameterError("Fingertip", "seed", -5, "at least 0"), "Fingertip: seed is -5, must be at least 0"),
-        (KeyError("force"), r"flow 'f': scores: KeyError: 'force' \(testing\.py:\d+\)"),
-    ],
-    ids=["shape", "order", "type", "parameter", "mistake"],
-)
-def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
-    wrong: Scores | Exception, message: str
-) -> None:
-    sink = TestSink()
-    with pytest.raises(SlipflowError, match=message):
-        execute(flow_of(TestSource(Scores, [*scores(0, 3), wrong, *scores(4, 1)]), sink))
-    assert times(sink) == [0, 1, 2]
-    assert sink.closed == 1
-    assert re.search(message, sink.run.error)
-
-
-class Pausing(Endless):
-    """Scores every 10 ms, with a pause after the first `before`."""
-
-    def __init__(self, before: int, pause: float, after: int = 0) -> None:
-        self._before, self._pause, self._after = before, pause, after
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
-        for count in (self._before, self._after):
-            for _ in range(count):
-                await clock.sleep_until(clock.now() + 10 * ms)
-                yield Scores(np.array([clock.now()]), np.array([0.9]))
-            await asyncio.sleep(self._pause)
-
-
-def test_a_source_that_falls_silent_is_stale_until_its_next_row(caplog: pytest.LogCaptureFixture) -> None:
-    seen = list[tuple[bool, bool, str]]()
-
-    def look(runner: LiveRunner, _: object) -> None:
-        status = runner.run.sources["scores"]
-        seen.append((status.up, status.stale, status.error))
-
-    with caplog.at_level(logging.WARNING):
-        flow = flow_of(Pausing(100, 20.0, 100), TestSink())
-        run = execute(flow, duration=22 * s, at=dict.fromkeys((4.0, 8.0, 21.5), look))
-    assert seen == [(True, False, ""), (False, True, "delivered no rows for 5 s"), (True, False, "")]
-    [gap] = run.sources["scores"].gaps
-    assert ((gap.end - gap.start) // s, gap.reason) == (20, "delivered no rows for 5 s")
-    assert [text.partition(":")[0] for text in caplog.messages] == [
-        "scores delivered no rows for 5 s",
-        "scores works again",
-    ]
-    assert not Summary.of(run).lost
-
-
-@pytest.mark.parametrize(("rows", "duration"), [(0, s), (0, 30 * s), (100, 30 * s)])
-@pytest.mark.parametrize("rare", [False, True])
-def test_a_source_that_is_silent_at_the_end_makes_the_run_fail_unless_its_rows_are_rare(
-    rows: int, duration: int, *, rare: bool
-) -> None:
-    source = Pausing(rows, 100.0)
-    source.stale_after = None if rare else source.stale_after
-    run = execute(flow_of(source, TestSink()), duration=duration)
-    assert run.sources["scores"].stale is Summary.of(run).lost is not rare
-    assert ("delivered" in Summary.of(run).report()) is not rare
-
-
-def test_a_stalled_host_and_a_full_sink_make_no_source_stale() -> None:
-    busy = TestSink(capacity=1, before_write=lambda: asyncio.sleep(7))
-    run = execute(flow_of(Pausing(4, 0.0), busy), at={0.035: lambda _, loop: loop.stall(60)})
-    assert (run.sources["scores"].rows, run.sources["scores"].gaps) == (4, [])
 
 
 @pytest.mark.parametrize("where", ["check", "queue"])
@@ -357,25 +245,6 @@ def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:
     sink = TestSink(lossless=False, capacity=64)
     run = execute(flow_of(TestSource(Scores, scores(0, 1) * 1000), sink))
     assert (run.sinks["testsink"].dropped, len(sink.written)) == (0, 1000)
-
-
-def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> None:
-    class Device(Endless):
-        open = 0
-
-        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
-            assert not Device.open
-            Device.open += 1
-            try:
-                if Device.open:
-                    raise OSError("unplugged")
-                yield Scores(np.array([0]), np.array([0.9]))
-            finally:
-                Device.open -= 1
-
-    run = execute(flow_of(Device(), TestSink()), duration=s)
-    assert run.sources["scores"].failures > 1
-    assert Device.open == 0
 
 
 @pytest.mark.parametrize("stall", [0.2, 1.0])
