@@ -75,13 +75,9 @@ class TraceImport:
 
     @property
     def label_source(self) -> str:
-        """Origin of the labels; empty if there are neither labels nor motion."""
+        """Origin of the labels; empty if the trace has none."""
         columns = self.trace.part.columns
-        if LABEL in columns.columns or columns.labelled:
-            return "the file" if LABEL in columns.columns else "the map"
-        if not len(self.trace.part.motion):
-            return ""
-        return f"arm speed, slip above {1000 * _LABEL.speed:g} mm/s"
+        return "the file" if LABEL in columns.columns else "the map" if columns.labelled else ""
 
     def flow(self, out: Path) -> Flow:
         """Return the flow that writes the dataset `out`."""
@@ -93,7 +89,7 @@ class TraceImport:
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
             samples = (touch | Zero()) & motion | Align(within=20 * ms) | replace(_LABEL)
-            (samples if self.label_source.startswith("arm") else samples | attach).to(dataset)
+            (samples | attach if self.label_source else samples).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
         return flow
@@ -133,10 +129,6 @@ class TraceImport:
         if part.unused:
             more = f" and {len(part.unused) - _SHOWN} more" if len(part.unused) > _SHOWN else ""
             lines.append(f"  not used {' '.join(part.unused[:_SHOWN])}{more}")
-        if not self.label_source:
-            lines.append("  no labels and no motion: no samples")
-        elif self.label_source.startswith("arm"):
-            lines.append(f"  labels by {self.label_source}")
         return lines
 
     def report(self, *, short: bool = False) -> str:
@@ -154,10 +146,14 @@ class TraceImport:
             moving = f"{np.sum(speeds > _LABEL.speed)} of {len(speeds)} rows"
             moving += f", above {_LABEL.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")
-        if self.label_source and not self.label_source.startswith("arm"):
+        if self.label_source:
             many = {name: int((part.labels == code).sum()) for name, code in LABELS.items()}
             labels = ", ".join(f"{count} {name}" for name, count in many.items() if count)
             lines.append(f"  labels of {self.label_source}: {labels}")
+        elif len(part.motion):
+            lines.append(f"  labels by arm speed, slip above {1000 * _LABEL.speed:g} mm/s")
+        else:
+            lines.append("  no labels and no motion: no samples")
         lines += [f"  warning: {each}" for each in part.warnings]
         about = self.trace.describe()
         group = f", group {about['group']}" if "group" in about else ""

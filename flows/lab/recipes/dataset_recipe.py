@@ -6,7 +6,7 @@ pooch downloads and verifies the files, which are imported into a new dataset.
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from connectors.files.column_map import ColumnMap
 from flows.lab.importing import import_frame
@@ -20,12 +20,8 @@ if TYPE_CHECKING:
 _ATTEMPTS: Final = 3  # after a failed download
 
 
-class SourceRecording(NamedTuple):
-    """Recording of a public dataset."""
-
-    name: str  # of its session
-    frame: "pl.DataFrame"
-    group: str | None = None  # surface or object, by which recordings are split
+# name of the session, rows, and the surface or object by which recordings are split
+SourceRecording: TypeAlias = "tuple[str, pl.DataFrame, str | None]"
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def recordings(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
                 "slip": label["slip"],
             }
         )
-        yield SourceRecording(Path(folder).name.removeprefix("data_sample_"), frame)
+        yield Path(folder).name.removeprefix("data_sample_"), frame, None
 
 
 GRASPS: Final = DatasetRecipe(

@@ -40,7 +40,7 @@ def recordings(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
             }
         )
         name = Path(path).stem
-        yield SourceRecording(name, frame, group=name.partition("_vel")[0])
+        yield name, frame, name.partition("_vel")[0]
 
 
 STROKES: Final = DatasetRecipe(

@@ -26,7 +26,7 @@ FILES = {
 
 def taps(files: Mapping[str, Path]) -> Iterator[SourceRecording]:
     for path, file in files.items():
-        yield SourceRecording(Path(path).stem, pl.read_csv(file), group="cork")
+        yield Path(path).stem, pl.read_csv(file), "cork"
 
 
 def put(folder: Path, files: Mapping[str, bytes]) -> Path:
