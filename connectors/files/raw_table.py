@@ -1,6 +1,6 @@
 """Table as a recording's file has it: columns of texts or typed values, and what was found in them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from shlex import quote
 from typing import Final, Self
@@ -100,6 +100,16 @@ class RawTable:
             text = "; ".join(f"({number}) {each}" for number, each in enumerate(listed, 1))
             text += "; ..." if len(self.problems) > _SHOWN else ""
             raise InputError(self.file, f"has {len(self.problems)} problems: {text}{remedy}")
+
+
+def listed(names: Sequence[str], most: int = 20) -> str:
+    """Return names as text, without those beyond `most`.
+
+    >>> listed(["a", "b", "c", "d"], 2)
+    'a b and 2 more'
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return " ".join(names[:most]) + more
 
 
 def check_size(where: str, values: int, columns: int = 0) -> None:

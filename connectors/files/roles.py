@@ -26,7 +26,7 @@ from connectors.files.column_map import (
     ColumnMap,
     expanded,
 )
-from connectors.files.raw_table import RawTable
+from connectors.files.raw_table import RawTable, listed
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
 
@@ -52,7 +52,7 @@ _WORDS: Final = {  # usual values of labels
         "unknown": "unknown|-1|unbekannt|?",
     }.items()
 }
-_SHOWN: Final = 20  # columns in an error
+_HEAD: Final = 20  # rows that tell what a column is
 _SYNONYMS: Final = {  # of units, in lower case
     "s": "sec secs second seconds sek sekunden",
     "ms": "msec millis millisecond milliseconds",
@@ -206,9 +206,8 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
         elif name in table.left_out:
             table.add_problem(f"column {name} cannot be used: {table.left_out[name]}")
         else:
-            more = f" and {len(table.columns) - _SHOWN} more" if len(table.columns) > _SHOWN else ""
-            listed = " ".join([*table.columns][:_SHOWN])
-            table.add_problem(f"there is no column {name}; the columns are {listed}{more}", about=key)
+            reason = f"there is no column {name}; the columns are {listed([*table.columns])}"
+            table.add_problem(reason, about=key)
     for name in found:
         if found.count(name) > 1:
             table.add_problem(f"column {name} cannot be two cells")
@@ -306,12 +305,12 @@ def _short(names: Sequence[str]) -> str:
 
 
 def _rises(column: pl.Series) -> bool:
-    values = column.head(_SHOWN).cast(pl.Float64, strict=False).drop_nulls()
+    values = column.head(_HEAD).cast(pl.Float64, strict=False).drop_nulls()
     return len(values) > 1 and bool((values.diff().drop_nulls() > 0).all())
 
 
 def _is_number(column: pl.Series) -> bool:
-    return column.head(_SHOWN).cast(pl.String).str.contains(r"^[+-]?[\d.,]*\d[\deE.,+-]*$").all()
+    return column.head(_HEAD).cast(pl.String).str.contains(r"^[+-]?[\d.,]*\d[\deE.,+-]*$").all()
 
 
 def _quantity(key: str) -> str:

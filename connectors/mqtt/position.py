@@ -15,8 +15,8 @@ from msgspec import Meta
 from connectors.documents import INT64, Count, Document, Number, decode
 from connectors.events import EPOCH_NAME_MAX, Event
 from connectors.mqtt.gap_replay import GapAnswer
-from operators.errors import EndpointError, InputError, os_error_reason
-from storage.files import lock_file, read
+from operators.errors import EndpointError, InputError
+from storage.files import lock_file, read, write_errors
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
 Range: TypeAlias = tuple[int, int]  # first and last number
@@ -257,10 +257,8 @@ def lock_position(path: Path) -> int:
     Raises:
         EndpointError: if another consumer holds the lock, or the folder cannot be written.
     """
-    try:
+    with write_errors(path):
         held = lock_file(path)
-    except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
     if held is None:
         raise EndpointError(str(path), "is in use by another consumer; name another file")
     return held

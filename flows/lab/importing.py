@@ -16,6 +16,7 @@ import numpy as np
 from connectors import Replay, Trace
 from connectors.files.column_map import COUNTS, LABEL, LABELS, ColumnMap, layout_text
 from connectors.files.interpretation import Part, speeds_of
+from connectors.files.raw_table import listed
 from connectors.files.trace import interpreted
 from flows.graph import Flow
 from flows.run.replay_runner import ReplayRunner
@@ -30,7 +31,6 @@ from storage.description import read_session
 from storage.layout import SESSION, SESSIONS, may_exist, session_folder, session_folders
 
 _DEFAULT: Final = ColumnMap()
-_SHOWN: Final = 10  # columns that are not used
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
 
 
@@ -127,8 +127,7 @@ class TraceImport:
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
         if part.unused:
-            more = f" and {len(part.unused) - _SHOWN} more" if len(part.unused) > _SHOWN else ""
-            lines.append(f"  not used {' '.join(part.unused[:_SHOWN])}{more}")
+            lines.append(f"  not used {listed(part.unused)}")
         return lines
 
     def report(self, *, short: bool = False) -> str:

@@ -14,7 +14,7 @@ from markdown_it import MarkdownIt
 
 from flows.report.figures import Figure, missing_matplotlib, svg
 from flows.report.table import Table
-from operators.errors import EndpointError, os_error_reason
+from storage.files import write_errors
 
 _TEMPLATE: Final = Path(__file__).with_suffix(".html.jinja")
 
@@ -92,12 +92,10 @@ class Report:
         numbers = json.dumps(self.json(), indent=1, allow_nan=False) + "\n"
         texts = {f"{name}.html": self.html(), f"{name}.md": self.markdown(name), f"{name}.json": numbers}
         texts |= {_figure_file(name, each): each.svg for each in self.sections if each.svg}
-        try:
+        with write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             for file, text in texts.items():
                 (folder / file).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
         return [folder / file for file in texts]
 
 
@@ -107,12 +105,9 @@ def check_output_folder(folder: Path) -> None:
     Raises:
         EndpointError: if not.
     """
-    try:
-        TemporaryFile(
-            dir=next(each for each in (folder, *folder.absolute().parents) if each.exists())
-        ).close()
-    except OSError as error:
-        raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
+    existing = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    with write_errors(folder), TemporaryFile(dir=existing):
+        pass
 
 
 def _figure_file(page: str, section: Section) -> str:

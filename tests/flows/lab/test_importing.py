@@ -100,11 +100,11 @@ def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write)
 
 
 def test_a_file_with_counts_only_gives_touch_only(tmp_path: Path, write: Write) -> None:
-    others = ",".join(f"other_{letter}" for letter in "abcdefghijkl")
-    path = write(f"{CELLS},{others}", [counts(k) + ",7" * 12 for k in range(9)])
+    others = ",".join(f"other_{letter}" for letter in "abcdefghijklmnopqrstuv")
+    path = write(f"{CELLS},{others}", [counts(k) + ",7" * 22 for k in range(9)])
     trace_import = read(path, tmp_path / "out", ColumnMap(rate=50))
     session = imported(trace_import)
-    shown = " ".join(f"other_{letter}" for letter in "abcdefghij")
+    shown = " ".join(f"other_{letter}" for letter in "abcdefghijklmnopqrst")
     assert f"  not used {shown} and 2 more\n" in trace_import.report()
     assert session.tables == ("touch",)
     assert rows(session, Touch).time.tolist() == [k * 20 * ms for k in range(9)]
