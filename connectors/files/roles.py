@@ -91,7 +91,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
 
     A time is required unless the map has a rate.
     """
-    groups, found = cell_groups(list(table.columns)), dict[str, tuple[str, ...]]()
+    groups, found = cell_groups([*table.columns, *table.left_out]), dict[str, tuple[str, ...]]()
     mapped = {key: _matched(key, names, table) for key, names in stated.columns.items()}
     taken = {name for names in mapped.values() for name in names}
     free = [name for name in table.columns if name not in taken]
@@ -239,7 +239,7 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     sure = [group for group in groups if group.sure]
     sure = [group for group in sure if len(group.names) > 1] or sure
     if len(sure) == 1:
-        return sure[0].names
+        return _matched(COUNTS, sure[0].names, table)
     several = [_short(group.names) for group in sure or groups]
     two = ", or counts.0=... and counts.1=... of two fingertips" if len(several) > 1 else ""
     left_out = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())

@@ -109,7 +109,7 @@ AGAIN = "no less than in the line before; if the logger started again, --split m
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
 COLUMNS = "state counts=...; (2) " + NO_TIME + "; try --map time=column1,counts=column2,column3"
 T_S1 = "the columns are t s1"
-TWICE = "no columns are recognised as cells; state counts=... (s1 cannot be used: it occurs twice)"
+TWICE = "column s1 cannot be used: it occurs twice"
 NO_ROWS = "has no rows of numbers below a line that names the columns"
 NUMBER = "must be a number, without signs of thousands, or empty"
 
@@ -159,6 +159,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         ("s1,s2,s3|1,1,1", "", f": {NO_TIME}; try --map rate=ROWS_PER_SECOND,counts=s1..s3"),
         ("0,1,2|2,1,1|3,1,1", "", f": has 2 problems: (1) column1..column3 may be the cells; {COLUMNS}"),
         ("t,s1, s1|1,1,1", "", f": {TWICE}; try --map time=t,counts=NAME,NAME"),
+        ("t,s1,s2,s3, s1|1,1,2,3,1", "", f": {TWICE}; try --map time=t,counts=s2,s3"),
         (
             "t,s1,s1|1,1,1",
             "counts=s1",
