@@ -77,7 +77,7 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
         return columns, unknown, ()
     time = continued(raw.to_numpy(), table.notes)
     parts = _parts(table, name, time, split=split)
-    rate, steps = _rate(table, name, time, parts), np.diff(time)
+    rate, steps = _rate(table, name, time, parts, columns.rate), np.diff(time)
     if rate and len(pauses := np.flatnonzero(steps > max(_NEAR * s / rate, s / 4))):
         longest, first = steps[pauses].max() / s, f"{table.place} {table.numbers[pauses[0]]}"
         several = f"{len(pauses)} pauses of up to {longest:.1f} s, the first after {first}"
@@ -131,7 +131,7 @@ def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
     return parts
 
 
-def _rate(table: RawTable, name: str, time: Times, parts: Parts) -> float | None:
+def _rate(table: RawTable, name: str, time: Times, parts: Parts, stated: float | None) -> float | None:
     """Return the rows per second of the longest part; times without resolution are a problem."""
     start, stop = max(parts, key=lambda part: part[1] - part[0])
     part = time[start:stop]
@@ -141,7 +141,7 @@ def _rate(table: RawTable, name: str, time: Times, parts: Parts) -> float | None
         step = f", {np.diff(shared.values).min() / s:g} s apart" if values > 1 else ""
         has = f"only {values} value{'s' * (values > 1)} in {len(part)} rows{step}"
         reason = f"column {name} has {has}: it tells no rate; state time=,rate=... (rows per second)"
-        table.add_problem(reason, about=TIME, fix="time=,rate=ROWS_PER_SECOND")
+        table.add_problem(reason, about=TIME, fix="time=" if stated else "time=,rate=ROWS_PER_SECOND")
         return None
     if most > 1:
         text = f"column {name}: {len(part) - values} of {len(part)} rows share the time of the row before"
