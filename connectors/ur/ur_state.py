@@ -121,13 +121,10 @@ def state_client(clock: Clock, host: str) -> RtdeClient:
 async def receive_states(client: RtdeClient) -> list[ArmState]:
     """Return the states received since the last call; wait if there are none."""
     _, rows = await client.receive()
-    force = rows["actual_TCP_force"][:, :3]  # (n, 3)
-    names = "actual_TCP_pose", "actual_TCP_speed", "robot_mode", "safety_mode"
-    pose, velocity, *modes = (rows[name] for name in names)
-    fields = pose, velocity, force, *modes
+    names = "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force", "robot_mode", "safety_mode"
     return [
-        ArmState(tuple(pose), tuple(velocity), tuple(push), mode, safety)
-        for pose, velocity, push, mode, safety in zip(*(each.tolist() for each in fields), strict=True)
+        ArmState(tuple(pose), tuple(velocity), tuple(force[:3]), robot, safety)
+        for pose, velocity, force, robot, safety in zip(*(rows[name].tolist() for name in names), strict=True)
     ]
 
 

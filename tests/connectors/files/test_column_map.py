@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.files.column_map import ColumnMap, layout_text
+from connectors.files.column_map import ColumnMap
 from operators.errors import ParameterError
 
 TEXT = (
@@ -62,11 +62,6 @@ def test_an_invalid_map_is_refused(text: str, complaint: str) -> None:
     with pytest.raises(ParameterError) as caught:
         ColumnMap.parse(text)
     assert complaint in str(caught.value)
-
-
-def test_a_layout_that_is_printed_can_be_parsed() -> None:
-    layout = ((5, 4, 3), (0, -1, 1), (2,))
-    assert ColumnMap.parse(f"layout={layout_text(layout)}").layout == layout
 
 
 @given(st.text(alphabet="tc=,.0123456789p ", max_size=30))
