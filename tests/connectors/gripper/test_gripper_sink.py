@@ -235,15 +235,3 @@ async def test_an_activation_that_takes_too_long_fails() -> None:
         with pytest.raises(EndpointError, match=r"is not ready within 30.0 s"):
             await gripper.open(at.run)
         assert 30 < loop.time() - begun < 30.5
-
-
-async def test_a_command_whose_answer_is_missing_counts_as_not_sent() -> None:
-    async with lab() as at:
-        gripper = at.gripper()
-        await gripper.open(at.run)
-        at.server.silent = True
-        await gripper.write(commands(20.0))
-        await asyncio.sleep(0.5)
-        assert at.writes[-1].force == 28
-        with pytest.raises(EndpointError, match=r"does not answer within|is not ready"):
-            await gripper.close()

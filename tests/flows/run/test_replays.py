@@ -4,7 +4,6 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, rmtree
-from typing import Any
 
 import pytest
 
@@ -198,23 +197,6 @@ def test_a_flow_with_a_sink_for_live_runs_cannot_be_replayed(
             way()
     assert Mqtt.live_only
     assert Gripper.live_only
-
-
-def test_an_interrupted_replay_leaves_no_part_of_a_session(
-    felt: str, four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    replays = Replays(source(felt, out=str(tmp_path / "out")), four)
-
-    def interrupt(_self: Session, *_args: Any) -> None:
-        raise KeyboardInterrupt
-
-    results = replays.run()
-    next(results)
-    monkeypatch.setattr(Session, "read", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        next(results)
-    assert session_names(tmp_path / "out") == [four[0].name]
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["dataset.json", "sessions"]
 
 
 def test_a_dataset_names_its_sessions_in_order(dataset: Path, tmp_path: Path) -> None:

@@ -2,7 +2,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest.mock import patch
 
-import polars as pl
 import pytest
 
 from connectors.sim.paper_plan import PaperPlan
@@ -32,33 +31,11 @@ def found() -> Iterator[Evaluation]:
         yield stress(names=["psd"], seed=SEED, plan=TINY, training=TINY)
 
 
-def under(found: Evaluation, field: str, value: float) -> pl.DataFrame:
-    return found.results.filter(condition=condition_name(field, value))
-
-
-def values(results: pl.DataFrame, metric: str) -> list[float]:
-    return results.filter(metric=metric)["value"].to_list()
-
-
 def test_every_value_of_every_field_is_judged(found: Evaluation) -> None:
     names = [condition_name(field, value) for field, value in every_condition()]
     assert found.results["condition"].unique(maintain_order=True).to_list() == list(dict.fromkeys(names))
     assert names.count(NOMINAL) == 3, "slip speed has a plan of its own"
     assert found.methods["psd"].chosen_on == "validation"
-
-
-def test_with_more_than_three_dead_cells_there_is_no_answer(found: Evaluation) -> None:
-    balanced = dict(estimates(found.results, BALANCED, ("condition",)).select("condition", "value").rows())
-    assert balanced["dead 3"] is not None
-    assert balanced["dead 4"] is None
-    assert values(under(found, "dead", 4), "missed slips") == values(under(found, "dead", 4), "slips")
-
-
-def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: Evaluation) -> None:
-    nominal, off = (under(found, "motion_clock_offset", value) for value in (0, 0.1))
-    for metric in ("sliding: slip as slip", "sliding: static as static", "sliding: delay ms"):
-        assert values(nominal, metric) == values(off, metric)
-    assert values(nominal, "slip as slip") != values(off, "slip as slip")
 
 
 def test_the_report_has_a_row_for_each_level_and_a_panel_for_each_field(
