@@ -63,7 +63,7 @@ release-check:  ## build wheel and sdist into dist, compare their files with git
 
 bench:  ## run the benchmarks and print their tables
 	@deploy/prepare test
-	for name in start engine live_path replay; do \
+	for name in engine live_path replay; do \
 	    .venv/bin/python -m tests.benchmarks.bench_$$name || exit 1; done
 
 models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)

@@ -4,7 +4,10 @@ The live page shows the demo on the simulated rig in real time; `show` a session
 with spans labelled by hand.
 """
 
+import subprocess
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,10 +19,11 @@ from playwright.sync_api import Browser, Page, ViewportSize, expect
 from flows.cli.show import load
 from flows.lab.simulation import simulate
 from storage import Session
-from tests.benchmarks.bench_start import served_demo
+from tests.command import SLIPFLOW
 from tests.connectors.web.browsing import LATE, MOVE, ServedRecording, chromium, drag
 
 WARM: Final = 8.0  # s until the physics is compiled and the baseline is learned
+SERVED: Final = "live page: "  # begins the line that names the address of the page
 SESSION: Final = "plane-050-01"
 SELECTED: Final = 8300  # ms, in a slip of this session
 Scheme: TypeAlias = Literal["light", "dark"]
@@ -29,6 +33,25 @@ LIVE: Final[tuple[tuple[str, int, int, Scheme, bool], ...]] = (  # width and hei
     ("phone", 390, 844, "light", True),
 )
 LABELS: Final = ((0.02, 0.07, "t"), (0.27, 0.36, "s"), (0.36, 0.42, "u"), (0.62, 0.74, "s"))  # shares, key
+
+
+@contextmanager
+def served_demo() -> Generator[str]:
+    """The demo in a process of its own, from when its page is served: its address."""
+    with TemporaryDirectory() as folder:
+        words = ["demo", "--for", "10min", "--no-browser", "--out", f"{folder}/recordings"]
+        demo = subprocess.Popen(
+            [*SLIPFLOW, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            assert demo.stderr
+            served = next((line for line in demo.stderr if SERVED in line), None)
+            if served is None:
+                raise SystemExit("the demo ended before its page was served")
+            yield served.partition(SERVED)[2].split()[0]
+        finally:
+            demo.terminate()
+            demo.communicate()
 
 
 def caught(tab: Page, *, slips: bool) -> bytes:
@@ -88,7 +111,7 @@ def main(folder: Path) -> None:
         dataset = simulate(Path(scratch) / "tiny", "tiny", seed=0)
         with chromium() as browser:  # no other event loop can run in this thread
             show_picture(browser, dataset, folder)
-            with served_demo() as (_, url):
+            with served_demo() as url:
                 live_pictures(browser, url, folder)
 
 
