@@ -109,10 +109,7 @@ def test_an_error_lists_all_problems_with_a_map_of_the_columns(
 @pytest.mark.parametrize(
     ("names", "units"),
     [
-        (("t", *(f"p{cell}_kPa" for cell in range(4))), {"counts": "kPa"}),
-        (("time [ms]", "cell 1 (N)", "cell 2 (N)"), {"time": "ms", "counts": "N"}),
         (("Time_us", "b0", "b1", "speed [mm/s]"), {"time": "us", "counts": "count", "speed": "mm/s"}),
-        (("zeit/s", "p0/KPA", "p1/KPA"), {"time": "s", "counts": "kPa"}),
         (("millis", "p0 [mPa]", "p1 [mPa]"), {"time": "ms", "counts": "mPa"}),
         (("t [\u00b5s]", "p0 [mmHg]", "p1 [mmHg]"), {"time": "us", "counts": "mmHg"}),
         (("t", "p0 [a.u.]", "p1 [a.u.]"), {"counts": "count"}),
