@@ -75,8 +75,8 @@ class Replay(Source[Given], Generic[Given]):
 
     @property
     def recording(self) -> str:
-        """Name of the recording; of a path only the last part, because the name is published."""
-        return PurePath(self._recording.name).name
+        """Name of the recording; of a path only the last part, as UTF-8, because the name is published."""
+        return PurePath(self._recording.name).name.encode(errors="replace").decode()
 
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Yield the whole stream, with the fingertips merged in the order of their timestamps."""

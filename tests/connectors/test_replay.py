@@ -62,6 +62,10 @@ def test_the_chosen_fingertips_are_merged_by_timestamp() -> None:
     assert [batch.time.item() for _, batch in replay(one, EventClock(0))] == [1, 2, 3]
 
 
+def test_a_name_that_is_not_utf_8_can_be_published() -> None:
+    assert Replay(TestRecording("lab/\udcff.csv", []), Scores).recording == "?.csv"
+
+
 def test_a_missing_stream_cannot_be_replayed() -> None:
     recording = recorded({0: [0]})
     with pytest.raises(InputError, match=r"^memory: has no Motion stream$"):
