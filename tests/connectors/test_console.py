@@ -3,14 +3,13 @@ import io
 import json
 from contextlib import redirect_stdout
 from dataclasses import replace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from connectors import Console
 from operators.batch import EVERY, Faults, Slips, ms, s
-from operators.errors import ParameterError
 from operators.health import FaultKind
 from operators.ports import Run
 
@@ -90,8 +89,3 @@ def test_as_json_each_event_is_one_object_and_unknown_numbers_are_null(run: Run)
     found = objects(run, slips(0), FAULTS)
     assert [each["recording"] for each in found] == ["stroke-9"] * 4
     assert "latency_ms" not in found[0]
-
-
-def test_an_unknown_format_is_rejected() -> None:
-    with pytest.raises(ParameterError, match="one of text, json"):
-        Console(format=cast("Literal['json']", "xml"))
