@@ -18,7 +18,7 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_428,
     "product": 31_839,
     "product files": 215,
-    "tests": 30_662,
+    "tests": 30_660,
     "commands": 16,
     "options": 77,
     "words": 35_365,
