@@ -92,8 +92,7 @@ def test_readings_relative_to_the_unloaded_fingertip_have_no_offset() -> None:
 
 
 def test_a_part_that_begins_loaded_is_a_warning_of_this_part_only() -> None:
-    unloaded = [500.0] * 150 + [400.0] * 150
-    loaded = [500.0] * 50 + [400.0] * 250
+    unloaded, loaded = ([500.0] * rows + [400.0] * (300 - rows) for rows in (150, 50))
     for first, second in ((unloaded, loaded), (loaded, unloaded)):
         time = [*np.arange(300) / 100] * 2
         parts = interpreted({"t": time, "p0": first + second, "p1": [500.0] * 600}, split=True)
