@@ -102,10 +102,7 @@ class Batch(Declared):
         >>> Touch.empty().counts.shape
         (0, 6)
         """
-        empty: Self | None = _empty.get(cls)
-        if empty is None:
-            empty = _empty[cls] = cls.zeros(0)
-        return empty
+        return cast("Self", _empty(cls))
 
     @classmethod
     def zeros(cls, rows: int = 1, cells: int = BAROMETERS) -> Self:
@@ -217,8 +214,8 @@ def _packed_type(kind: type[Any], cells: int) -> np.dtype[Any]:
 
 
 _new: Final = object.__new__
-_layouts: Final[dict[type[Any], Layout]] = {}
-_empty: Final[dict[type[Any], Any]] = {}
+_empty: Final[Callable[[type[Batch]], Batch]] = cast("Any", cache(lambda kind: kind.zeros(0)))
+layout: Final[Callable[[type[Batch]], Layout]] = cast("Any", cache(Layout))  # of a batch type
 
 
 def columns(kind: type[Batch]) -> Mapping[str, Column]:
@@ -228,13 +225,6 @@ def columns(kind: type[Batch]) -> Mapping[str, Column]:
     ['time', 'device_time', 'velocity', 'pose']
     """
     return declared[kind]
-
-
-def layout(kind: type[Batch]) -> Layout:
-    """Return the layout of a batch type."""
-    if kind not in _layouts:
-        _layouts[kind] = Layout(kind)
-    return _layouts[kind]
 
 
 def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:

@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dis import get_instructions
 from functools import cache
+from traceback import walk_tb
 from types import CodeType, FunctionType
 from typing import Any, Final, TypeVar, cast
 
@@ -17,16 +18,18 @@ from numba.extending import intrinsic
 from numba.np.numpy_support import as_struct_dtype
 
 from operators import steps
+from operators.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 log = logging.getLogger("slipflow.compilation")
 
 
-class _Announcer(event.Listener):
-    """Listener that logs the first compilation of this process; loading cached code is not logged."""
+class _Listener(event.Listener):
+    """Listener that logs the first compilation of this process, not the loading of cached code."""
 
     begun = False
+    failed: Final = list[tuple[CodeType, Exception]]()  # in the current program, the innermost first
 
     def on_start(self, event: object) -> None:
         """Log the first compilation."""
@@ -34,21 +37,21 @@ class _Announcer(event.Listener):
             log.info("compiling for this machine: up to some minutes if it is busy, once per kind of flow")
         self.begun = True
 
-    def on_end(self, event: object) -> None:
-        """Log nothing."""
+    def on_end(self, event: Any) -> None:
+        """Keep the error of a function."""
+        if details := event._exc_details:  # noqa: SLF001 - `is_failed` returns the opposite
+            self.failed.append((event.data["dispatcher"].py_func.__code__, details[1]))
 
 
+_NOISE: Final = re.compile(r"\x1b\[\d*m|\(\[.*\], \d+, True\)")  # colours; fields of records
 _ADDRESS: Final = re.compile(" at 0x[0-9a-f]+")  # differs in each process
 _programs: Final = dict[object, Any]()  # of this process; their machine code lives as long as they do
 
-cast("Any", event).register("numba:compile", _Announcer())
+cast("Any", event).register("numba:compile", _listener := _Listener())
 
 
 def compile_function(
-    signatures: Any = None,
-    *,
-    nogil: bool = True,
-    **options: Any,
+    signatures: Any = None, *, nogil: bool = True, **options: Any
 ) -> Callable[[Function], Function]:
     """Return a decorator that compiles, by default without the GIL; `options` are those of `numba.njit`.
 
@@ -76,6 +79,9 @@ def compile_program(
     The result skips numba's dispatcher, which inspects the type of each array for 10 us: the caller must
     pass arguments of the same types. Arrays may have any strides. Programs with the same `known` share the
     compiled functions in it.
+
+    Raises:
+        InputError: if a function cannot be compiled, with its line.
     """
     signature, names = tuple(_argument_type(each) for each in arguments), dict[FunctionType, str]()
     key = _name(function, names), signature
@@ -83,9 +89,26 @@ def compile_program(
         # else code of other processes in the cache has the same symbols for other types, and is taken for it
         kinds = f"{zlib.crc32(str(signature).encode()):x}"
         names = {each: f"{name}_{kinds}" for each, name in names.items()}
-        _programs[key] = compile_function([signature], nogil=False)(_linked(function, names, known))
+        _listener.failed.clear()
+        try:
+            _programs[key] = compile_function([signature], nogil=False)(_linked(function, names, known))
+        except Exception as error:
+            raise _explained(names, error) from error
     compiled = _programs[key]
     return cast("Callable[..., Any]", compiled.overloads[compiled.signatures[0]].entry_point)
+
+
+def _explained(names: dict[FunctionType, str], error: Exception) -> InputError:
+    """Return what is wrong in the innermost function of an operator that could not be compiled."""
+    codes = [each.__code__ for each in names if each.__module__ != "operators.program"]
+    code, error = next((each for each in _listener.failed if each[0] in codes), (codes[-1], error))
+    text = _NOISE.sub("", str(error))
+    reason = re.search("cannot copy: .+", text) or re.search(r"(?m)^(?!Failed in )\S.*", text) or [""]
+    frames = (frame.f_locals.get("loc") for frame, _ in walk_tb(error.__traceback__))  # of numba
+    places = " ".join(map(str, (getattr(error, "loc", ""), error, *frames)))
+    line = re.search(rf"{re.escape(code.co_filename)} \((\d+)\)", places)
+    where = f"{code.co_filename}:{line[1] if line else code.co_firstlineno}"
+    return InputError(where, f"{code.co_name} cannot be compiled: {type(error).__name__}: {reason[0]}")
 
 
 def _argument_type(value: object) -> Any:
@@ -99,8 +122,9 @@ def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
     """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in."""
     if function not in names:
         if function.__code__.co_freevars:
-            reason = "reads variables of the function around it: use settings"
-            raise TypeError(f"{function.__qualname__} {reason}")
+            where = f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
+            reason = f"{function.__name__} reads variables of the function around it: use settings"
+            raise InputError(where, reason)
         text, loaded = _contents(function.__code__)
         parts = [text, repr((function.__defaults__, function.__kwdefaults__))]
         for name in loaded:

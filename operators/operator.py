@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, Generic, Self, TypeVar, cast, get_args
+from typing import Any, Generic, Never, NoReturn, Self, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -78,9 +78,8 @@ class AnyOperator(ABC):
 
     def prepare(self) -> None:
         """Do slow set-up, such as loading compiled code, before the first push."""
-        if fuses(type(self)):
-            self._start(tuple(RowType(kind) for kind in input_types(type(self))))
-            self._segment = None  # the first batch tells the number of cells
+        if not fuses(kind := type(self)) and cast("Any", kind).process in {Operator.process, Join.process}:
+            raise _without_process(self)
 
     @abstractmethod
     def flush(self) -> Any:
@@ -104,6 +103,11 @@ class AnyOperator(ABC):
     def late(self) -> int:
         """Rows dropped because they arrived after newer ones."""
         return sum(each.late for each in self._late_filters) + (self._segment.late if self._segment else 0)
+
+    def __ror__(self, other: Never) -> NoReturn:
+        """Raise an error: a source becomes a stream first."""
+        name = type(cast("object", other)).__name__
+        raise TypeError(f"{name} is not a stream: begin with flow.source(...)")
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the parameters and Python state; compiled code is made again, with its initial state."""

@@ -53,7 +53,8 @@ class Zero(Operator[Touch, Zeroed]):
         check_at_least("Zero", "spike", self.spike, 0, "counts")
         given = (self.baseline,) if isinstance(self.baseline, int) else self.baseline
         if given is not None and not (given and all(_RANGE.min <= cell <= _RANGE.max for cell in given)):
-            raise self._error(f"one count, or one of each cell, from {_RANGE.min} to {_RANGE.max}")
+            must_be = f"one count, or one of each cell, from {_RANGE.min} to {_RANGE.max}"
+            raise ParameterError("Zero", "baseline", self.baseline, must_be)
 
     def row_type(self, *given: RowType) -> RowType:
         """Return the input type if it is zeroed, else that of zeroed touch."""
@@ -67,7 +68,8 @@ class Zero(Operator[Touch, Zeroed]):
         if self.baseline is not None and not zeroed:
             values = np.array(self.baseline, np.int16).ravel()
             if values.size not in {1, cells}:
-                raise self._error(f"one count, or {cells}: the fingertip has {cells} cells")
+                must_be = f"one count, or {cells}, one for each cell, not {values.size}"
+                raise ParameterError("Zero", "baseline", self.baseline, must_be)
             offset[:] = values
         room = 1 << max(self.scans, _ROOM - 1).bit_length()  # the same for most parameters: compiled once
         return Steps(
@@ -88,9 +90,6 @@ class Zero(Operator[Touch, Zeroed]):
             give=_give,
             held=room,
         )
-
-    def _error(self, expected: str) -> ParameterError:
-        return ParameterError("Zero", "baseline", self.baseline, expected)
 
 
 def _take(settings: Record, state: Record, row: Record) -> None:

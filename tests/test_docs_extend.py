@@ -14,12 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock
-from flows.run.live_runner import LiveRunner
-from operators import Batch, EndpointError, Run, Sink, Slips, Source, Touch, Zeroed
-from operators.detectors import Detector
+from operators import Batch, EndpointError, Run, Slips, Source, Touch
 from tests.operators import conftest, test_conformance
 from tests.pages import ROOT, block
 
@@ -60,28 +56,6 @@ def test_the_operators_pass_the_conformance_suite(
     check = getattr(test_conformance, name)
     given = {"case": case, "same": same, "monkeypatch": monkeypatch}
     check(**{key: given[key] for key in inspect.signature(check).parameters})
-
-
-def test_source_sink_and_detector_are_what_they_say(made: Callable[..., dict[str, Any]]) -> None:
-    assert issubclass(made("lines.py")["LineTouch"], Source)
-    assert issubclass(made("event_file.py")["EventFile"], Sink)
-    detector: Detector = made("roughness.py")["Roughness"]()
-    assert (detector.name, detector.length) == ("roughness", 20)
-
-
-@pytest.mark.virtual
-async def test_the_batch_type_reaches_a_sink_through_its_operator(
-    made: Callable[..., dict[str, Any]],
-) -> None:
-    activity = made("activity.py")
-    counts = np.zeros((3, 6), np.int16)
-    counts[1] = 6
-    touch = Zeroed(np.arange(3), counts, counts, np.ones((3, 6), np.bool_), finger=0)
-    flow, sink = Flow("own"), TestSink()
-    rows = flow.source(TestSource(Zeroed, [touch], fingers=(0,)))
-    (rows | activity["MeasureActivity"]()).to(sink)
-    await LiveRunner(flow, "one", clock=LoopClock(0)).execute()
-    assert sink.rows(activity["Activity"], 0).change.tolist() == [0.0, 6.0, 6.0]
 
 
 async def received(source: Source[Touch], sent: bytes, *, reset: bool = False) -> list[list[int]]:

@@ -9,6 +9,14 @@ from typing import Final
 _ADDRESS_SPACE_MIN: Final = 300_000_000  # bytes; with less, libraries abort instead of raising errors
 
 
+def _raise_again(swallowed: "sys.UnraisableHookArgs") -> None:
+    """Raise KeyboardInterrupt again, soon, if a callback swallowed it, as of LLVM in a compilation."""
+    if swallowed.exc_type is KeyboardInterrupt:
+        signal.setitimer(signal.ITIMER_REAL, 0.05)  # s, when the callback has ended
+    else:
+        sys.__unraisablehook__(swallowed)
+
+
 def main() -> None:
     """Import the command line and run it; Ctrl-C during the import ends the process with exit code 130."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
@@ -25,7 +33,9 @@ def main() -> None:
 
     if not ignored:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: unfinished output is deleted
+    for number in (signal.SIGTERM, signal.SIGALRM):  # as Ctrl-C: unfinished output is deleted
+        signal.signal(number, signal.default_int_handler)
+    sys.unraisablehook = _raise_again
     run()
 
 

@@ -6,8 +6,6 @@ import webbrowser
 from threading import Thread
 from typing import TYPE_CHECKING
 
-import typer
-
 from flows.cli.options import parse_address
 from flows.cli.terminal import note
 
@@ -60,17 +58,13 @@ def watch_cells(flow: "Flow") -> "Node | None":
     return None
 
 
-def check_metrics(listen: str | None) -> None:
-    """Reject an address of the metrics that other machines can reach, unless the environment has a token."""
-    from connectors.web.access import TOKEN, is_loopback, required_token
+def check_access(option: str, listen: str | None) -> None:
+    """Reject an address that other machines can reach, unless the environment has a token."""
+    from connectors.web.access import is_loopback, required_token
 
-    host = parse_address("--metrics", listen)[0] if listen else "localhost"
-    if is_loopback(host):
-        return
-    if not os.environ.get(TOKEN):
-        remedy = f"set {TOKEN}, for example to the output of: openssl rand -hex 16"
-        raise typer.BadParameter(f"--metrics {listen}: other machines can connect, so {remedy}")
-    required_token(f"--metrics {listen}", host)
+    host = parse_address(option, listen)[0] if listen else "localhost"
+    if not is_loopback(host):
+        required_token(f"{option} {listen}", host)
 
 
 def add_metrics(flow: "Flow", listen: str) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.live_view import add_metrics, add_page, check_metrics, print_json
+from flows.cli.live_view import add_metrics, add_page, check_access, print_json
 from flows.cli.options import (
     AsJson,
     Cluster,
@@ -107,7 +107,8 @@ def run(
     if pace and not replay:
         raise typer.BadParameter("--pace is for replays: add --replay PATH")
     limit = None if duration is None else parse_time("run", "--for", duration)  # ns
-    check_metrics(metrics)
+    check_access("--listen", listen)
+    check_access("--metrics", metrics)
     begin_log(log)
     flow = load_flow(target, settings)
     paths = recordings(replay or ())
@@ -204,7 +205,7 @@ def replay_all(
         jobs = 1
         if len(replays.recordings) > 1:
             note(f"replaying one recording at a time: only one process can write to {', '.join(exclusive)}")
-    began, done = perf_counter(), list["Replayed"]()
+    began, done, reasons = perf_counter(), list["Replayed"](), dict[str, str]()
     with workers(jobs, cluster) as executor, progress_bar(f"replaying {target}") as update:
         try:
             for each in replays.run(executor, progress=update):
@@ -213,7 +214,7 @@ def replay_all(
                 if not done:
                     log_models(replays.flow)
                 done.append(each)
-                _print(each, as_json=as_json)
+                _print(each, reasons, as_json=as_json)
         except KeyboardInterrupt:
             note("interrupted: repeat the command to continue with the missing sessions")
             raise
@@ -228,15 +229,15 @@ def replay_all(
         ]
         typer.echo(json.dumps({"sessions": sessions, "existing": existing, "wall_seconds": seconds}))
     else:
-        rows = counted(sum(each.rows_in for each in summaries), "row")
+        rows = counted(sum(one.rows for each in summaries for one in each.sources.values()), "row")
         failures = f"; {failed} failed" if failed else ""
         typer.echo(f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}")
     if failed or any(each.lost for each in summaries):
         raise typer.Exit(1)
 
 
-def _print(done: "Replayed", *, as_json: bool) -> None:
-    """Print the output of a replay, on stderr if stdout is for JSON."""
+def _print(done: "Replayed", reasons: dict[str, str], *, as_json: bool) -> None:
+    """Print the output of a replay, on stderr if stdout is for JSON; `reasons` are those printed before."""
     line, error = f"{done.recording}:", done.error
     if found := done.summary:
         sources = ", ".join(f"{source.rows:,} {name}" for name, source in found.sources.items())
@@ -247,4 +248,6 @@ def _print(done: "Replayed", *, as_json: bool) -> None:
         typer.echo(line, err=as_json)
     typer.echo(indent(done.printed, "  "), nl=False, err=as_json)
     if error:
-        note(f"error: {done.recording}: {error.removeprefix(f'{done.recording}: ')}")
+        reason = error.removeprefix(f"{done.recording}: ")
+        first = reasons.setdefault(reason, done.recording)
+        note(f"error: {done.recording}: {reason if first == done.recording else f'as for {first}'}")

@@ -1,13 +1,13 @@
 """Compilation of a flow: operators that consist of steps are fused; others run on batches between them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, cast
 
 from flows.graph.flow import Flow
 from flows.graph.node import Node, location
 from flows.graph.validation import sink_fingertips, trace_fingertips, validate
 from operators.batch import BAROMETERS, EVERY, Batch, concat
-from operators.errors import BatchError, OperatorError, SlipflowError
+from operators.errors import BatchError, InputError, OperatorError, SlipflowError
 from operators.operator import Join, Operator, fuses
 from operators.ports import Source
 from operators.segment import Segment, Stage, compiler
@@ -106,7 +106,7 @@ class CompiledFlow:
 
     Raises:
         FlowError: if the flow is wired wrongly.
-        OperatorError: if an operator cannot be copied or prepared.
+        OperatorError: if an operator cannot be copied, prepared or compiled.
     """
 
     def __init__(self, flow: Flow) -> None:
@@ -161,9 +161,9 @@ class CompiledFlow:
         if len(units) == 1 and isinstance(unit := units[0], _Fused):
             fingers = {finger for _, finger in entries} if len(unit.fingers) > 1 else set(unit.fingers)
             places = [unit.entrances.index(node) if node in unit.entrances else -1 for node, _ in entries]
-            if -1 not in places and len(fingers) == 1 and compiler():  # else a step may raise an error
+            if -1 not in places and len(fingers) == 1 and compiler() and all(map(_is_tested, unit.nodes)):
                 chosen = [segment for each, segment in unit.segments.items() if fingers & {each, EVERY}]
-                push, *others = (segment.pusher(*places) for segment in chosen)
+                push, *others = (segment.pusher(*places) for segment in chosen)  # they raise no errors
                 if not (read or others):
                     return push
                 return lambda *batches: [
@@ -202,14 +202,15 @@ class CompiledFlow:
         try:
             outputs = step(values)
         except Exception as error:
-            raise self._failure(unit.nodes[0], error) from error
+            raise self._failure(unit.nodes, error) from error
         for node, batch in outputs:
             key = node, batch.finger
             values[key] = concat(type(batch), [values[key], batch]) if key in values else batch
             if node in self._read:
                 deliveries.append((node, batch))
 
-    def _failure(self, node: Node, error: Exception) -> OperatorError:
+    def _failure(self, nodes: Sequence[Node], error: Exception) -> OperatorError:
+        node = min(nodes, key=lambda each: (not location(each.part, error), _is_tested(each)))
         reason = str(error)
         if not isinstance(error, SlipflowError):
             reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
@@ -243,7 +244,7 @@ class CompiledFlow:
             except SlipflowError:
                 raise
             except Exception as error:
-                raise self._failure(node, error) from error
+                raise self._failure([node], error) from error
             if steps is None:
                 ranks[node] = 1 + max(ranks[parent] for parent in node.inputs)
                 singles = zip(operators, node.fingers, strict=True)
@@ -257,8 +258,16 @@ class CompiledFlow:
         for rank, fingers in dict.fromkeys((ranks[node], node.fingers) for node in fused):
             inside = {n: steps for n, steps in fused.items() if (ranks[n], n.fingers) == (rank, fingers)}
             read = {parent for node in flow.nodes if node not in inside for parent in node.inputs}
-            units.append((rank, _Fused(inside, types, read)))
+            units.append((rank, self._fused(inside, types, read)))
         return [unit for _, unit in sorted(units, key=lambda each: each[0])]
+
+    def _fused(self, nodes: Mapping[Node, Steps], types: Mapping[Node, RowType], read: set[Node]) -> _Fused:
+        try:
+            return _Fused(nodes, types, read)
+        except InputError as error:
+            for node in sorted(nodes, key=_is_tested) if len(nodes) > 1 else ():  # those of users first
+                self._fused({node: nodes[node]}, types, {node})
+            raise self._failure([*nodes], error) from error
 
     def _reached(self, reached: set[Node]) -> list[_Fused | _Single]:
         """Return the units that rows of these sources may reach."""

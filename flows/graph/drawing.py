@@ -18,10 +18,8 @@ def describe(part: object) -> str:
     'Align(within=15 ms)'
     """
     if not is_dataclass(part):
-        destination: object = getattr(part, "destination", "")
-        return (
-            str(part) if type(part).__str__ is not object.__str__ else f"{type(part).__name__}({destination})"
-        )
+        has_text, destination = type(part).__str__ is not object.__str__, getattr(part, "destination", "")
+        return str(part) if has_text else f"{type(part).__name__}({destination})"
     shown: list[str] = []
     for f in fields(part):
         value: Any = getattr(part, f.name)

@@ -88,11 +88,9 @@ def load(target: str) -> Declaration:
         file = SHIPPED / f"{path}.py"
     if file.is_dir():
         raise InputError(path, "is a folder: name the flow file in it, as FILE.py or FILE.py:FLOW")
-    if not file.is_file() and file.suffix == ".py":
-        raise InputError(path, "there is no such file")
     if not file.is_file():
-        known = ", ".join(shipped_flows())
-        raise InputError(path, f"is neither a flow file nor a shipped flow ({known})")
+        other = f"is neither a flow file nor a shipped flow ({', '.join(shipped_flows())})"
+        raise InputError(path, "there is no such file" if file.suffix == ".py" else other)
     found = _declared_in(_imported(file), file)
     if name and name not in found:
         raise InputError(path, f"has no flow {name!r}; it has {', '.join(found) or 'none'}")

@@ -1,8 +1,9 @@
 """Parameters of a flow, and their text form on the command line."""
 
 import types
+from contextlib import suppress
 from dataclasses import dataclass
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, Final, Union, get_args, get_origin
 
@@ -47,10 +48,9 @@ class Parameter:
                 return _parse_measured(owner, self.name, text, unit)
             if choice is bool and text.lower() in _BOOLEANS:
                 return _BOOLEANS[text.lower()]
+            # probably an unset shell variable; an empty path would be the current folder
             if choice in (str, Path) and not text and self.default != "":
-                raise ParameterError(
-                    owner, self.name, text, "non-empty text"
-                )  # probably an unset shell variable; an empty path would be the current folder
+                raise ParameterError(owner, self.name, text, "non-empty text")
             if choice in (int, float, str, Path):
                 try:
                     return choice(text)
@@ -93,14 +93,7 @@ def _description(choice: Any) -> str:
 
 
 def _parse_measured(owner: str, name: str, text: str, unit: str) -> float:
-    if not unit.endswith("ns") and isfinite(bare := _number(text)):  # 70 ns is never intended
-        return bare
+    with suppress(ValueError):
+        if not unit.endswith("ns") and isfinite(bare := float(text)):  # 70 ns is never intended
+            return bare
     return parse_quantity(owner, name, text, unit, signed=True)
-
-
-def _number(text: str) -> float:
-    """Parse a number without a unit; return infinity if the text is not a number."""
-    try:
-        return float(text)
-    except ValueError:
-        return inf

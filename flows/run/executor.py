@@ -81,7 +81,7 @@ def map_tasks(
             while waiting and waiting[0][1].done():
                 item, task = waiting.popleft()
                 if _died(task) and isinstance(executor, LocalProcesses):  # by this item or by another one
-                    executor.end()
+                    executor.shutdown()
                     wait([task := executor.submit(work, item)])  # alone
                     waiting = deque((each, start(each) if _died(task) else task) for each, task in waiting)
                     done += 1
@@ -91,7 +91,7 @@ def map_tasks(
         for _, task in waiting:
             task.cancel()
         if isinstance(executor, LocalProcesses):
-            executor.end()
+            executor.shutdown()
         raise
 
 
@@ -169,16 +169,12 @@ class LocalProcesses(Executor):
                 broken.set_exception(error)
                 return broken
 
-    def end(self) -> None:
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End all processes, also in the middle of a task; the next task starts new ones."""
         if self._lifeline and self._pool:
             self._lifeline.close()
             self._pool.shutdown(cancel_futures=True)
         self._lifeline = self._pool = None
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End all processes, as `end` does."""
-        self.end()
 
 
 @contextmanager

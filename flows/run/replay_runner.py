@@ -49,12 +49,6 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
     return flow.replaced(recorded)
 
 
-def replayed_recording(flow: Flow) -> str | None:
-    """Return the name of the recording that the sources of a flow replay, or None."""
-    names = (source.recording for source in flow.sources().values())
-    return next((name for name in names if name is not None), None)
-
-
 def check_sinks_of_replay(flow: Flow) -> None:
     """Check that a flow can be replayed.
 
@@ -68,7 +62,7 @@ def check_sinks_of_replay(flow: Flow) -> None:
 
 def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:
     """Return the state of a run that begins now, without the status of its sources and sinks."""
-    recording = replayed_recording(flow)
+    recording = next((each.recording for each in flow.sources().values() if each.recording is not None), None)
     if recording is not None:
         check_sinks_of_replay(flow)
     return Run(

@@ -10,7 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack, chdir, redirect_stdout
+from contextlib import ExitStack, chdir, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib import invalidate_caches
@@ -23,6 +23,7 @@ from threading import Lock
 from typing import Final
 
 from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.drawing import streams
 from flows.graph.loading import SHIPPED, load, loaded_modules
 from flows.graph.node import Node
@@ -154,6 +155,9 @@ class Replays:
         local = executor is None or isinstance(executor, LocalProcesses)
         source = self._source if local else self._source.with_files()
         paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
+        if isinstance(executor, LocalProcesses) and len(paths) > 1:  # compile once, where it is logged
+            with suppress(SlipflowError, OSError):  # the replay of this recording reports it
+                CompiledFlow(replayed(self.flow, open_recording(self.recordings[0], log.debug), paced=False))
         with ExitStack() as stack:
             for root in self._roots:
                 stack.callback(remove_partial, root, names)

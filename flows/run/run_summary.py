@@ -27,11 +27,6 @@ class Summary:
         return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), error)
 
     @property
-    def rows_in(self) -> int:
-        """Rows of all sources."""
-        return sum(source.rows for source in self.sources.values())
-
-    @property
     def lost(self) -> bool:
         """True if the run ended early, a source was down or silent at the end, or a sink dropped rows."""
         return bool(self.error)

@@ -9,16 +9,7 @@ from operators.detectors.psd import Psd
 from operators.detectors.tcn import Tcn
 from operators.detectors.weights import Weights
 
-__all__ = [
-    "DETECTORS",
-    "TRAINED",
-    "Detector",
-    "FrequencyCnn",
-    "PaperTcn",
-    "Psd",
-    "StreamingDetector",
-    "Tcn",
-]
+__all__ = ["DETECTORS", "TRAINED", "Detector", "FrequencyCnn", "PaperTcn", "Psd", "StreamingDetector", "Tcn"]
 
 DETECTORS: dict[str, Callable[[], Detector]] = {"psd": Psd}  # by name, without weights
 TRAINED: dict[str, Callable[[Weights], Detector]] = {  # by name, with weights; the default first

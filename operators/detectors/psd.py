@@ -52,9 +52,8 @@ class Psd:
         check_at_least("Psd", "length", self.length, 2, "samples")  # one sample has no spectrum
         highest = self.length // 2 / self.length * self.rate
         if not 0 <= self.cutoff < highest:
-            raise ParameterError(
-                "Psd", "cutoff", self.cutoff, f"from 0 to below {highest:g} Hz, the highest bin"
-            )
+            must_be = f"from 0 to below {highest:g} Hz, the highest bin"
+            raise ParameterError("Psd", "cutoff", self.cutoff, must_be)
         check_above("Psd", "threshold", self.threshold, 0)
         _transform(self.length, self.cutoff / self.rate)  # compute it before the first score
 
@@ -64,9 +63,8 @@ class Psd:
         Raises:
             FingertipError: if it has not; it names the operators that convert it.
         """
-        replace(self.fingertip or TAKKTILE, rate=self.rate, range=None).check_fits(
-            self.name, given, any_cells=True
-        )
+        needs = replace(self.fingertip or TAKKTILE, rate=self.rate, range=None)
+        needs.check_fits(self.name, given, any_cells=True)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""

@@ -132,10 +132,8 @@ def shapes(
 
 def _check(weights: Weights) -> None:
     sizes = list[int]()
-    for name, expected in (
-        ("conv0/kernel", "(taps, 2 cells, filters)"),
-        ("dense0/kernel", "(filters, units)"),
-    ):
+    kernels = {"conv0/kernel": "(taps, 2 cells, filters)", "dense0/kernel": "(filters, units)"}
+    for name, expected in kernels.items():
         shape = weights[name].shape if name in weights else None
         if shape is None:
             raise _error(f"{name} is missing")
@@ -147,12 +145,8 @@ def _check(weights: Weights) -> None:
     blocks = weights["dilations"].size if "dilations" in weights else 0
     check_weights("Tcn", weights, shapes(taps, filters, units, blocks, cells))
     dilations = weights["dilations"]
-    if (
-        not blocks
-        or dilations.dtype.kind not in "iu"
-        or dilations.min() < 1
-        or dilations.max() > _MAX_DILATION
-    ):
+    whole = blocks and dilations.dtype.kind in "iu"
+    if not (whole and dilations.min() >= 1 and dilations.max() <= _MAX_DILATION):
         raise _error(f"dilations is {dilations.tolist()}, must be whole numbers from 1 to {_MAX_DILATION}")
     if (surplus := f"conv{2 * blocks}/kernel") in weights:
         raise _error(f"{surplus} is not expected: dilations has length {blocks}")

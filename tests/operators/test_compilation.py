@@ -9,13 +9,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numba.core import caching
-from numba.core.errors import TypingError
 from numba.core.registry import CPUDispatcher
 
 from operators import Align, Debounce, Motion, Sample, Scores, Touch, Zero, compilation, ms, steps
 from operators.batch import packed_type
 from operators.compilation import compile_function, compile_program
-from operators.steps import Record
+from operators.errors import InputError
+from operators.program import bind
 
 
 def test_a_function_is_compiled_where_no_cache_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,20 +122,40 @@ def test_another_parameter_needs_no_other_program() -> None:
     assert sizes[0] == sizes[1]
 
 
-def test_a_step_that_reads_variables_of_the_function_around_it_is_refused() -> None:
-    level = 3.0
+def _around(level: float) -> Any:
+    return lambda x: x > level
 
-    def run(rows: Record) -> bool:
-        return bool(rows[0].x > level)
 
-    with pytest.raises(TypeError, match="run reads variables of the function around it: use settings"):
-        compile_program(cast("FunctionType", run), [_ROWS], {})
+@pytest.mark.parametrize(
+    ("function", "message"),
+    [
+        (
+            _helper("x.nothing"),
+            "<string>:2: run cannot be compiled: TypingError: Unknown attribute 'nothing'",
+        ),
+        (
+            _helper("gone(x)"),
+            "<string>:2: run cannot be compiled: TypingError: NameError: name 'gone' is not",
+        ),
+        (_function("def run(x):\n    with x as y:\n        return y"), "<string>:2: run .*: Unsupported"),
+        (_function("def run(x, y):\n    return x"), "<string>:.* run .*: missing a required argument: 'y'"),
+        (
+            _around(3.0),
+            r".*/test_compilation.py:\d+: <lambda> reads variables of the function around it: use",
+        ),
+    ],
+)
+def test_a_function_that_cannot_be_compiled_is_named_with_its_line(
+    function: FunctionType, message: str
+) -> None:
+    with pytest.raises(InputError, match=f"^{message}"):
+        compile_program(bind(_function(_HELPED), help=function), [_ROWS], {})
 
 
 def test_rows_of_which_neither_type_begins_with_the_other_are_not_copied() -> None:
     run = _function("def run(rows):\n    copy(rows[0].sample, rows[0].other)", copy=steps.copy)
     rows = np.zeros(1, [("sample", packed_type(Sample)), ("other", packed_type(Motion))])
     with pytest.raises(
-        TypingError, match=r"cannot copy: .*'matched'\] does not begin with the columns \['time'"
+        InputError, match=r"cannot copy: .*'matched'\] does not begin with the columns \['time'"
     ):
         compile_program(run, [rows], {})

@@ -66,13 +66,6 @@ def test_an_invalid_reading_is_taken_to_be_the_last_valid_one_and_0_before_any()
     assert [window[0, :, 0].tolist() for window in keeper.given] == [[0, 8], [8, 8], [8, 8]]
 
 
-def test_a_sample_of_which_more_than_three_cells_are_invalid_has_no_score() -> None:
-    touch = _touch(1, 2, 3, 4)
-    touch.valid[1, :3] = False
-    touch.valid[2, :4] = False
-    assert np.isnan(Score(_Keeper()).push(touch).probability).tolist() == [False, True, False]
-
-
 def test_the_number_of_cells_comes_from_the_batch() -> None:
     cells = np.full((3, 9), 200, np.int16)
     touch = Zeroed(np.arange(3), cells, cells, np.ones_like(cells, np.bool_))
@@ -115,4 +108,4 @@ def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Win
 
 def test_other_errors_of_a_streaming_detector_are_raised() -> None:
     with pytest.raises(ModuleNotFoundError, match="torch"):
-        Score(_Uncompiled(_Keeper(), missing="torch")).prepare()
+        Score(_Uncompiled(_Keeper(), missing="torch")).push(Zeroed.zeros())

@@ -18,7 +18,6 @@ from operators import (
     Motion,
     Operator,
     ParameterError,
-    Pool,
     Sample,
     Scores,
     Slips,
@@ -128,12 +127,6 @@ def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> N
             BatchError, match=r"^Touch\.counts: has 9 cells, but the fingertip is described with 6$"
         ):
             zero.push(_raw(rows, 9))
-
-
-def test_prepared_operators_take_any_number_of_cells() -> None:
-    pool = Pool(gain=-1.7)
-    pool.prepare()
-    assert pool.push(_raw(3, 9)).cells == 9
 
 
 # --- blocks, fingertips, order ---------------------------------------------------------------------------

@@ -7,11 +7,10 @@ import pytest
 
 from connectors import Metrics, Page
 from flows import demo as ready_made
-from flows.cli.live_view import add_metrics, add_page, announce_page, check_metrics
+from flows.cli.live_view import add_metrics, add_page, announce_page, check_access
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
-from flows.run.live_runner import LiveRunner
 from operators import Debounce, ParameterError, Scores, Slips, Touch, Zero
 from tests.waiting import PATIENCE
 
@@ -94,17 +93,8 @@ def test_the_metrics_take_slips_faults_scores_and_clocks_of_those_that_there_are
     assert "metrics2: writes to http://127.0.0.1:9464, as does Debounce -> metrics" in str(problem)
 
 
-def test_a_token_that_is_too_short_is_rejected_for_other_machines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_token_that_is_too_short_is_rejected_before_a_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SLIPFLOW_PAGE_TOKEN", "short")
-    check_metrics("9464")
+    check_access("--metrics", "9464")
     with pytest.raises(ParameterError, match=r"--metrics 0\.0\.0\.0:9464: token .*must be 16 to 256"):
-        check_metrics("0.0.0.0:9464")
-
-
-async def test_a_flow_of_touch_alone_has_metrics(capsys: pytest.CaptureFixture[str]) -> None:
-    flow = Flow("raw")
-    flow.source(TestSource(Touch)).to(TestSink())
-    add_metrics(flow, "0")
-    assert problems(flow) == []
-    await LiveRunner(flow, "run1").execute()
-    assert capsys.readouterr().err.startswith("metrics: http://127.0.0.1:")
+        check_access("--metrics", "0.0.0.0:9464")

@@ -5,16 +5,20 @@ import resource
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from ctypes import CFUNCTYPE
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from subprocess import PIPE
+from time import sleep
 
 import pytest
 
 from flows.cli import __main__, main
 from tests.command import SLIPFLOW, slipflow
 from tests.storage.made import new_run, side_by_side, write
+from tests.waiting import PATIENCE
 
 
 def test_help_lists_every_command_in_panels_with_the_most_used_first() -> None:
@@ -47,14 +51,19 @@ def test_output_that_cannot_be_written_is_one_line() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    "call", [lambda kill: kill(), lambda kill: CFUNCTYPE(None)(kill)()], ids=["code", "callback of LLVM"]
+)
 def test_a_terminated_command_deletes_its_unfinished_output(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Callable[[Callable[[], None]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def terminate(*_: object) -> None:
         assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL  # it would end the tests
         assert (tmp_path / "out.partial").is_dir()
-        os.kill(os.getpid(), signal.SIGTERM)
+        call(partial(os.kill, os.getpid(), signal.SIGTERM))  # a callback swallows exceptions
+        sleep(PATIENCE)
 
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)  # restored
     monkeypatch.setattr("flows.lab.simulation._record", terminate)
     monkeypatch.setattr(sys, "argv", ["slipflow", "simulate", str(tmp_path / "out"), "--jobs", "1"])
     before = signal.getsignal(signal.SIGTERM)

@@ -30,7 +30,7 @@ MISTAKES = [
     ("run live --replay missing.csv", "missing.csv"),
     ("run live --replay wrong.csv", "wrong.csv"),
     ("run record --set out=lab.csv --for 1s", "lab.csv"),
-    ("run live --replay lab.csv --pace 1 --listen 0.0.0.0:0", "Page: token is None, must be set"),
+    ("run broken.py --page --listen 0.0.0.0:0", "--listen 0.0.0.0:0: token is None, must be set"),
     ("run live --for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 1h or 30d"),
     ("run live --pace 2", "--pace is for replays: add --replay PATH"),
     ("run live --jobs 2", "--jobs is for replays at full speed: add --replay PATH"),
@@ -40,10 +40,7 @@ MISTAKES = [
     ("run live --replay . --cluster tcp://x:1 --jobs 2", "workers: jobs is 2, must be omitted with a cluste"),
     ("run live --set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
     ("run live --listen host:", "--listen host:: write it as PORT or HOST:PORT, such as 8765"),
-    (
-        "run broken.py --metrics 0.0.0.0:9464",  # not loaded
-        "--metrics 0.0.0.0:9464: other machines can connect, so set SLIPFLOW_PAGE_TOKEN, for example to the",
-    ),
+    ("run broken.py --metrics 0.0.0.0:9464", "--metrics 0.0.0.0:9464: token is None, must be set"),
     ("run live --metrics ::1:80", "--metrics ::1:80: write it as PORT or HOST:PORT"),
     ("check live --set detector=oracle", "oracle: is not a detector: give "),
     (

@@ -50,6 +50,19 @@ def test_what_a_flow_file_prints_is_printed_once(tiny: Path, tmp_path: Path) -> 
     assert done.stdout.splitlines()[-1].startswith("2 recordings, ")
 
 
+def test_a_dataset_is_compiled_for_once_and_a_common_error_printed_once(tiny: Path, tmp_path: Path) -> None:
+    two, flow = [tiny / "sessions" / name for name in session_names(tiny)[:2]], tmp_path / "own.py"
+    errors = list[str]()
+    for operator in ("Pool(((0,), (9,)))", "Pool(gain=0.5)"):
+        text = WRONG.replace("Console()", f"Dataset('{tmp_path}/out')").replace("Debounce()", operator)
+        flow.write_text(text.replace("Debounce", "Pool") + "\nfrom storage import Dataset\n")
+        command = [*SLIPFLOW, "run", flow, "--replay", *two, "--jobs", "2"]
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+        errors += [subprocess.run(command, env=env, capture_output=True, text=True, check=False).stderr]
+    assert errors[0].count("Pool needs 10 cells") == errors[0].count(f"error: {two[1]}: as for {two[0]}") == 1
+    assert errors[1].count("compiling for this machine") == 1
+
+
 def test_output_is_printed_below_the_name_of_its_recording(tiny: Path) -> None:
     first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, "--jobs", "1")

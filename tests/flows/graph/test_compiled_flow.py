@@ -32,6 +32,7 @@ from operators import (
     s,
 )
 from operators.operator import output_type
+from operators.steps import Record, RowType, Steps
 from tests.operators import conftest
 from tests.operators import test_conformance as suite
 
@@ -138,18 +139,30 @@ def test_an_operator_that_breaks_its_contract_is_named(
         compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
-def test_a_failing_operator_is_reported_with_the_line_of_its_file() -> None:
-    class Broken(Operator[Scores, Scores]):
-        def process(self, batch: Scores) -> Scores:
-            raise KeyError("threshold")
+class Broken(Operator[Scores, Scores]):
+    def process(self, batch: Scores) -> Scores:
+        raise KeyError("limit")
 
-    flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Broken()).to(TestSink())
+
+class Strict(Operator[Scores, Scores]):
+    def steps(self, *given: RowType) -> Steps:
+        return Steps(step=too_high)
+
+
+def too_high(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    raise KeyError("limit")
+
+
+@pytest.mark.parametrize("kind", [Broken, Strict])
+def test_a_failing_operator_is_reported_with_the_line_of_its_file(kind: type[Broken | Strict]) -> None:
+    flow, sink = Flow("f"), TestSink()
+    stream = flow.source(TestSource(Scores))
+    (stream | Debounce()).to(sink)
+    (stream | kind()).to(sink)
     compiled = CompiledFlow(flow)
-    with pytest.raises(
-        OperatorError, match=r"^flow 'f': Broken: KeyError: 'threshold' \(test_compiled_flow\.py:\d+\)$"
-    ):
-        compiled.push({compiled.entries[0]: scores(0.1)})
+    reason = rf"^flow 'f': {kind.__name__}: KeyError: '?limit'? \(test_compiled_flow\.py:\d+\)$"
+    with pytest.raises(OperatorError, match=reason):
+        compiled.pusher(compiled.entries[0])(scores(0.1))
 
 
 def test_an_operator_that_cannot_be_prepared_is_named() -> None:

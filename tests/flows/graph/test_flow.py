@@ -44,12 +44,15 @@ def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
     assert str(flow) == drawn
 
 
-def test_an_operator_paired_with_a_stream_is_an_error_that_says_where_parentheses_belong() -> None:
+def test_an_operator_or_source_in_the_place_of_a_stream_is_an_error_that_says_what_to_write() -> None:
     flow = Flow("f")
     touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))
     operator: Any = Zero()
     with pytest.raises(FlowError, match=r"Zero & motion: .* write \(stream \| Zero\(\)\) & motion$"):
         _ = touch | operator & motion
+    source: Any = TestSource(Touch)
+    with pytest.raises(TypeError, match=r"^TestSource is not a stream: begin with flow\.source\(\.\.\.\)$"):
+        _ = source | operator
 
 
 class Half:

@@ -2,7 +2,7 @@ import asyncio
 import time
 
 from flows.graph.testing import run_virtually
-from flows.run.clocks import EventClock, LoopClock
+from flows.run.clocks import LoopClock
 from operators import s
 
 
@@ -13,16 +13,6 @@ def test_a_paced_clock_runs_at_its_pace() -> None:
         return asyncio.get_running_loop().time(), clock.now()
 
     assert run_virtually(main()) == (5.0, 50 * s)
-
-
-def test_an_event_clock_never_waits_and_never_goes_back() -> None:
-    async def main() -> int:
-        clock = EventClock(7)
-        await clock.sleep_until(9)
-        await clock.sleep_until(3)
-        return clock.now()
-
-    assert asyncio.run(main()) == 9
 
 
 def test_calls_in_threads_take_no_virtual_time() -> None:
