@@ -93,10 +93,15 @@ class AnyOperator(ABC):
         Raises:
             FingertipError: if the input does not fit.
         """
+        self.for_fingertip(given)
         return given
 
     def for_fingertip(self, given: Fingertip) -> Self:
-        """Return the operator with the defaults for this fingertip of its input, which a flow knows."""
+        """Return the operator with the defaults for this fingertip of its input, which a flow knows.
+
+        Raises:
+            FingertipError: if the input does not fit.
+        """
         return self
 
     @property

@@ -23,7 +23,8 @@ class Pool(Operator[Touch, Touch]):
     Args:
         groups: Cells of each group, for output cells 0, 1, ...; () keeps each cell alone.
         gain: Output counts per count; negative if counts rise with the pressure but must fall.
-        unit: Unit of the output; None: that of the input, of which a count is then another fraction.
+        unit: Unit of the output, whose range is then unknown; None: that of the input, of which a count is
+            then another fraction.
         layout: Layout of the output cells (default: the input's if each cell is alone, that of a TakkTile for
             six groups, else a grid).
 
@@ -66,7 +67,7 @@ class Pool(Operator[Touch, Touch]):
             layout=self.layout or (_layout(len(self.groups)) if self.groups else given.layout),
             unit=self.unit or given.unit,
             resolution=1.0 if self.unit else given.resolution / abs(self.gain),
-            range=None if low == high else (low, high),
+            range=None if self.unit or low == high else (low, high),
         )
         cells = len(self.groups) or given.cells
         if made.cells != cells:

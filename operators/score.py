@@ -1,14 +1,15 @@
 """Scoring of samples by a detector."""
 
-from dataclasses import dataclass, field
-from typing import Final, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Final, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import Counts, Flags, Scores, Zeroed
 from operators.checks import check_at_least
-from operators.detectors.detector import Detector, ForFingertip, StreamingDetector
+from operators.detectors.detector import Detector, StreamingDetector
+from operators.detectors.weights import ForOneFingertip
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import Operator
@@ -54,15 +55,14 @@ class Score(Operator[Zeroed, Scores]):
             raise ParameterError("Score", "detector", self.detector, must_be)
         self._window = Window(self.detector.length, self.hop)
 
-    def output_fingertip(self, given: Fingertip) -> Fingertip:
-        """Check that the detector was made for this fingertip, if it says so.
+    def for_fingertip(self, given: Fingertip) -> Self:
+        """Return the operator with the detector for this fingertip, if it makes a difference.
 
         Raises:
-            FingertipError: if it was made for another number of cells, rate or unit.
+            FingertipError: if the detector was made for another number of cells, rate or unit.
         """
-        if isinstance(self.detector, ForFingertip):
-            self.detector.check_fingertip(given)
-        return given
+        own = self.detector
+        return replace(self, detector=own.for_fingertip(given)) if isinstance(own, ForOneFingertip) else self
 
     def steps(self, *given: RowType) -> Steps | None:
         """Return the step of a streaming detector; None for others, or if numba is not installed."""

@@ -1,5 +1,6 @@
 """HTTP server of the pages and the metrics."""
 
+import asyncio
 import errno
 import os
 from collections.abc import Awaitable, Callable
@@ -14,7 +15,9 @@ from operators.errors import EndpointError, InputError, ParameterError
 Handler: TypeAlias = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 STATIC: Final = Path(__file__).parent / "static"
+STRANGERS_MAX: Final = 32  # connections without access
 IDLE_TIMEOUT: Final = 20.0  # s without a request, after which a connection is closed
+_BACKLOG: Final = 16  # connections accepted at once; fewer than STRANGERS_MAX, so that those closed are open
 _BODY_MAX: Final = 16 << 20  # bytes of a POST request
 _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
@@ -42,6 +45,9 @@ class WebServer:
     header. Browsers send the origin of the page, so that no other site can write or listen. Errors of
     handlers that the user can fix are responses with their text.
 
+    Connections without access are limited to 32, so that a recording can always open its files. A further one
+    replaces the oldest of them.
+
     Args:
         name: Name of the service in messages.
         host: Address to listen on.
@@ -52,6 +58,7 @@ class WebServer:
     def __init__(self, name: str, host: str, port: int | None, token: str | None) -> None:
         self._name, self._host, self._token = name, host, token
         self._any_port, self._port = port is None, PAGE_PORT if port is None else port
+        self._strangers = dict[web.RequestHandler, None]()  # connections without access, the oldest first
 
     @property
     def url(self) -> str:
@@ -82,7 +89,7 @@ class WebServer:
         )
         await self._runner.setup()
         try:
-            await self._listen()
+            self._listener = await self._listen()
         except OSError as error:
             await self._runner.cleanup()
             number = error.errno or 0
@@ -91,19 +98,34 @@ class WebServer:
             remedy = _REMEDIES.get(number, "choose an address of this machine")
             text = f"cannot serve {self._name}: {reason}; {remedy}"
             raise EndpointError(http_url(self._host, self._port), text) from None
-        self._port = int(self._runner.addresses[0][1])
+        self._port = int(self._listener.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
         """Stop listening."""
+        self._listener.close()
         await self._runner.cleanup()
 
-    async def _listen(self) -> None:
+    async def _listen(self) -> asyncio.Server:
+        listen = asyncio.get_running_loop().create_server
         try:
-            await web.TCPSite(self._runner, self._host, self._port).start()
+            return await listen(self._connection, self._host, self._port, backlog=_BACKLOG)
         except OSError as error:
             if not self._any_port or error.errno != errno.EADDRINUSE:
                 raise
-            await web.TCPSite(self._runner, self._host, 0).start()
+            return await listen(self._connection, self._host, 0, backlog=_BACKLOG)
+
+    def _connection(self) -> web.RequestHandler:
+        """Return the protocol of a new connection."""
+        server = self._runner.server
+        assert server, "the runner is set up before the server listens"
+        connection = server()
+        self._strangers[connection] = None
+        if len(self._strangers) > STRANGERS_MAX:
+            oldest = next(iter(self._strangers))
+            del self._strangers[oldest]
+            if oldest.transport:
+                oldest.transport.abort()
+        return connection
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
@@ -116,8 +138,9 @@ class WebServer:
             redirect.set_cookie(COOKIE, token, httponly=True, samesite="Lax", path="/")
             return redirect
         bearer = request.headers.get("Authorization")
-        known = token is None or is_secret(cookie, token) or is_secret(bearer, f"Bearer {token}")
-        if not known and request.path not in {HEALTH, READY}:
+        if token is None or is_secret(cookie, token) or is_secret(bearer, f"Bearer {token}"):
+            self._strangers.pop(request.protocol, None)
+        elif request.path not in {HEALTH, READY}:
             text = (
                 f"Access to {self._name} needs its token: append /?token=... to the address, or send the"
                 " header 'Authorization: Bearer ...'.\n"

@@ -169,8 +169,7 @@ class LabelledRecording:
         Raises:
             FingertipError: if the detector was made for another fingertip.
         """
-        score = Score(detector)
-        score.output_fingertip(self.fingertip)
+        score = Score(detector).for_fingertip(self.fingertip)
         probability, counts = np.full(len(self), np.nan), self.counts
         if len(self):
             valid = np.ones(counts.shape, np.bool_) if self.valid is None else self.valid

@@ -3,7 +3,6 @@
 from typing import Protocol, runtime_checkable
 
 from operators.batch import Counts, Reals
-from operators.fingertip import Fingertip
 from operators.steps import Steps
 
 
@@ -28,19 +27,6 @@ class Detector(Protocol):
 
         Returns:
             (n,) 0 to 1
-        """
-        ...
-
-
-@runtime_checkable
-class ForFingertip(Detector, Protocol):
-    """Detector that was made for a certain fingertip."""
-
-    def check_fingertip(self, given: Fingertip) -> None:
-        """Check that the detector was made for this fingertip.
-
-        Raises:
-            FingertipError: if it was not; it names the operators that convert the data.
         """
         ...
 

@@ -8,12 +8,13 @@ import numpy as np
 
 from operators.batch import SLIP, STATIC, Codes, Counts, Reals
 from operators.checks import check_above, check_at_least
+from operators.detectors.weights import ForOneFingertip
 from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
 
 
 @dataclass(frozen=True)
-class Psd:
+class Psd(ForOneFingertip):
     """Detect slip as spectral power above a cutoff frequency, the baseline method of the paper.
 
     With x the window minus its mean, w Hann weights and X the DFT of w x, the power of a barometer is the
@@ -32,7 +33,7 @@ class Psd:
         cutoff: Frequency above which power counts, Hz.
         threshold: Power at probability 0.5, counts^2.
         rate: Sample rate, Hz.
-        fingertip: Fingertip that the threshold was fitted to; None: one in counts.
+        fingertip: Fingertip that the threshold was fitted to.
 
     Raises:
         ParameterError: if a parameter is invalid, such as a `cutoff` above the highest bin.
@@ -45,7 +46,7 @@ class Psd:
     cutoff: float = 10.0
     threshold: float = 1000.0
     rate: float = 100.0
-    fingertip: Fingertip | None = None
+    fingertip: Fingertip = TAKKTILE
     name = "psd"
 
     def __post_init__(self) -> None:
@@ -57,14 +58,14 @@ class Psd:
         check_above("Psd", "threshold", self.threshold, 0)
         _transform(self.length, self.cutoff / self.rate)  # compute it before the first score
 
-    def check_fingertip(self, given: Fingertip) -> None:
-        """Check that data has the rate and the unit of this detector; any number of cells.
+    def for_fingertip(self, given: Fingertip) -> Self:
+        """Return the detector with the threshold relative to the range of a fingertip, of any cells.
 
         Raises:
-            FingertipError: if it has not; it names the operators that convert it.
+            FingertipError: if rate or unit differ; it names the operators that convert them.
         """
-        needs = replace(self.fingertip or TAKKTILE, rate=self.rate, range=None)
-        needs.check_fits(self.name, given, any_cells=True)
+        replace(self.fingertip, rate=self.rate, range=None).check_fits(self.name, given, any_cells=True)
+        return replace(self, threshold=self.threshold * self.ratio(given) ** 2, fingertip=given)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""

@@ -38,6 +38,7 @@ class Tcn(ForOneFingertip):
     """
 
     name = "tcn"
+    in_counts = ("position_scale", "step_scale")
 
     def __init__(self, weights: Weights) -> None:
         _check(weights)

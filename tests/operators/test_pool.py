@@ -35,7 +35,7 @@ def test_counts_beyond_16_bits_are_limited_and_zeroed_input_stays_zeroed() -> No
 
 def test_sixteen_taxels_in_kilopascals_become_the_fingertip_of_the_shipped_detectors() -> None:
     made = Pool(SIX, gain=-0.25, unit="count").output_fingertip(PAD)
-    assert made == Fingertip(TAKKTILE.layout, 1000.0, "count", 1.0, (0, -1000))
+    assert made == Fingertip(TAKKTILE.layout, 1000.0, "count", 1.0)
     TAKKTILE.check_fits("tcn", replace(made, rate=100.0))
 
 

@@ -58,12 +58,15 @@ STROKES: Final = DatasetRecipe(
     "Labels: slip where the joint's speed times 0.096 m is above 5 mm/s.\n  "
     "Assumed: the speed is that of joint FFJ4 times a lever of 0.096 m, which was estimated, not "
     "measured. The six cells are our choice: means of two neighbouring electrodes on the flanks of the "
-    "fingertip, minus the median of the recording, which includes strokes. Rows with a value that is not "
+    "fingertip, minus the median of the recording, which includes strokes. The range is that of the sensor's "
+    "converter, 12 bits, which falls as an electrode is pressed. Rows with a value that is not "
     "a number are left out. The label follows the joint; touch leads it by about 50 ms. The meaning of "
     "the surfaces' names was translated from Russian, not stated by the source.",
     repository="nomadik/vibrotexturerecog",
     commit="e24c837c33b5689b04cd4210dcb5d5a88ada24ee",
-    columns=ColumnMap.parse("time=time_ns,counts=b0..b5,speed=speed,label=label,rate=100,zeroed=true"),
+    columns=ColumnMap.parse(
+        "time=time_ns,counts=b0..b5,speed=speed,label=label,rate=100,zeroed=true,range=4095:0"
+    ),
     registry=Path(__file__).with_suffix(".txt"),
     recordings=recordings,
 )

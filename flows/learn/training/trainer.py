@@ -144,8 +144,7 @@ def train(
             log("few recordings: each is divided in time, which flatters the model; record five or more")
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
-        parent.check_fingertip(fingertip)
-        arrays, results = _from_model(parent, recordings, recipe, progress)
+        arrays, results = _from_model(parent.for_fingertip(fingertip), recordings, recipe, progress)
         about |= {"detector": parent.name, "parent": identify_detector(str(start))}
     return write_model(out, arrays, {**about, **results})
 

@@ -11,8 +11,9 @@ from aiohttp import ClientResponse, ClientSession, CookieJar, web
 
 from connectors.web import web_server
 from connectors.web.access import TOKEN, is_secret, required_token
-from connectors.web.web_server import PAGE_FILES, STATIC, WebServer, page_server
+from connectors.web.web_server import PAGE_FILES, STATIC, STRANGERS_MAX, WebServer, page_server
 from operators.errors import EndpointError, InputError, ParameterError
+from tests.waiting import PATIENCE, until
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 BEARER = {"Authorization": f"Bearer {SECRET}"}
@@ -166,3 +167,25 @@ async def test_with_a_token_nothing_is_served_without_it(monkeypatch: pytest.Mon
         assert "HttpOnly" in cookie
         assert "SameSite=Lax" in cookie
         assert (await get(session, "/data"))[1] == "text"
+
+
+async def test_silent_connections_are_limited_and_never_replace_one_with_access() -> None:
+    def descriptors() -> int:
+        return len(list(Path("/proc/self/fd").iterdir()))
+
+    async def get_data() -> None:  # on the same connection
+        writer.write(f"GET /data HTTP/1.1\r\nHost: x\r\nAuthorization: Bearer {SECRET}\r\n\r\n".encode())
+        assert b" 200 " in await reader.readline()
+        await reader.readuntil(b"\r\n\r\ntext")
+
+    server = numbers(SECRET)
+    async with asyncio.timeout(PATIENCE), served(server):
+        address = "127.0.0.1", int(server.url.rpartition(":")[2])
+        reader, writer = await asyncio.open_connection(*address)
+        await get_data()
+        before = descriptors()
+        silent = await asyncio.gather(*(asyncio.open_connection(*address) for _ in range(3 * STRANGERS_MAX)))
+        await until(lambda: descriptors() - before <= len(silent) + STRANGERS_MAX)
+        await get_data()
+        for _, each in [*silent, (reader, writer)]:
+            each.close()

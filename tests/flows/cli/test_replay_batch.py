@@ -56,7 +56,7 @@ def test_a_dataset_is_compiled_for_once_and_a_common_error_printed_once(tiny: Pa
     for operator in ("Pool(((0,), (9,)))", "Pool(gain=0.5)"):
         text = WRONG.replace("Console()", f"Dataset('{tmp_path}/out')").replace("Debounce()", operator)
         flow.write_text(text.replace("Debounce", "Pool") + "\nfrom storage import Dataset\n")
-        command = [*SLIPFLOW, "run", flow, "--replay", *two, "--jobs", "2"]
+        command = [*SLIPFLOW, "run", str(flow), "--replay", *map(str, two), "--jobs", "2"]
         env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
         errors += [subprocess.run(command, env=env, capture_output=True, text=True, check=False).stderr]
     assert errors[0].count("Pool needs 10 cells") == errors[0].count(f"error: {two[1]}: as for {two[0]}") == 1
