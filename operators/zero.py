@@ -61,7 +61,11 @@ class Zero(Operator[Touch, Zeroed]):
         return given[0] if issubclass(given[0].kind, Zeroed) else RowType(Zeroed, given[0].cells)
 
     def steps(self, *given: RowType) -> Steps:
-        """Return the functions that measure the baseline, subtract it and look for wrong readings."""
+        """Return the functions that measure the baseline, subtract it and look for wrong readings.
+
+        Raises:
+            ParameterError: if the baseline has another number of cells.
+        """
         cells, zeroed = given[0].cells, issubclass(given[0].kind, Zeroed)
         measures = self.baseline is None and not zeroed
         offset = np.zeros(cells, np.int16)

@@ -146,7 +146,7 @@ def test_all_loggers_are_below_slipflow() -> None:
         ("import operators", {"numpy"}),
         ("from connectors import Console, Mqtt; Console(), Mqtt('mqtt://localhost')", {"asyncio", "numpy"}),
         ("import flows.cli.main", {"asyncio"}),
-        ("from flows.cli.check import check; check('live')", {"asyncio", "numpy"}),
+        ("from flows.cli.check import check; check('live')", {"asyncio", "numba", "numpy", "scipy"}),
     ],
 )
 def test_heavy_packages_are_imported_when_they_are_needed(code: str, light: set[str]) -> None:
