@@ -126,6 +126,8 @@ class TraceImport:
             low, high = found.range
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
+        elif found.unit == "count":
+            lines.append("  range    unknown: detectors assume 1023 counts; state range=LOW:HIGH")
         if part.unused:
             lines.append(f"  not used {listed(part.unused)}")
         return lines
