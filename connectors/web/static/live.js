@@ -32,7 +32,7 @@ export function live(view) {
 
   function showLink() {
     const lost = document.body.dataset.link === "lost", at = paused?.end ?? null;
-    const text = ended ? "Ended" : lost ? "Not connected" : paused ? "Paused" : run?.recording === null ? "Live" : "Replay";
+    const text = view.over || (paused ? "Paused" : run?.recording === null ? "Live" : "Replay");
     write($("link"), text);
     $("link").className = ended || paused ? "" : lost ? "bad" : "on";
     const notice = ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. The page waits for the next run.`
@@ -44,12 +44,10 @@ export function live(view) {
 
   function link(state) {
     document.body.dataset.link = state;
-    if (state === "lost" && !ended) {
-      $("state").dataset.slip = false;
-      write($("heading"), "No flow is connected");
-      view.setTitle("Not connected");
-    }
+    view.over = ended ? "Ended" : state === "lost" ? "Not connected" : "";
+    if (view.over) view.setTitle(view.over);
     showLink();
+    view.dirty();
   }
 
   function begin(next) {
@@ -86,7 +84,6 @@ export function live(view) {
       $("recording").hidden = true;
     }
     link("live");
-    view.dirty();
     const newest = view.newest, received = performance.timeOrigin + performance.now();
     if (newest !== null) document.dispatchEvent(new CustomEvent("frame", { detail: { newest: run.start + newest, received } }));
   }

@@ -4,7 +4,7 @@ import { styles } from "./charts.js";
 import { element, title, write } from "./dom.js";
 
 const DENSE = 12; // cells; more have smaller tiles
-const BESIDE = 5; // cells of a row; wider maps lie one below the other
+const BESIDE = 3; // cells of a row; wider maps lie one below the other
 const STEPS = { ArrowLeft: -1, ArrowUp: -1, ArrowRight: 1, ArrowDown: 1 }; // cells
 const SHORT = { saturated: "max", drifting: "drift", "no reading": "none" }; // in small tiles
 
@@ -53,7 +53,7 @@ export class Pads {
       cell.td.classList.toggle("saturated", saturated);
       cell.td.classList.toggle("fault", (k in faults && !saturated) || silent);
       const fault = faults[k] ?? (silent ? "no reading" : "");
-      write(cell.fault, pad.dense ? SHORT[fault] ?? fault : fault);
+      write(cell.fault, pad.dense || this.pads.size > 1 ? SHORT[fault] ?? fault : fault);
       write(cell.count, value === null ? "–" : this.amount(value));
     });
   }

@@ -19,7 +19,7 @@ class View {
     this.charts = new Charts();
     this.events = new Events();
     this.pads = new Pads($("fingers"), (finger) => this.choose(finger), (cell) => this.mark(cell), (value) => this.amount(value));
-    Object.assign(this, { finger: null, marked: null, name: "", hasScores: true, drawn: 0, written: 0, onchange: () => this.dirty() });
+    Object.assign(this, { finger: null, marked: null, name: "", hasScores: true, over: "", drawn: 0, written: 0, onchange: () => this.dirty() });
     this.fingertip = null;
     this.clear();
   }
@@ -170,15 +170,15 @@ class View {
     write($("quality"), reason ? `${word[0].toUpperCase()}${word.slice(1)}: ${reason}` : "");
   }
 
-  // Show whether each fingertip slips: unknown without a score and an event.
+  // Show whether each fingertip slips: unknown without a score and an event; or why the run is over.
   #showState(figures, until) {
     const states = new Map(this.streams.fingers.map((finger) => {
       const known = (figures.of("scores", finger)?.last?.[0] ?? null) !== null || this.events.any(finger, until);
       return [finger, this.slips(finger) ? "slip" : known ? "no slip" : this.hasScores ? "unknown" : "no detector"];
     }));
-    for (const [finger, state] of states) this.pads.state(finger, state);
-    const state = states.get(this.finger);
-    if (!state) return this.setTitle();
+    for (const [finger, state] of states) this.pads.state(finger, this.over ? "unknown" : state);
+    const state = this.over || states.get(this.finger);
+    if (!states.size) return this.setTitle(this.over);
     const text = state[0].toUpperCase() + state.slice(1);
     $("state").dataset.slip = state === "slip";
     if ($("heading").textContent !== title(this.finger) + text) $("heading").replaceChildren(element("small", "", title(this.finger)), text);

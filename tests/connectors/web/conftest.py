@@ -18,5 +18,7 @@ def browser() -> Iterator[Browser]:
 def watched(browser: Browser) -> Iterator[Watched]:
     expect.set_options(timeout=LATE)
     context = browser.new_context(viewport=ViewportSize(width=1280, height=860))
-    yield Watched(context.new_page())
+    watched = Watched(context.new_page())
+    yield watched
+    assert watched.complaints == []
     context.close()

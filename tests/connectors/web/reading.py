@@ -11,6 +11,7 @@ from aiohttp import ClientSession, WSMsgType
 
 from connectors import Metrics
 from operators.batch import Faults, Motion, Scores, Slips, Zeroed
+from operators.health import FaultKind
 from operators.ports import Run
 from tests.waiting import PATIENCE
 
@@ -30,6 +31,12 @@ def slip(time: int, state: int, finger: int = 0) -> Slips:
 def scored(time: int, probability: float, finger: int = 0) -> Scores:
     """Return one score."""
     return Scores(np.array([time]), np.array([probability]), finger=finger)
+
+
+def broken(time: int, cell: int, kind: FaultKind) -> Faults:
+    """Return the beginning of a fault of a cell."""
+    codes = np.array([cell], np.int8), np.array([kind], np.int8)
+    return Faults(np.array([time]), *codes, np.array([True]), finger=0)
 
 
 def moved(time: int) -> Motion:

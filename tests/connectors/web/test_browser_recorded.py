@@ -86,7 +86,6 @@ def test_a_time_is_selected_by_slider_keys_click_and_event(watched: Watched, ser
     expect(tab.locator("#instant-text")).to_contain_text(re.compile(r"0:0(2\.9|3\.0)"))
     tab.locator("#events button").first.click()
     expect(tab.locator("#state")).to_have_attribute("data-slip", "true")
-    assert watched.complaints == []
 
 
 def test_a_drag_zooms_and_escape_shows_the_whole_session_again(
@@ -110,7 +109,6 @@ def test_a_drag_zooms_and_escape_shows_the_whole_session_again(
         tab.locator("#instant").evaluate(MOVE, 10_000)  # the zoom moves with the selected time
     zoom_out.click()
     expect(zoom_out).to_be_hidden()
-    assert watched.complaints == []
 
 
 def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
@@ -129,7 +127,6 @@ def test_the_threshold_slider_shows_the_events_that_the_debounce_finds(
     expect(tab.locator("#notice")).to_contain_text("found now at threshold 1.")
     tab.get_by_role("button", name="Reset").click()
     expect(tab.locator("#notice")).to_contain_text("Slip probability: computed now by detector psd.")
-    assert watched.complaints == []
 
 
 @pytest.mark.parametrize("width", [390, 1280])
@@ -153,13 +150,15 @@ def test_a_fingertip_without_a_detector_is_shown_in_its_unit_and_labelled(
         tab.keyboard.press("Control+s")
         expect(tab.locator("#label-state")).to_have_text("1 span, saved as version 1")
         assert sideways(tab) == 0
+        controls = tab.locator("button:visible, input:visible")
+        least: float = controls.evaluate_all("all => Math.min(...all.map((each) => each.offsetHeight))")
+        assert least >= (40 if width < 900 else 24)
         bands, save = tab.locator("#bands").bounding_box(), tab.locator("#label-save").bounding_box()
         assert bands
         assert save
         assert 0 < save["y"] + save["height"] - bands["y"] < 844, "a screen shows both"
         expect(tab.locator("h1")).to_have_text("Fingertip 0No detector")
     assert [value for _, _, value in spans(session)] == ["slip"]
-    assert watched.complaints == []
 
 
 def test_spans_are_marked_corrected_undone_and_saved_as_versions(
@@ -208,7 +207,6 @@ def test_spans_are_marked_corrected_undone_and_saved_as_versions(
     assert len(read_hand_labels(session.folder, session.about, 1).spans) == 1
     tab.reload()
     expect(state).to_have_text("2 spans, saved as version 2")
-    assert watched.complaints == []
 
 
 def test_thinned_curves_keep_the_figures_of_the_recording(
@@ -242,4 +240,3 @@ def test_thinned_curves_keep_the_figures_of_the_recording(
             tab.locator("#instant").evaluate(MOVE, 10 * row)  # all within the same pixel
             expect(count).to_have_text(figures[0])
             expect(shown).to_have_text(figures[1])
-    assert watched.complaints == []
