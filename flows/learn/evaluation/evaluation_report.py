@@ -102,9 +102,9 @@ def stress_report(of: Evaluation, command: str) -> Report:
 
 def _notes(of: Evaluation) -> str:
     """Return what a reader must know, one sentence each."""
-    missing = [f"not evaluated: {name}, {reason}" for name, reason in of.missing.items()]
+    missing = [f"Not evaluated: {name}, {reason}" for name, reason in of.missing.items()]
     lines = [size_text(of), *of.notes, *missing]
-    return " ".join(f"{line[0].upper()}{line[1:].rstrip('.')}." for line in lines)
+    return " ".join(f"{line.rstrip('.')}." for line in lines)
 
 
 def size_text(of: Evaluation) -> str:

@@ -93,7 +93,7 @@ def evaluate(
         folds = group_folds(recordings, hold_out, str(dataset))
         candidates = [*trained, *hold_out_methods(names, train=train)]
         if left := sorted({*names} & {*BASELINES} - {each.name for each in candidates}):
-            raise InputError(", ".join(left), "is not judged on groups; logistic is, with --train")
+            raise InputError(", ".join(left), "is not judged on groups: only logistic is, with --train")
         subject, parts = f"{dataset.resolve().name}, held out: {', '.join(hold_out)}", "group"
     else:
         folds = [split_fold(recordings, split, str(dataset))]

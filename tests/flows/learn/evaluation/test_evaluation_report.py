@@ -40,7 +40,7 @@ def test_sections_tables_and_figures_are_written(report: Report, tmp_path: Path)
     assert json.loads(paths[2].read_text())["sections"].keys() == {*names}
     text = paths[1].read_text().split("## ")[0]
     assert "2 recordings, 0.4 minutes after the warm-up." in text
-    assert "A (train) is the same recording as b (test). Not evaluated: oracle, why." in text
+    assert "a (train) is the same recording as b (test). Not evaluated: oracle, why." in text
 
 
 def test_the_numbers_are_those_of_the_results_with_the_papers_beside_them(

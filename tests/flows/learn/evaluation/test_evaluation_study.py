@@ -103,7 +103,7 @@ def test_a_method_that_is_not_judged_on_groups_is_named(
     surfaces: list[LabelledRecording], having: Having
 ) -> None:
     for names in (["logistic"], ["tcn", "logistic"]):
-        with pytest.raises(InputError, match=r"^logistic: is not judged on groups; .*with --train"):
+        with pytest.raises(InputError, match=r"^logistic: is not judged on groups: .*with --train"):
             evaluate(having(surfaces), hold_out=["all"], names=names)
 
 
