@@ -3,6 +3,7 @@
 This module does no I/O and reads no clock. Source: https://github.com/cloudevents/spec, v1.0.2.
 """
 
+import json
 from collections.abc import Iterable, Iterator
 from itertools import starmap
 from math import isfinite
@@ -164,12 +165,16 @@ def quality(probability: float | None, faults: Iterable[Fault]) -> tuple[str, st
 
 
 def encode(document: Json) -> bytes:
-    """Return compact JSON; NaN and infinity become null.
+    """Return compact JSON; NaN and infinity become null, text that is not UTF-8 question marks.
 
     >>> encode({"p": float("nan"), "rates": [100.0, float("inf")]})
     b'{"p":null,"rates":[100.0,null]}'
     """
-    return msgspec.json.encode(document, enc_hook=list)  # of other sequences
+    try:
+        return msgspec.json.encode(document, enc_hook=list)  # of other sequences
+    except (TypeError, UnicodeEncodeError):  # numpy's floats, or a file name that is not UTF-8
+        text = json.dumps(document, ensure_ascii=False, default=list).encode(errors="replace")
+        return msgspec.json.encode(json.loads(text))
 
 
 def timestamp(time: int) -> str:

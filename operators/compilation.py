@@ -62,8 +62,8 @@ def compile_function(
     def decorate(function: Function) -> Function:
         try:
             result = njit(signatures, cache=True, nogil=nogil, error_model="numpy", **options)(function)
-        except RuntimeError as error:
-            if "no locator available" not in str(error):
+        except (RuntimeError, OSError) as error:  # perhaps the disk is full
+            if isinstance(error, RuntimeError) and "no locator available" not in str(error):
                 raise
             result = njit(signatures, nogil=nogil, error_model="numpy", **options)(function)
         return cast("Function", result)

@@ -131,6 +131,12 @@ class Fingertip:
         except (TypeError, ValueError, ArithmeticError, LookupError, ParameterError) as error:
             raise InputError(where, f'has an invalid "fingertip": {error}') from error
 
+    def ratio(self, given: "Fingertip") -> float:
+        """Return the span of the range of `given` relative to this one; 1 if unknown, or not in counts."""
+        if self.range is None or given.range is None or self.unit != "count":
+            return 1.0
+        return abs((given.range[1] - given.range[0]) / (self.range[1] - self.range[0]))
+
     def check_fits(self, owner: str, given: "Fingertip", *, any_cells: bool = False) -> None:
         """Check that data of the fingertip `given` fits what `owner` was made for: this fingertip.
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from operators.batch import Counts, Flags, Scores, Zeroed
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector, StreamingDetector
-from operators.detectors.weights import ForOneFingertip
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import Operator
@@ -61,8 +60,8 @@ class Score(Operator[Zeroed, Scores]):
         Raises:
             FingertipError: if the detector was made for another number of cells, rate or unit.
         """
-        own = self.detector
-        return replace(self, detector=own.for_fingertip(given)) if isinstance(own, ForOneFingertip) else self
+        adapted = getattr(self.detector, "for_fingertip", None)
+        return replace(self, detector=adapted(given)) if adapted else self
 
     def steps(self, *given: RowType) -> Steps | None:
         """Return the step of a streaming detector; None for others, or if numba is not installed."""

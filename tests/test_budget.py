@@ -12,11 +12,11 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_068,
-    "connectors": 10_529,
+    "operators": 5_067,
+    "connectors": 10_528,
     "storage": 3_853,
     "flows": 12_431,
-    "product": 31_881,
+    "product": 31_879,
     "product files": 215,
     "tests": 30_694,
     "commands": 16,

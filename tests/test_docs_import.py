@@ -129,6 +129,4 @@ def test_the_script_of_a_format_imports_it(
     if name == "bag.py":
         motion = concat(Motion, list(session.read(Motion, EVERY)))
         assert len(motion) == ROWS
-        assert motion.velocity[:, 0].tolist() == [
-            0.02 if MOVING[row // 2 * 2] else 0.0 for row in range(ROWS)
-        ]
+        assert motion.velocity[:, 0].tolist() == [0.02 if MOVING[i // 2 * 2] else 0.0 for i in range(ROWS)]

@@ -53,9 +53,7 @@ PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").r
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_module_named_on_a_page_exists(page: Path) -> None:
     named = re.findall(r"`([\w.-][\w./-]*\.py)`", page.read_text())  # not /etc/...
-    tree = [
-        f"/{path.relative_to(ROOT).as_posix()}" for folder in TREE for path in (ROOT / folder).rglob("*.py")
-    ]
+    tree = [f"/{path.relative_to(ROOT).as_posix()}" for top in TREE for path in (ROOT / top).rglob("*.py")]
     shown = re.findall(r"```python ([\w./-]+\.py)", page.read_text())  # files that the page contains
     assert [n for n in named if n not in shown and not any(path.endswith(f"/{n}") for path in tree)] == []
 

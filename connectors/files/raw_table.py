@@ -51,9 +51,7 @@ class RawTable:
         for column in frame:
             for name, values in _flat(column.name, column):
                 if name in columns:
-                    raise InputError(
-                        file, f"column {name} is also a part of column {column.name}: rename one"
-                    )
+                    raise InputError(file, f"column {name} is also part of column {column.name}: rename one")
                 if reason := _unusable(values):
                     reasons[name] = reason
                 else:

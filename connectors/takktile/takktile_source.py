@@ -161,15 +161,15 @@ def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:
 
 
 def _row_fault(
-    known: Sequence[Coefficients | None], index: int, scans: Sequence[Scan], others: Sequence[int] | None
+    known: Sequence[Coefficients | None], row: int, scans: Sequence[Scan], others: Sequence[int] | None
 ) -> str:
     """Return what is wrong with the fingertip of a declared row; empty if nothing is.
 
-    `known` are the coefficients of its cells, `index` is its number in the scans, and `others` are all rows
+    `known` are the coefficients of its cells, `row` is its number in the scans, and `others` are all rows
     that answer (None: not searched).
     """
     unknown = [cell for cell, coefficients in enumerate(known) if coefficients is None]
-    shares = np.mean([scan.valid[index] for scan in scans] or np.zeros((1, BAROMETERS)), axis=0)  # (6,)
+    shares = np.mean([scan.valid[row] for scan in scans] or np.zeros((1, BAROMETERS)), axis=0)  # (6,)
     if silent := [cell for cell in unknown if not shares[cell]]:
         if len(silent) < BAROMETERS:
             return f"cells {_join(silent)} do not answer: check their soldering and cable"
@@ -183,9 +183,7 @@ def _row_fault(
         return f"cells {weak} give implausible values: unload the fingertip, or replace it"
     far = list[str]()
     for cell, coefficients in enumerate(known):
-        raw = [
-            (one.counts[index, cell], one.temperature[index, cell]) for one in scans if one.valid[index, cell]
-        ]
+        raw = [(one.counts[row, cell], one.temperature[row, cell]) for one in scans if one.valid[row, cell]]
         if coefficients and raw:
             counts, temperature = np.median(raw, axis=0)
             pressure = coefficients.pressure(float(counts), float(temperature))  # kPa

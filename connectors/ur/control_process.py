@@ -270,9 +270,7 @@ class ControlClient:
         except (EOFError, OSError):
             self._close_pipe()
             if not self._closing:
-                self._failed(
-                    "the process that commands it died; the controller's watchdog also stops the arm"
-                )
+                self._failed("the process that commands it died; the controller's watchdog stops the arm")
 
     def _close_pipe(self) -> None:
         self.ended.set()

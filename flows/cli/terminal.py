@@ -53,7 +53,7 @@ class JsonFormatter(logging.Formatter):
             **getattr(record, "about", {}),
         }
         if document["event"] == "log":
-            document["message"] = record.getMessage().encode(errors="replace").decode()  # of odd file names
+            document["message"] = record.getMessage()
         if record.exc_info:
             document["traceback"] = self.formatException(record.exc_info)
         return _SECRET.sub("...", encode(document).decode())

@@ -16,6 +16,7 @@ from operators.steps import RowType, Steps
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
 Values: TypeAlias = dict[Entry, Batch]  # batches of sources and operators in one push, by node and fingertip
 Delivery: TypeAlias = tuple[Node, Batch]  # a node and a batch of its output, for the sinks that read from it
+Push: TypeAlias = Callable[..., list[Delivery]]
 SomeOperator: TypeAlias = Operator[Any, Any] | Join[Any, Any, Any]
 
 
@@ -115,7 +116,7 @@ class CompiledFlow:
         self.entries = [(node, finger) for node in flow.sources() for finger in node.fingers]
         self._read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
         self._units = self._compiled(flow)
-        self._pushers = dict[tuple[Entry, ...], Callable[..., list[Delivery]]]()
+        self._pushers = dict[tuple[Entry, ...], Push]()
         self.fingertips = sink_fingertips(flow)
         self.sink_types = {
             sink.destination: {
@@ -146,7 +147,7 @@ class CompiledFlow:
             push = self._pushers[entries] = self.pusher(*entries)
         return push(*batches.values())
 
-    def pusher(self, *entries: Entry) -> Callable[..., list[Delivery]]:
+    def pusher(self, *entries: Entry) -> Push:
         """Return the function that `push` calls with the batches of these sources and fingertips.
 
         Raises:
@@ -161,16 +162,9 @@ class CompiledFlow:
         if len(units) == 1 and isinstance(unit := units[0], _Fused):
             fingers = {finger for _, finger in entries} if len(unit.fingers) > 1 else set(unit.fingers)
             places = [unit.entrances.index(node) if node in unit.entrances else -1 for node, _ in entries]
-            if -1 not in places and len(fingers) == 1 and compiler() and all(map(_is_tested, unit.nodes)):
+            if -1 not in places and len(fingers) == 1:
                 chosen = [segment for each, segment in unit.segments.items() if fingers & {each, EVERY}]
-                push, *others = (segment.pusher(*places) for segment in chosen)  # they raise no errors
-                if not (read or others):
-                    return push
-                return lambda *batches: [
-                    *((node, batches[i]) for i, node in read),
-                    *(output for each in (push, *others) for output in each(*batches)),
-                ]
-
+                return self._direct(read, unit.nodes, *(segment.pusher(*places) for segment in chosen))
         if not units:
             return lambda *batches: [(node, batches[i]) for i, node in read]
 
@@ -182,6 +176,20 @@ class CompiledFlow:
             return deliveries
 
         return push_all
+
+    def _direct(self, read: list[tuple[int, Node]], nodes: list[Node], push: Push, *others: Push) -> Push:
+        """Return a function that pushes batches into segments of these nodes, and names one that fails."""
+        if not (read or others) and compiler() and all(map(_is_tested, nodes)):  # no error is possible
+            return push
+
+        def push_fused(*batches: Batch) -> list[Delivery]:
+            try:
+                made = [output for each in (push, *others) for output in each(*batches)]
+            except Exception as error:
+                raise self._failure(nodes, error) from error
+            return [*((node, batches[i]) for i, node in read), *made]
+
+        return push_fused
 
     def flush(self) -> list[Delivery]:
         """End all streams, and return the last batches for sinks, in order."""

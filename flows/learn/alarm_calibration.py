@@ -271,9 +271,7 @@ def calibrate_model(
     used = [(each, _unseen(model, card, each, log)) for each in paths]
     recordings = [recording for _, found in used for recording in found]
     if not recordings:
-        raise InputError(
-            "calibrate", "no recordings are left: give recordings that the model has not learned from"
-        )
+        raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
     if twice := repeated(recordings, [f"recording {number}" for number in range(1, len(recordings) + 1)]):
         raise InputError("calibrate", f"{twice[0]}: give each recording once")
     log(f"scoring {counted(len(recordings), 'recording')}")

@@ -35,7 +35,7 @@ from operators.batch import (
     concat,
 )
 from operators.detectors import Detector
-from operators.errors import InputError
+from operators.errors import FingertipError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.score import forward_fill
 from storage import HandLabels, Session
@@ -239,9 +239,7 @@ def load(dataset: Path) -> list[LabelledRecording]:
         for finger in sorted(marked | {*session.fingers(Labelled)}):
             recordings.append(replace(_of_session(session, finger, hand), dataset=str(dataset)))
     if not recordings:
-        raise InputError(
-            str(dataset), f"holds no labelled samples; {make}, or label by hand with `slipflow show`"
-        )
+        raise InputError(str(dataset), f"has no labels; {make}, or label by hand with `slipflow show`")
     if not any(recording.split for recording in recordings):
         order = {folder.name: number for number, folder in enumerate(folders)}
         return [replace(each, split=TURNS[order[each.name] % len(TURNS)]) for each in recordings]
@@ -266,11 +264,15 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
     """Return the fingertip of recordings that are to be used together.
 
     Raises:
-        FingertipError: if cells, rate or unit differ; it names the operators that convert them.
+        FingertipError: if cells, rate, unit or a known range differ; it names operators that convert them.
     """
-    first, *rest = recordings
+    first, *rest = sorted(recordings, key=lambda each: each.fingertip.range is None)
     for recording in rest:
-        first.fingertip.check_fits(f"{recording.name}: a data set with {first.name}", recording.fingertip)
+        own, other = first.fingertip, recording.fingertip
+        own.check_fits(owner := f"{recording.name}: a data set with {first.name}", other)
+        if (ratio := own.ratio(other)) != 1:
+            fix = f"Pool(gain={1 / ratio:.3g}, unit='count') in a flow converts it"
+            raise FingertipError(owner, f"the range {own.range}", f"the range {other.range}", fix)
     return first.fingertip
 
 

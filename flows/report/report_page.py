@@ -105,9 +105,9 @@ def check_output_folder(folder: Path) -> None:
     Raises:
         EndpointError: if not.
     """
-    existing = next(each for each in (folder, *folder.absolute().parents) if each.exists())
-    with write_errors(folder), TemporaryFile(dir=existing):
-        pass
+    with write_errors(folder):
+        existing = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+        TemporaryFile(dir=existing).close()
 
 
 def _figure_file(page: str, section: Section) -> str:

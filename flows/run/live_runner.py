@@ -54,12 +54,8 @@ class LiveRunner:
         self._duration = duration
         self.run = new_run(session, flow, self.compiled, self.clock)
         self._sources, self._stop, self._abandoned = flow.sources(), asyncio.Event(), asyncio.Event()
-        self._readers = {
-            node: SourceReader(node.name, each, self.run) for node, each in self._sources.items()
-        }
-        self._queues = {
-            node: SinkQueue(node.name, each, self._stop.set) for node, each in flow.sinks().items()
-        }
+        self._readers = {node: SourceReader(node.name, one, self.run) for node, one in self._sources.items()}
+        self._queues = {node: SinkQueue(node.name, one, self._stop.set) for node, one in flow.sinks().items()}
         self.run.sinks = {queue.name: queue.status for queue in self._queues.values()}
         self._readers_of = {
             node: [self._queues[each] for each in readers if each in self._queues]

@@ -65,7 +65,7 @@ class Psd(ForOneFingertip):
             FingertipError: if rate or unit differ; it names the operators that convert them.
         """
         replace(self.fingertip, rate=self.rate, range=None).check_fits(self.name, given, any_cells=True)
-        return replace(self, threshold=self.threshold * self.ratio(given) ** 2, fingertip=given)
+        return replace(self, threshold=self.threshold * self.fingertip.ratio(given) ** 2, fingertip=given)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""

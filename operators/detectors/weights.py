@@ -45,25 +45,19 @@ class ForOneFingertip:
     def for_fingertip(self, given: Fingertip) -> Self:
         """Return the detector for data of the fingertip `given`, with inputs relative to its range.
 
-        A count of a converter of 12 bits is a quarter of one of 10 bits. A range that is unknown changes
-        nothing.
+        A count of a converter of 12 bits is a quarter of one of 10 bits. A range that is unknown, or in a
+        physical unit such as kPa, changes nothing.
 
         Raises:
             FingertipError: if the data is not like that in training; it names the operators that convert it.
         """
         self.fingertip.check_fits(self.model or self.name, given)
-        ratio, made = self.ratio(given), copy(self)
+        ratio, made = self.fingertip.ratio(given), copy(self)
         for name in self.in_counts if ratio != 1 else ():
             value: NDArray[Any] = getattr(self, name)
             setattr(made, name, (value * ratio).astype(value.dtype))
         made.fingertip = given
         return made
-
-    def ratio(self, given: Fingertip) -> float:
-        """Return the span of the range of a fingertip relative to that in training; 1 if one is unknown."""
-        low, high = given.range or (0, 0)
-        own_low, own_high = self.fingertip.range or (0, 0)
-        return abs((high - low) / (own_high - own_low)) if low != high and own_low != own_high else 1.0
 
 
 def check_weights(owner: str, weights: Weights, shapes: Shapes) -> None:

@@ -1,6 +1,7 @@
 import json
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -186,6 +187,7 @@ def test_contradictory_fields_are_rejected(name: str, value: str) -> None:
 
 def test_a_sequence_of_any_kind_becomes_an_array() -> None:
     assert json.loads(encode({"rows": ("one", float("nan"), range(2))})) == {"rows": ["one", None, [0, 1]]}
+    assert encode({"\udcff": np.float64(1), "p": [float("nan")]}) == b'{"?":1.0,"p":[null]}'
 
 
 # --- documents of any kind ---

@@ -248,9 +248,7 @@ def pins(name: str) -> dict[str, str]:
 def test_the_pinned_versions_satisfy_the_project() -> None:
     project = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
     everything, edge, build = pins("requirements.txt"), pins("edge.txt"), pins("build.txt")
-    asked = {
-        canonicalize_name(each.name): each for each in map(Requirement, project["project"]["dependencies"])
-    }
+    asked = {canonicalize_name(one.name): one for one in map(Requirement, project["project"]["dependencies"])}
     assert asked.keys() <= everything.keys()
     assert asked.keys() - edge.keys() == LEFT_OUT
     assert edge.items() <= everything.items()

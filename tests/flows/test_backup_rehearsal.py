@@ -86,9 +86,7 @@ async def test_a_rig_that_was_copied_while_it_ran_uses_no_number_again_and_no_fa
         found += await take(events, 1)
     assert reports == []
     assert max(Counter((each.epoch, each.seq) for each in found).values()) == 1
-    numbers = {
-        epoch: [each.seq for each in found if each.epoch == epoch] for epoch in {e.epoch for e in found}
-    }
+    numbers = {epoch: [one.seq for one in found if one.epoch == epoch] for epoch in {e.epoch for e in found}}
     assert sorted(map(len, numbers.values())) == [1, 30, 40]
     assert all(each == list(range(1, len(each) + 1)) for each in numbers.values())
     for name, rows in (("before", 20), ("after", 30)):

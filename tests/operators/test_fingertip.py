@@ -80,6 +80,11 @@ def test_a_rate_within_a_tenth_and_an_unknown_range_fit() -> None:
     TAKKTILE.check_fits("tcn", replace(TAKKTILE, rate=95.0, range=None))
 
 
+def test_ranges_are_compared_in_counts_and_not_in_a_physical_unit() -> None:
+    finer = replace(TAKKTILE, range=(4092, 0))
+    assert [each.ratio(finer) for each in (TAKKTILE, replace(TAKKTILE, unit="kPa"))] == [4, 1]
+
+
 def test_cells_and_rate_are_measured_if_nothing_states_them() -> None:
     rows = replace(Touch.zeros(5, 16), time=np.arange(5) * ms)
     found = measured(rows)

@@ -7,6 +7,7 @@ import pytest
 from operators import ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
 from operators.detectors import Detector
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.steps import Steps
 from storage import load_detector
 
@@ -39,9 +40,7 @@ def test_there_is_a_score_for_each_full_window_at_the_time_of_its_newest_sample(
 
 def test_the_name_of_a_detector_is_an_error_that_says_how_to_load_it() -> None:
     name: Any = "tcn"
-    with pytest.raises(
-        ParameterError, match=r"detector is 'tcn', .*: write Score\(load_detector\('tcn'\)\)$"
-    ):
+    with pytest.raises(ParameterError, match=r"detector is 'tcn'.*: write Score\(load_detector\('tcn'\)\)$"):
         Score(name)
 
 
@@ -104,6 +103,14 @@ def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Win
     np.testing.assert_allclose(found.probability, expected.probability, atol=1e-5)
     np.testing.assert_array_equal(found.time, expected.time)
     assert 0 < np.isnan(found.probability).sum() < len(found)
+
+
+def test_a_detector_of_a_user_is_adapted_to_the_fingertip_too() -> None:
+    class Adapted(_Keeper):
+        def for_fingertip(self, given: Fingertip) -> _Keeper:
+            return _Keeper(f"keeper of {given.cells} cells")
+
+    assert Score(Adapted()).for_fingertip(TAKKTILE).detector.name == "keeper of 6 cells"
 
 
 def test_other_errors_of_a_streaming_detector_are_raised() -> None:

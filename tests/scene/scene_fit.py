@@ -168,9 +168,7 @@ def main() -> None:
     options = argparse.ArgumentParser(prog="python -m tests.scene.scene_fit", description=__doc__)
     options.add_argument("--judge", type=Path, required=True, help="weights of the paper's TCN")
     options.add_argument("--trace", type=Path, required=True, help="labelled real trace, CSV")
-    options.add_argument(
-        "--rounds", type=int, default=8, help="rounds of the fit (default 8); 0: only the table"
-    )
+    options.add_argument("--rounds", type=int, default=8, help="rounds of the fit (default 8); 0: the table")
     options.add_argument("--ablate", action="store_true", help="print what each term of the scene gains")
     options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     given = options.parse_args()

@@ -34,9 +34,7 @@ def successes(methods: Sequence[Method], task: tuple[str, int]) -> list[list[boo
 def main() -> None:
     """Print the success at each threshold, and the best one."""
     options = argparse.ArgumentParser(prog="python -m tests.scene.tune_experiments", description=__doc__)
-    options.add_argument(
-        "methods", nargs="*", help="methods, as of `slipflow experiment` (default: its four)"
-    )
+    options.add_argument("methods", nargs="*", help="methods, as of `slipflow experiment` (default: four)")
     options.add_argument("--trials", type=int, default=60, help="trials of each experiment (default 60)")
     options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     given = options.parse_args()

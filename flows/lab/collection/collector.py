@@ -270,9 +270,7 @@ class Collector(Source[Episodes]):
             now = self.clock.now()
             for finger, newest in monitor.newest.items():
                 if now - newest > timeout * s:
-                    reason = (
-                        f"fingertip {finger} has given no sample for {timeout:g} s (limits.sensor_timeout)"
-                    )
+                    reason = f"fingertip {finger} gave no sample for {timeout:g} s (limits.sensor_timeout)"
                     self.arm.fail(reason)
             await self.clock.sleep_until(now + round(_POLL * s))
 

@@ -28,9 +28,7 @@ def plan_text(plan: str) -> tuple[Path, str]:
     """
     path = SHIPPED.get(plan) or Path(plan)
     if not (path.suffix == ".toml" or path.is_file()):
-        raise ParameterError(
-            "collect", "plan", plan, f"one of {', '.join(SHIPPED)}, or a file such as mine.toml"
-        )
+        raise ParameterError("collect", "plan", plan, f"one of {', '.join(SHIPPED)}, or a .toml file")
     return path, read_text(path)
 
 

@@ -65,6 +65,4 @@ def test_an_invalid_map_is_refused(text: str, complaint: str) -> None:
 def test_any_text_is_a_map_or_refused(text: str) -> None:
     with suppress(ParameterError):
         found = ColumnMap.parse(text)
-        assert all(
-            len(columns) in (0, 1, 3, 6) or name == "counts" for name, columns in found.columns.items()
-        )
+        assert all(len(each) in (0, 1, 3, 6) or name == "counts" for name, each in found.columns.items())

@@ -105,9 +105,7 @@ def test_a_given_resolution_is_kept_and_must_fit() -> None:
     assert trace.touch.counts[:, 0].tolist() == [12, 500]
     assert "the readings are rounded to steps of 0.01 V" in trace.warnings
     assert Trace(table([2.5, 1000]), columns(resolution=0.5)).touch.counts[:, 0].tolist() == [5, 2000]
-    with pytest.raises(
-        InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a res"
-    ):
+    with pytest.raises(InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a"):
         _ = Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4)).touch
 
 

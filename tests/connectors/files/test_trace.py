@@ -316,7 +316,7 @@ def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None
     with pytest.raises(InputError, match=r"column a cannot be used: its values are Object"):
         _ = Trace({"t": [0], "a": [object()]}, ColumnMap.parse("counts=a")).touch
     twice = {"t": [0.0, 0.1], "cells0": [7, 7], "cells": np.arange(4).reshape(2, 2)}
-    with pytest.raises(InputError, match="column cells0 is also a part of column cells: rename one"):
+    with pytest.raises(InputError, match="column cells0 is also part of column cells: rename one"):
         _ = Trace(twice).touch
     with pytest.raises(InputError, match="table: has no rows"):
         _ = Trace({}).touch

@@ -222,9 +222,7 @@ async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
         await gripper.write(commands(40.0))
         await asyncio.sleep(1)
         assert at.forces == [register_force(85), 0.0, register_force(85), register_force(141)]
-    logged = [
-        record.message.split(" ", 1)[1] for record in caplog.records if record.levelno >= logging.WARNING
-    ]
+    logged = [each.message.split(" ", 1)[1] for each in caplog.records if each.levelno >= logging.WARNING]
     assert logged == ["has restarted: activating it again"]
 
 

@@ -146,9 +146,7 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> N
     out = tmp_path / "thesis"
     out.mkdir()
     (out / "chapter.txt").touch()
-    with pytest.raises(
-        InputError, match=r"thesis: has other files and is not a dataset: give another folder"
-    ):
+    with pytest.raises(InputError, match=r"thesis: has other files and is not a dataset: give another"):
         read(trace, out).write()
     assert [path.name for path in out.iterdir()] == ["chapter.txt"]
 

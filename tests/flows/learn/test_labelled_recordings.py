@@ -1,5 +1,6 @@
 """Simulated recordings: their data in addition to counts and labels."""
 
+from dataclasses import replace
 from pathlib import Path
 from shutil import copytree
 from typing import TypeVar
@@ -17,6 +18,7 @@ from flows.learn.evaluation.stress_study import stressed
 from flows.learn.labelled_recordings import (
     TURNS,
     LabelledRecording,
+    common_fingertip,
     hand_label_summary,
     load,
     simulated_recording,
@@ -25,7 +27,8 @@ from flows.learn.training.trained_model import provenance
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Align, Label, Labelled, SlidingMotion, Touch, Zero, ms, s
-from operators.errors import InputError
+from operators.errors import FingertipError, InputError
+from operators.fingertip import TAKKTILE
 from storage import Dataset, LabelSpan, Session
 from storage.files import put_checked, read_checked
 from tests.storage.made import record
@@ -163,6 +166,17 @@ def test_a_session_whose_fingertip_is_unknown_is_refused_with_the_remedy(tmp_pat
     session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
     with pytest.raises(InputError, match=r"does not state its fingertip, .*: record or import it again"):
         load(tmp_path)
+
+
+def test_recordings_of_different_known_ranges_are_not_used_together() -> None:
+    counts, label = np.zeros((1, 6), np.int16), np.zeros(1, np.int8)
+    unknown, known, finer = (
+        LabelledRecording(counts, label, fingertip=replace(TAKKTILE, range=each))
+        for each in (None, TAKKTILE.range, (4092, 0))
+    )
+    assert common_fingertip([unknown, known]) == TAKKTILE
+    with pytest.raises(FingertipError, match=r"range \(1023, 0\); .*: Pool\(gain=0\.25, unit='count'\)"):
+        common_fingertip([unknown, known, finer])
 
 
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:

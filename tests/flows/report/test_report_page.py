@@ -103,6 +103,8 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_measurement(tmp_p
     (tmp_path / "file").write_text("")
     with pytest.raises(EndpointError, match=r"file/out: cannot be written: "):
         check_output_folder(tmp_path / "file" / "out")
+    with pytest.raises(EndpointError, match=r"xx: cannot be written: File name too long"):
+        check_output_folder(tmp_path / ("x" * 300))
     refused = OSError(errno.EROFS, os.strerror(errno.EROFS))
     with (
         patch("os.open", side_effect=refused),

@@ -231,7 +231,7 @@ def press_ctrl_c(_: SimulatedArm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("act", "why"), [(unplug, "has given no sample for 0.3 s"), (press_ctrl_c, "interrupted")]
+    ("act", "why"), [(unplug, "gave no sample for 0.3 s"), (press_ctrl_c, "interrupted")]
 )
 def test_an_interruption_stops_the_arm_and_commits(
     tmp_path: Path, act: Callable[[SimulatedArm], None], why: str

@@ -54,9 +54,7 @@ def test_the_expected_force_assumes_nominal_friction_and_mass() -> None:
 
 
 def test_conditions_change_the_object_and_the_pad_but_not_the_rest() -> None:
-    nominal, changed = (
-        Trial.draw("ball", 3, each) for each in (Conditions(), Conditions(stiffness=2, tilt=3))
-    )
+    nominal, changed = (Trial.draw("ball", 3, one) for one in (Conditions(), Conditions(stiffness=2, tilt=3)))
     assert changed.held.stiffness == 2 * BALL.stiffness
     assert changed.fingertip.tilt_stiffness == 3 * FINGERTIP.tilt_stiffness
     assert (changed.position, changed.firm, changed.held.mass) == (

@@ -49,9 +49,7 @@ def test_a_gain_multiplies_each_cell_by_one_factor() -> None:
 def test_a_change_of_load_is_slow() -> None:
     moved = _augmented(_only(load=1.0), torch.zeros(16, 6, 400)).numpy()
     assert np.abs(moved).max() > 10
-    assert (
-        np.abs(np.diff(moved, axis=2)).max() < 0.13 * np.abs(moved).max() * 2
-    )  # 2 Hz at 100 Hz, and rounding
+    assert np.abs(np.diff(moved, axis=2)).max() < 0.13 * np.abs(moved).max() * 2  # 2 Hz at 100 Hz, rounded
 
 
 def test_counts_stay_whole() -> None:
