@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.command import SLIPFLOW
 from tests.connectors.web.reading import listening
-from tests.waiting import PATIENCE, until
+from tests.waiting import PATIENCE, wait_until
 
 
 def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -> None:
@@ -22,8 +22,7 @@ def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -
         return found[1] if found else ""
 
     async def follow() -> None:
-        await until(lambda: bool(address()) or process.poll() is not None)
-        async with listening(address(), within=2 * PATIENCE) as frames:  # the first use compiles
+        async with listening(address(), within=2 * PATIENCE) as frames:
             about = (await anext(frames))["run"]
             assert (about["flow"], about["recording"], 0 < about["threshold"] < 1) == ("demo", None, True)
             rows = await anext(frame["rows"] async for frame in frames if "scores 0" in frame["rows"])
@@ -32,7 +31,11 @@ def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -
             *_, last = [frame async for frame in frames]
             assert last["end"] == {"error": None}
 
-    asyncio.run(follow())
-    output, _ = process.communicate(timeout=PATIENCE)
+    try:
+        wait_until(address, process, within=4 * PATIENCE)  # the first use compiles
+        asyncio.run(follow())
+        output, _ = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
     assert process.returncode == 0
     assert re.search(r"\d+ true slips: \d+ detected, \d+ missed", output)
