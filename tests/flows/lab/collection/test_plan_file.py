@@ -77,7 +77,7 @@ def test_a_mistake_names_the_file_and_the_key(tmp_path: Path, text: str, reason:
 
 
 def test_an_unknown_plan_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="one of paper, tiny, wide, or a file"):
+    with pytest.raises(ParameterError, match=r"one of paper, tiny, wide, or a \.toml"):
         load_plan("grand")
     with pytest.raises(InputError, match="cannot be read"):
         load_plan(str(tmp_path / "none.toml"))
