@@ -75,7 +75,7 @@ def map_tasks(
 
     waiting, done = deque((item, start(item)) for item in items), 0
     try:
-        while waiting:
+        while waiting or done < len(items):  # some finish at the same time
             done += not _died(_next(finished, executor))
             progress(done, len(items))
             while waiting and waiting[0][1].done():

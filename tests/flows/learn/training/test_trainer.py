@@ -75,5 +75,5 @@ def test_a_split_without_labels_after_the_warm_up_is_refused(
 
 def test_a_dataset_without_samples_is_an_input_error(tmp_path: Path) -> None:
     describe_dataset(tmp_path)
-    with pytest.raises(InputError, match="no labelled samples"):
+    with pytest.raises(InputError, match="has no labels"):
         train([tmp_path], tmp_path / "model.safetensors", SMALL)
