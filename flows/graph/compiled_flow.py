@@ -179,11 +179,14 @@ class CompiledFlow:
 
     def _direct(self, read: list[tuple[int, Node]], nodes: list[Node], push: Push, *others: Push) -> Push:
         """Return a function that pushes batches into segments of these nodes, and names one that fails."""
-        if not (read or others) and compiler() and all(map(_is_tested, nodes)):  # no error is possible
+        alone = not (read or others)
+        if alone and compiler() and all(map(_is_tested, nodes)):  # no error is possible
             return push
 
         def push_fused(*batches: Batch) -> list[Delivery]:
             try:
+                if alone:
+                    return push(*batches)
                 made = [output for each in (push, *others) for output in each(*batches)]
             except Exception as error:
                 raise self._failure(nodes, error) from error
