@@ -77,7 +77,11 @@ class AnyOperator(ABC):
         return RowType(output_type(type(self)), given[0].cells)
 
     def prepare(self) -> None:
-        """Do slow set-up, such as loading compiled code, before the first push."""
+        """Do slow set-up before the first push; a flow compiles the operators that consist of steps itself.
+
+        Raises:
+            ParameterError: if the operator has neither `steps` nor `process`.
+        """
         if not fuses(kind := type(self)) and cast("Any", kind).process in {Operator.process, Join.process}:
             raise _without_process(self)
 

@@ -219,14 +219,18 @@ class RtdeClient:
                 raise RtdeError(f"received package {chr(kind)!r}, expected {chr(expected)!r}")
             self._count_text(payload)
 
+    async def _row_of(self, recipe: int) -> bytes:
+        """Return the next data package."""
+        payload = await self._package(Kind.DATA)
+        if payload[:1] != bytes([recipe]) or len(payload) != self._row.itemsize:
+            found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
+            raise RtdeError(f"data of {found}, not {self._row.itemsize} for {recipe:02x}")
+        return payload
+
     async def _read(self, recipe: int) -> None:
         """Timestamp and store all packages, and at last the error that ends them."""
         try:
-            while True:
-                payload = await self._package(Kind.DATA)
-                if payload[:1] != bytes([recipe]) or len(payload) != self._row.itemsize:
-                    found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
-                    raise RtdeError(f"data of {found}, not {self._row.itemsize} for {recipe:02x}")  # noqa: TRY301
+            while payload := await self._row_of(recipe):
                 await self._received.put((self._clock.now(), payload))
         except Exception as error:  # noqa: BLE001 - raised by `receive`
             await self._received.put(error)

@@ -27,7 +27,7 @@ class CausalLayer:
 
 
 class ForOneFingertip:
-    """Base of detectors whose weights were trained on data of one fingertip.
+    """Base of detectors that were trained or fitted on data of one fingertip.
 
     Attributes:
         fingertip: Cells, rate and unit of that data.
