@@ -18,7 +18,7 @@ HOST = "machine"
 
 def doctor(
     target: Annotated[
-        str | None, typer.Argument(metavar="[FILE[:FLOW]]", help="Flow whose sources and sinks are checked.")
+        str | None, typer.Argument(metavar="FILE[:FLOW]", help="Flow whose sources and sinks are checked.")
     ] = None,
     *,
     settings: Settings = None,

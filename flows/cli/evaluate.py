@@ -13,7 +13,7 @@ _TURN = 0.02  # s, CPU time of each turn of timing
 
 def evaluate(
     dataset: Annotated[
-        Path | None, typer.Argument(metavar="[DATASET]", help="Labelled dataset, with splits or groups.")
+        Path | None, typer.Argument(metavar="DATASET", help="Labelled dataset, with splits or groups.")
     ] = None,
     *,
     split: Annotated[

@@ -95,7 +95,7 @@ def experiment_report(
         Section(experiment, "Success and false slips", _NOTES, [table]),
         Section("events", "Events by phase", _EVENTS_NOTE, [events]),
         Section("objects", "Success by object, %", "", _objects(experiment, nominal, trials)),
-        Section("failures", "Failed trials by ending", "", [_endings(nominal)], folded=True),
+        Section("failures", "Trials by ending", "", [_endings(nominal)], folded=True),
         Section("trial", "An example trial", "", draw=figure, folded=True),
     ]
     if len(results) > len(nominal):

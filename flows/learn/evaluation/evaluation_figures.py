@@ -40,6 +40,7 @@ def chart(points: pl.DataFrame, front: Collection[str]) -> Figure:
     shown = [*(100 - each for each in TABLE_1.values()), *(error for *_, error in rows)]  # errors, %
     axis.set_xscale("log")
     axis.xaxis.set_major_formatter("{x:g}")
+    axis.xaxis.set_minor_formatter("")
     axis.set_yscale("log")
     axis.set_yticks([100 - tick for tick in _TICKS], _TICKS)
     axis.yaxis.minorticks_off()
