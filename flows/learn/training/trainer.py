@@ -199,7 +199,7 @@ def _from_model(
     parent: Tcn, recordings: Sequence[LabelledRecording], recipe: Recipe | PaperRecipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the weights of a network that was trained further, and the entries for its card."""
-    from flows.learn.training.fine_tuning import best_time_scale, fine_tune, stretched
+    from flows.learn.training.fine_tuning import fine_tune
 
     assert isinstance(recipe, Recipe), "only a tcn is trained further"
     learned = [each for each in recordings if each.split != "test"]
@@ -212,12 +212,10 @@ def _from_model(
     if not any(len(each.known(1)) for each in held_out):
         names = ", ".join(each.name for each in held_out)
         raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")
-    time_scale = best_time_scale(parent, learned)
-    trained = fine_tune(stretched(parent, time_scale), learned, held_out, recipe, progress)
+    trained = fine_tune(parent, learned, held_out, recipe, progress)
     tcn = _detector(parent.name, trained.arrays, parent.fingertip)
     compared = {"before": parent, "after": tcn}
     return trained.arrays, {
-        "time_scale": time_scale,
         "scores": {name: label_scores(each, held_out) for name, each in compared.items()},
         "debounce": debounce_settings(tuned_on(learned, tcn)),
         "curve": [asdict(check) for check in trained.curve],

@@ -9,7 +9,7 @@ import pytest
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import trainer
 from flows.learn.training.dense_training import train_dense
-from flows.learn.training.fine_tuning import best_time_scale, fine_tune, stretched
+from flows.learn.training.fine_tuning import fine_tune
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Model, label_scores, write_model
 from flows.learn.training.trainer import train
@@ -58,15 +58,6 @@ def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording
     monkeypatch.setattr(trainer, "load", lambda _: recordings)
 
 
-def test_slower_strokes_are_found_by_the_time_scale(learned: Tcn) -> None:
-    slow = [stroked(seed, stroke=1.0) for seed in (10, 11)]
-    found = best_time_scale(learned, slow)
-    assert found > 1
-    before, after = (label_scores(each, slow)["balanced"] for each in (learned, stretched(learned, found)))
-    assert after > before
-    assert best_time_scale(learned, [stroked(0, seconds=3)]) == 1  # hardly longer than a window
-
-
 def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the_origin(
     parent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,7 +68,6 @@ def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the
     assert scores["after"]["balanced"] > scores["before"]["balanced"]
     assert "NOT better" not in model.report()
     assert model.card["parent"]["id"] == "parent"
-    assert model.card["time_scale"] in {1, 2, 3}
     assert (len(done), load_debounce(out) is None) == (30, False)
     assert isinstance(load_detector(out), Tcn)
 
@@ -133,7 +123,6 @@ def test_two_minutes_of_real_strokes_improve_the_shipped_network_on_another_surf
     assert isinstance(tcn, Tcn)
     two_minutes = [_read(f"{surface}_vel3").piece(slice(4000)) for surface in ("dvp_flat", "still", "tkan")]
     others = [_read(f"fabric_vel{number}") for number in (2, 4, 5)]
-    start = stretched(tcn, best_time_scale(tcn, two_minutes))
-    tuned = Tcn(fine_tune(start, two_minutes, others, Recipe(steps=trainer.FURTHER_STEPS)).arrays)
+    tuned = Tcn(fine_tune(tcn, two_minutes, others, Recipe(steps=trainer.FURTHER_STEPS)).arrays)
     before, after = (label_scores(each, others)["balanced"] for each in (tcn, tuned))
     assert after > max(before, 85)
