@@ -70,22 +70,20 @@ models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models: export OMP_NUM_THREADS := 1
 models: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 slow-4 calm-3 calm-4 grasps-3 grasps-4 grasps-5 grasps-6 grasps-7)
 models: PAPER := train models/paper-0 --method
-models:  ## train the models in storage/trained and those that its pages compare: an hour on two cores; trace=FILE: scores on a real trace
+models:  ## train the models in storage/trained: an hour on two cores
 	@deploy/prepare test
 	mkdir -p models
 	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
 	{ echo "train $(DATA) -o models/tcn.safetensors"; \
-	  echo "train $(DATA) --filters 8 -o models/tcn_8.safetensors"; \
 	  for network in paper_tcn frequency_cnn; do \
 	    echo "$(PAPER) $$network -o models/$$network.safetensors"; done; \
 	} | xargs -P 2 -L 1 slipflow
 	for name in tcn paper_tcn frequency_cnn; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
-	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn.safetensors)
 
 detector-pages:  ## print the tables and figures of docs/explanations/detectors into models/pages, after `make models`: half an hour
-	slipflow evaluate models/paper-0 --chart --method models/tcn_8.safetensors --out models/pages
+	slipflow evaluate models/paper-0 --chart --out models/pages
 	slipflow evaluate --stress $(addprefix --method ,tcn paper_tcn psd) --out models/pages
 	cp models/pages/*.svg docs/explanations/detectors/
 

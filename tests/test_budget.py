@@ -15,13 +15,13 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "operators": 5_071,
     "connectors": 10_532,
     "storage": 3_853,
-    "flows": 12_434,
-    "product": 31_890,
+    "flows": 12_407,
+    "product": 31_863,
     "product files": 215,
-    "tests": 30_697,
+    "tests": 30_647,
     "commands": 16,
     "options": 77,
-    "words": 35_864,
+    "words": 35_861,
 }
 
 

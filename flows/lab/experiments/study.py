@@ -31,7 +31,7 @@ OURS, STEPS, NONE = "ours", "steps", "none"  # rules
 RULES: Final = (OURS, STEPS, NONE)
 DEFAULT: Final = "tcn"  # detector
 # of the methods: tuned on validation grasps by `python -m tests.scene.tune_experiments`
-THRESHOLDS: Final[Mapping[str, float]] = {DEFAULT: 0.65, "threshold": 0.8, "psd": 0.3, "paper_tcn": 0.3}
+THRESHOLDS: Final[Mapping[str, float]] = {DEFAULT: 0.6, "threshold": 0.8, "psd": 0.3, "paper_tcn": 0.3}
 RIVALS: Final = tuple(name for name in THRESHOLDS if name != DEFAULT)
 
 Setup: TypeAlias = tuple[Detector, GripController]

@@ -152,14 +152,13 @@ def fitted_baseline(
 
 
 def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
-    """Train our network; crops are as short as the shortest recording."""
+    """Train our network."""
     require_extra("train", "--train")
     from flows.learn.training.dense_training import train_dense
 
     if not any(each.slip.any() for each in fold.train):
         raise InputError("--train", "none of the recordings to learn from has slip")
-    own = replace(recipe, crop=min(recipe.crop, *map(len, fold.train)))
-    detector = Tcn(train_dense(fold.train, fold.validation, own).arrays)
+    detector = Tcn(train_dense(fold.train, fold.validation, recipe).arrays)
     detector.fingertip = fold.train[0].fingertip
     return detector
 

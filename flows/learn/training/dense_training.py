@@ -2,12 +2,13 @@
 
 Windowed training computes a window of 100 samples for each label. Here neighbouring samples share the
 computation, which is 60 to 90 times less per epoch. Each crop is drawn from any dataset with the same
-probability, and any place in it. Its warm-up samples and those without a label are masked; all others have
-the same weight, so that the probability is that of slip in such data.
+probability, and any place in it. Its first samples, which have no full window, and those without a label are
+masked; all others have the same weight, so that the probability is that of slip in such data.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -30,10 +31,11 @@ from flows.learn.training.training_loop import (
     training_device,
 )
 from flows.run.executor import one_thread
-from operators.batch import BAROMETERS, SLIP, STATIC, UNKNOWN, Flags
+from operators.batch import BAROMETERS, SLIP, STATIC, UNKNOWN, Flags, ms
 from operators.detectors import Tcn
 from operators.errors import ParameterError
 
+_HEAD: Final = 500 * ms  # ns, of the beginning of a recording
 _CLIP: Final = 1.0  # maximum norm of the gradient
 _LAST_RATE: Final = 0.01  # learning rate relative to its peak, at the end of the cosine
 
@@ -58,8 +60,7 @@ def train_dense(
         start: Network to start from, of the same size; its batch norms stay folded. None: random weights.
 
     Raises:
-        ParameterError: if the training recordings are too short or lack a class, or no recording to validate
-            on has a label after the warm-up.
+        ParameterError: if the training recordings lack a class, or no recording to validate on has a label.
     """
     with one_thread():
         return fit(_DenseTask(train, validation, recipe, start), progress)
@@ -78,19 +79,20 @@ class _DenseTask(TrainingTask):
         self.steps, self.check_every = recipe.steps, max(recipe.steps // recipe.checks, 1)
         self._recipe, self._device = recipe, training_device()
         self._warm_up = max(WARM_UP, recipe.receptive_field - 1)  # samples
+        train, validation = (
+            [with_past(each, max(self._warm_up, least - len(each))) for each in of]
+            for of, least in ((train, recipe.crop), (validation, 0))
+        )
         self._crops = Crops(train, recipe.crop, self._device)
         label = self._crops.label
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
         if not slip or not static:
-            reason = f"recordings of {recipe.crop} samples or more, with slip and static among them"
-            longest = max(map(len, train), default=0)
-            given = f"up to {longest} samples each, {slip} slip and {static} static in those long enough"
-            raise ParameterError("train_dense", "train", given, reason)
+            given = f"{slip} samples of slip and {static} of static"
+            raise ParameterError("train_dense", "train", given, "recordings with both")
         unseen = [np.empty(0, label.dtype), *(recording.label[self._warm_up :] for recording in validation)]
         self._unseen_label = np.concatenate(unseen)
         if (self._unseen_label == UNKNOWN).all():
-            reason = f"recordings with labels after their first {self._warm_up} samples"
-            raise ParameterError("train_dense", "validation", f"{len(validation)} without", reason)
+            raise ParameterError("train_dense", "validation", f"{len(validation)} without", "with labels")
         self._known = torch.as_tensor(label != UNKNOWN).to(self._device, torch.float32)  # (n,)
         self._slip = torch.as_tensor(label == SLIP).to(self._device, torch.float32)  # (n,)
         self._first = torch.as_tensor(self._crops.first).to(self._device)
@@ -128,6 +130,28 @@ class _DenseTask(TrainingTask):
         logits = [self.network(counts)[0, self._warm_up :].cpu().numpy() for counts in self._unseen]
         known = self._unseen_label != UNKNOWN
         return np.concatenate(logits)[known] > 0, self._unseen_label[known] == SLIP
+
+
+def with_past(recording: LabelledRecording, samples: int) -> LabelledRecording:
+    """Return a recording with samples before its first one, so that a network also learns the beginning.
+
+    A grasp closes within the first two seconds. The samples have no label: they are the first half second,
+    back and forth, so that nothing jumps.
+
+    >>> recording = LabelledRecording(np.arange(4, dtype=np.int16)[:, None], np.zeros(4, np.int8))
+    >>> with_past(recording, 3).counts.ravel().tolist()
+    [2, 1, 0, 0, 1, 2, 3]
+    """
+    head = recording.counts[: recording.sampling.samples(_HEAD)]
+    past = np.pad(head, ((samples, 0), (0, 0)), "symmetric")[:samples]
+    return replace(
+        recording,
+        counts=np.concatenate([past, recording.counts]),
+        label=np.concatenate([np.full(samples, UNKNOWN, np.int8), recording.label]),
+        valid=None,
+        sliding=None,
+        strokes=None,
+    )
 
 
 def _relative_rate(step: int, recipe: Recipe) -> float:

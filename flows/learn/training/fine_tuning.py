@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from flows.learn.training.training_loop import Trained
 
 _CROP: Final = 500  # evaluated samples of a crop
-_FEWEST: Final = 100  # of the crops of short recordings
 
 
 def fine_tune(
@@ -39,21 +38,17 @@ def fine_tune(
 
     Raises:
         InputError: if the recordings to learn from lack slip or static.
-        ParameterError: if no recording is as long as a crop.
     """
     from flows.learn.training.dense_training import train_dense
 
     if not {SLIP, STATIC} <= set(np.concatenate([each.label for each in learned]).tolist()):
         names = ", ".join(each.name for each in learned)
         raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
-    return train_dense(learned, held_out, further(tcn, recipe, [*map(len, learned)]), progress, tcn)
+    return train_dense(learned, held_out, further(tcn, recipe), progress, tcn)
 
 
-def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:
-    """Return the course of further training on recordings of these lengths; the size is that of a network."""
-    crop = usual = tcn.length + _CROP
-    if 2 * sum(each for each in lengths if each >= usual) < sum(lengths):  # most recordings are shorter
-        crop = min((each for each in lengths if each >= tcn.length + _FEWEST), default=usual)
+def further(tcn: Tcn, recipe: Recipe) -> Recipe:
+    """Return the course of further training; the size is that of a network."""
     return Recipe(
         filters=tcn.layers[0].kernel.shape[2],
         units=tcn.layers[-1].kernel.shape[1],
@@ -64,7 +59,7 @@ def further(tcn: Tcn, recipe: Recipe, lengths: Sequence[int]) -> Recipe:
         steps=recipe.steps,
         seed=recipe.seed,
         batch=12,
-        crop=crop,
+        crop=tcn.length + _CROP,
         rate=2e-3,
         checks=1,
         augmentation=REAL_TOUCH,

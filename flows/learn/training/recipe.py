@@ -59,7 +59,7 @@ class Recipe:
     step_scale: float = 6.0  # counts
     steps: int = 6000  # of the optimiser
     batch: int = 48  # crops
-    crop: int = 600  # samples; shorter than a simulated grasp
+    crop: int = 800  # samples: a simulated grasp after a receptive field
     rate: float = 5e-3  # of AdamW, at its peak
     decay: float = 1e-2  # of AdamW
     warm_up: float = 0.1  # of the steps; a cosine follows
