@@ -4,7 +4,7 @@ import logging
 import subprocess
 import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from io import BytesIO, TextIOWrapper
+from io import BytesIO, StringIO, TextIOWrapper
 from pathlib import Path
 from typing import Final
 from unittest.mock import patch
@@ -12,6 +12,13 @@ from unittest.mock import patch
 from flows.cli import main
 
 SLIPFLOW: Final = (sys.executable, "-m", "flows.cli")  # for a process that is interrupted or killed
+
+
+class Terminal(StringIO):
+    """Stream that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
 
 
 def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -16,6 +16,7 @@ from hypothesis import settings
 
 from connectors.mqtt import outbox
 from connectors.mqtt.broker_link import Link
+from connectors.web.access import TOKEN
 from flows.graph.testing import run_virtually
 from flows.run.clocks import EventClock
 from operators.extras import EXTRAS
@@ -66,7 +67,8 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
 
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Folder for state that outlives a run, instead of the user's."""
+    """Folder for state that outlives a run, instead of the user's; the user's token is not used either."""
+    monkeypatch.delenv(TOKEN, raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return tmp_path / "state"
 

@@ -48,18 +48,10 @@ class DaskCluster:
         arguments = self.url, "--nthreads", "1", "--local-directory", str(self.folder)
         self.workers.append(self._start("worker", *arguments))
 
-    def wait(self, workers: int) -> None:
-        """Wait until the scheduler has so many workers."""
-        with Client(self.url, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=PATIENCE)
-
     def _start(self, kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         command = [str(DASK), kind, "--host", "127.0.0.1", "--no-dashboard", *arguments]
         with (self.folder / f"{kind}.log").open("ab") as log:
-            environment = {
-                **os.environ,
-                "PYTHONPATH": str(Path.cwd()),
-            }  # of tests that send their own functions
+            environment = {**os.environ, "PYTHONPATH": str(Path.cwd())}  # tests send their own functions
             return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True, env=environment)
 
     def _log(self, kind: str) -> str:
@@ -74,9 +66,11 @@ def kill(process: subprocess.Popen[bytes]) -> None:
 
 
 @contextmanager
-def two_workers(folder: Path) -> Generator[str]:
-    """Start a scheduler and two workers; yield the URL of the scheduler."""
+def two_workers(folder: Path) -> Generator[DaskCluster]:
+    """Start a scheduler and two workers."""
     with DaskCluster(folder) as cluster:
         cluster.add_worker()
         cluster.add_worker()
-        yield cluster.url
+        with Client(cluster.url, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=PATIENCE)
+        yield cluster

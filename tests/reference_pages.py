@@ -1,7 +1,7 @@
 """Generated reference pages: `python -m tests.reference_pages`."""
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -40,19 +40,10 @@ def commands() -> str:
     """Return the command reference: purpose, arguments and options of every command."""
     root: Any = typer.main.get_command(app)
     parts = [GENERATED, "# Commands", "Printed from `slipflow COMMAND --help`."]
-    for name, command in sorted(leaves(root, "slipflow")):
-        parts += [f"## `{name}`", "\n\n".join(paragraphs(command.help))]
+    for name, command in sorted(root.commands.items()):
+        parts += [f"## `slipflow {name}`", "\n\n".join(paragraphs(command.help))]
         parts.append("\n".join(f"- `{usage(each)}`: {meaning(each)}" for each in parameters(command)))
     return "\n\n".join(parts) + "\n"
-
-
-def leaves(command: Any, name: str) -> Iterator[tuple[str, Any]]:
-    """Yield each command below `command` with its full name."""
-    if hasattr(command, "commands"):
-        for each, inner in command.commands.items():
-            yield from leaves(inner, f"{name} {each}")
-    else:
-        yield name, command
 
 
 def parameters(command: Any) -> list[Any]:

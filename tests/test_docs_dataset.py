@@ -1,6 +1,5 @@
 """docs/reference/dataset.md is the contract that the code keeps."""
 
-import asyncio
 import json
 import re
 from contextlib import chdir
@@ -9,24 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import duckdb
-import numpy as np
 import pyarrow as pa
 import pytest
 
 from flows.graph import Flow
 from flows.graph.testing import TestSource
-from flows.run.live_runner import LiveRunner
 from operators import Labelled, Slips
 from operators.health import FaultKind
 from storage import Dataset, LabelSpan, Session
 from storage.layout import TABLES
 from storage.schema import schema
+from tests.connectors.web.reading import slip
+from tests.flows.run.live import execute
 from tests.pages import ROOT, table
 from tests.storage.made import new_batch, record
 
 PAGE = ROOT / "docs" / "reference" / "dataset.md"
-TIME = np.array([1_700_000_000_000_000_000])
-SLIPS = Slips(TIME, np.array([1], np.int8), TIME, np.array([0.9]), finger=0)
+SLIPS = slip(1_700_000_000_000_000_000, 1)
 SCHEMAS: dict[str, Any] = {each.name: schema(each) for each in TABLES}
 
 
@@ -111,12 +109,7 @@ def session(tmp_path: Path) -> Path:
     """A session of a row."""
     flow = Flow("short")
     flow.source(TestSource(Slips, [SLIPS], fingers=(0,))).to(Dataset(tmp_path))
-
-    async def main() -> None:
-        await LiveRunner(flow, "first").execute()
-
-    asyncio.run(main())
-    return tmp_path / "sessions" / "first"
+    return tmp_path / "sessions" / execute(flow).session
 
 
 def test_the_page_has_each_entry_of_the_descriptions(session: Path) -> None:

@@ -15,13 +15,12 @@ import numpy as np
 import pytest
 
 from flows.run.clocks import LoopClock
-from operators import Batch, EndpointError, Run, Slips, Source, Touch
-from tests.operators import conftest, test_conformance
+from operators import EndpointError, Run, Slips, Source, Touch
+from tests.operators import test_conformance
 from tests.pages import ROOT, block
 
 PAGE = ROOT / "docs" / "how-to" / "extend.md"
 OWED = [name for name in vars(test_conformance) if name.startswith("test_")]
-same = conftest.same  # the fixture
 
 
 @pytest.fixture
@@ -48,13 +47,12 @@ def test_the_operators_pass_the_conformance_suite(
     name: str,
     operator: int,
     made: Callable[..., dict[str, Any]],
-    same: Callable[[Batch, Batch], None],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     defined = {**vars(test_conformance), **made("active_rows.py"), **made("activity.py")}
     case = eval(block(PAGE, "case").splitlines()[operator], defined)  # noqa: S307 - ours
     check = getattr(test_conformance, name)
-    given = {"case": case, "same": same, "monkeypatch": monkeypatch}
+    given = {"case": case, "monkeypatch": monkeypatch}
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 
@@ -80,10 +78,8 @@ async def received(source: Source[Touch], sent: bytes, *, reset: bool = False) -
 
 async def test_the_source_gives_whole_lines(made: Callable[..., dict[str, Any]]) -> None:
     source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
-    assert await received(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n") == [
-        [1, 2, 3, 4, 5, 6],
-        [0] * 5 + [1023],
-    ]
+    counts = await received(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n")
+    assert counts == [[1, 2, 3, 4, 5, 6], [0] * 5 + [1023]]
 
 
 @pytest.mark.parametrize(

@@ -5,23 +5,25 @@ import json
 import re
 import sys
 from collections.abc import Awaitable, Callable
+from math import nan
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any, ClassVar, Self
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 from jsonschema import Draft7Validator
 
 from connectors import Consumer, Event, Mqtt
 from connectors.events import encode
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
-from operators.batch import Faults, Slips, ms
+from operators.batch import ms
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.asyncapi import DOCUMENT, problems
 from tests.connectors.mqtt.broker_process import Received, TestBroker
+from tests.connectors.mqtt.made import opened, slips
+from tests.connectors.web.reading import fault
 from tests.pages import ROOT, block, table
 from tests.waiting import until
 
@@ -29,29 +31,10 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 PAGE = ROOT / "docs" / "reference" / "mqtt.md"
 RIG = "slip/v1/lab/rig"
-START = 99_000 * ms  # within the run
 
 
 def shown(name: str) -> Any:
     return json.loads(block(PAGE, name))
-
-
-def slips(*states: int, finger: int = 0) -> Slips:
-    """Rows 10 ms apart; the last one without a probability."""
-    time = START + 10 * ms * np.arange(len(states))
-    probability = np.array([0.93] * (len(states) - 1) + [np.nan])
-    return Slips(time, np.array(states, np.int8), time, probability, finger=finger)
-
-
-def use(sink: Mqtt, run: Run, body: Callable[[], Awaitable[None]]) -> None:
-    async def main() -> None:
-        await sink.open(run)
-        try:
-            await body()
-        finally:
-            await sink.close()
-
-    asyncio.run(main())
 
 
 def topic(row: dict[str, str]) -> str:
@@ -59,27 +42,24 @@ def topic(row: dict[str, str]) -> str:
     return f"{RIG}/{row['topic'].strip('`')}".replace("<finger>", "0").replace("<name>", "logger-1")
 
 
-def messages(broker: TestBroker, run: Run) -> list[Received]:
+async def messages(broker: TestBroker, run: Run) -> list[Received]:
     """All messages of a run with a fault, slips and a request for missed events."""
     everything, events = broker.listen("slip/#"), broker.listen(f"{RIG}/+/event", f"{RIG}/replay/logger-1")
     run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=run.clock.now() - 5 * ms)
     run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
-    now, cell = np.array([run.clock.now()]), np.array([3], np.int8)
-
-    async def body() -> None:
-        await sink.write(Faults(now, cell, np.array([FaultKind.STUCK], np.int8), np.array([True]), finger=0))
-        await sink.write(slips(1, 0, 1, 0))
+    sink = Mqtt(
+        broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2
+    )
+    async with opened(sink, run):
+        await sink.write(fault(run.clock.now(), 3, FaultKind.STUCK))
+        await sink.write(slips(1, 0, 1))
+        await sink.write(slips(0, probability=nan))
         event = json.loads((await asyncio.to_thread(events.next)).payload)
         asked = {"epoch": event["data"]["epoch"], "from": 1, "to": 1, "reply_to": f"{RIG}/replay/logger-1"}
         await until(lambda: not sink.waiting)
         await asyncio.to_thread(broker.publish, f"{RIG}/replay/request", json.dumps(asked))
         for _ in range(2):
             await asyncio.to_thread(events.next, f"{RIG}/replay/logger-1")
-
-    sink = Mqtt(
-        broker.url, rig="rig", model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.777, consecutive=2
-    )
-    use(sink, run, body)
     return everything.rest()
 
 
@@ -100,8 +80,8 @@ def test_the_asyncapi_document_follows_its_meta_schema_and_has_the_topics_of_the
     }
 
 
-def test_a_rig_publishes_the_documents_of_the_page(broker: TestBroker, run: Run) -> None:
-    received = messages(broker, run)
+async def test_a_rig_publishes_the_documents_of_the_page(broker: TestBroker, run: Run) -> None:
+    received = await messages(broker, run)
     assert not {each.topic: found for each in received if (found := problems(*each[:2]))}
     rows = table(PAGE, "## Topics")
     assert {each.topic for each in received} == {topic(row) for row in rows}
@@ -157,12 +137,11 @@ class Entered(Consumer):
         return self
 
 
-def follow(
+async def follow(
     broker: TestBroker, run: Run, work: Callable[[], Awaitable[None]], came: Callable[[], bool]
 ) -> None:
     """Let `work` follow a rig that raises events on two fingertips once it is connected; wait for them."""
-
-    async def body() -> None:
+    async with opened(Mqtt(broker.url, rig="rig"), run) as sink:
         Entered.begun = asyncio.Event()
         working = asyncio.ensure_future(work())
         await Entered.begun.wait()
@@ -172,11 +151,8 @@ def follow(
         working.cancel()
         await asyncio.wait([working])
 
-    sink = Mqtt(broker.url, rig="rig")
-    use(sink, run, body)
 
-
-def test_the_consumer_prints_each_event(
+async def test_the_consumer_prints_each_event(
     broker: TestBroker,
     run: Run,
     tmp_path: Path,
@@ -191,7 +167,7 @@ def test_the_consumer_prints_each_event(
         printed.extend(capsys.readouterr().out.splitlines())
         return len(printed) == 3
 
-    follow(broker, run, lambda: vars(module)["follow"](broker.url), three)
+    await follow(broker, run, lambda: vars(module)["follow"](broker.url), three)
     assert [line.split()[1:4] for line in printed] == [
         ["rig", "0", "onset"],
         ["rig", "0", "end"],
@@ -235,7 +211,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("ros")
-def test_the_bridge_publishes_each_event_to_ros(
+async def test_the_bridge_publishes_each_event_to_ros(
     broker: TestBroker, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = loaded("slip_bridge.py")
@@ -243,7 +219,7 @@ def test_the_bridge_publishes_each_event_to_ros(
     bridge = vars(module)["SlipBridge"]()
     bridge.parameters |= {"broker": broker.url, "position_file": str(tmp_path / "position")}
     events: list[str] = bridge.made["slip/events"]
-    follow(broker, run, bridge.follow, lambda: len(events) == 3)
+    await follow(broker, run, bridge.follow, lambda: len(events) == 3)
     assert [Event.decode(each.encode()).state for each in events] == ["onset", "end", "onset"]
     assert bridge.made["slip/lab/rig/finger_0"] == [True, False]
     assert bridge.made["slip/lab/rig/finger_2"] == [True]

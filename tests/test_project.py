@@ -18,8 +18,8 @@ import pytest
 
 from operators import Operator, Scores, checks, concat, errors
 from tests.command import slipflow
+from tests.pages import PAGES, ROOT, block, blocks
 
-ROOT = Path(__file__).parents[1]
 FOLDERS = ("operators", "connectors", "storage", "flows")
 TREE = (*FOLDERS, "deploy", "tests")
 ERRORS = {name for name in vars(errors) if name.endswith("Error")}
@@ -45,9 +45,6 @@ def test_the_readme_and_the_architecture_page_are_short() -> None:
     assert 45 <= len(lines) <= 70
     assert max(map(len, lines)) <= 100
     assert len((ROOT / "ARCHITECTURE.md").read_text().splitlines()) <= 120
-
-
-PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -156,8 +153,7 @@ def test_heavy_packages_are_imported_when_they_are_needed(code: str, light: set[
 
 
 def test_the_flow_of_the_readme_runs_and_prints_slip_events(tmp_path: Path) -> None:
-    [block] = re.findall(r"```python slip.py\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    (tmp_path / "slip.py").write_text(block)
+    (tmp_path / "slip.py").write_text(block(ROOT / "README.md", "slip.py"))
     assert slipflow("check", "slip.py", cwd=tmp_path).returncode == 0
     done = slipflow("run", "slip.py", "--for", "5s", cwd=tmp_path)
     assert done.returncode == 0
@@ -165,9 +161,9 @@ def test_the_flow_of_the_readme_runs_and_prints_slip_events(tmp_path: Path) -> N
 
 
 def test_the_operator_on_the_architecture_page_keeps_the_invariant() -> None:
-    [block] = re.findall(r"```python\n(.*?)```", (ROOT / "ARCHITECTURE.md").read_text(), re.DOTALL)
+    [body] = [each.body for each in blocks(ROOT / "ARCHITECTURE.md") if each.language == "python"]
     names: dict[str, Any] = {"dataclass": dataclass, "field": field, "Operator": Operator, "Scores": Scores}
-    exec(block, names)  # noqa: S102 - our own page
+    exec(body, names)  # noqa: S102 - our own page
     scores = Scores(np.arange(9), np.linspace(0, 1, 9), finger=1)
     whole = names["Smooth"]()
     cut = names["Smooth"]()

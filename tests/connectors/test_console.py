@@ -2,36 +2,25 @@ import asyncio
 import io
 import json
 from contextlib import redirect_stdout
-from dataclasses import replace
+from math import nan
 from typing import Any, Literal
 
-import numpy as np
 import pytest
 
 from connectors import Console
 from operators.batch import EVERY, Faults, Slips, ms, s
 from operators.health import FaultKind
 from operators.ports import Run
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
+from tests.command import Terminal
 
 
 def slips(time: int, finger: int = 0) -> Slips:
-    times = np.array([time, time + 10 * ms])
-    return Slips(times, np.array([1, 0], np.int8), times, np.array([0.931, np.nan]), finger=finger)
+    times = time, time + 10 * ms
+    return Slips.rows(times, [1, 0], times, [0.931, nan], finger=finger)
 
 
-FAULTS = Faults(
-    np.array([s, 2 * s]),
-    np.array([3, 3], np.int8),
-    np.full(2, FaultKind.STUCK, np.int8),
-    np.array([True, False]),
-    finger=2,
-)
-SATURATED = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
+FAULTS = Faults.rows([s, 2 * s], 3, FaultKind.STUCK, [True, False], finger=2)
+SATURATED = Faults.rows([s, 2 * s], 3, FaultKind.SATURATED, [True, False], finger=2)
 
 
 def printed(

@@ -14,6 +14,7 @@ from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
 from operators.ports import Json
 from tests.asyncapi import EVENT_SCHEMA
+from tests.connectors.mqtt import made
 
 VALIDATOR: Any = Draft202012Validator(EVENT_SCHEMA)
 letters = st.characters(exclude_categories=["C", "Z"]) | st.just(" ")  # what `str.isprintable` lets pass
@@ -40,18 +41,7 @@ events = st.builds(
     session=st.none() | names,
 )
 
-EVENT = Event(
-    site="lab",
-    rig="ur10",
-    finger="0",
-    epoch="run1",
-    seq=1,
-    state="onset",
-    time=1,
-    probability=0.9,
-    latency=3.5,
-    degraded=(Fault(2, "stuck"),),
-)
+EVENT = replace(made.EVENT, degraded=(Fault(2, "stuck"),))
 READ: list[tuple[str | int, ...]] = [
     *[(name,) for name in EVENT_SCHEMA["required"] if name not in ("time", "datacontenttype")],
     *[("data", name) for name in EVENT_SCHEMA["properties"]["data"]["required"] if name != "quality"],
@@ -171,7 +161,7 @@ def test_any_malformed_payload_raises_an_input_error(payload: bytes) -> None:
     ("name", "value"),
     [
         ("type", "slip.end.v1"),
-        ("id", "run1-2"),
+        ("id", "ab-2"),
         ("specversion", "2.0"),
         ("source", "/lab/ur10/1"),
         ("source", "/lab/0"),

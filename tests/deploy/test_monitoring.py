@@ -10,7 +10,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from grafana_foundation_sdk.cog.encoder import JSONEncoder
 from grafana_foundation_sdk.cog.plugins import register_default_plugins
@@ -18,10 +17,10 @@ from grafana_foundation_sdk.models.dashboard import Dashboard
 from prometheus_client.parser import text_string_to_metric_families
 from ruamel.yaml import YAML
 
-from operators.batch import Faults, Scores, Slips, s
+from operators.batch import s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Run, SinkStatus, SourceStatus
-from tests.connectors.web.reading import served
+from tests.connectors.web.reading import fault, scored, served, slip
 from tests.deploy.shipped import DEPLOY
 
 RULES = DEPLOY / "prometheus" / "alerts.yml"
@@ -41,13 +40,8 @@ def samples(run: Run) -> dict[str, set[str]]:
     """Return the labels of each sample name that a run serves."""
     run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus(waiting=0)
     run.clock_steps.append(ClockStep(s, s))
-    time, one = np.array([run.clock.now()]), np.ones(1)
-    cell, kind = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8)
-    batches: list[Slips | Scores | Faults] = [
-        Slips(time, np.array([1], np.int8), time, one, finger=0),
-        Scores(time, one, finger=0),
-        Faults(time, cell, kind, np.array([True]), finger=0),
-    ]
+    now = run.clock.now()
+    batches = slip(now, 1), scored(now, 1.0), fault(now, 3, FaultKind.STUCK)
     families = text_string_to_metric_families(asyncio.run(served(run, *batches)))
     return {sample.name: set(sample.labels) for family in families for sample in family.samples}
 

@@ -97,11 +97,6 @@ def version_payload(version: Version) -> bytes:
     return Struct(">4I").pack(*version)
 
 
-def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
-    """Parse a client's request for outputs into rate (Hz) and names."""
-    return _RATE.unpack_from(payload)[0], names(payload[_RATE.size :])
-
-
 class UrController:
     """A controller that serves clients in an `async with` block.
 
@@ -264,7 +259,7 @@ class RtdeConnection:
                 raise ConnectionAbortedError(f"unexpected package {chr(kind)!r}")
 
     def _grant_outputs(self, payload: bytes) -> bytes:
-        rate, wanted = outputs_asked(payload)
+        [rate], wanted = _RATE.unpack_from(payload), names(payload[_RATE.size :])
         types = _types(wanted, OUTPUTS)
         if "NOT_FOUND" in types or not wanted or not 0 < rate <= self.box.rate:
             return b"\0" + ",".join(types).encode()

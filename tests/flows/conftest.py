@@ -1,4 +1,4 @@
-"""Fixtures of several modules: a tiny simulated dataset, and a flow to draw."""
+"""Fixtures of several modules: a tiny simulated dataset, and a Dask cluster."""
 
 import fcntl
 import os
@@ -7,10 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.graph import Flow
-from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
-from operators import Align, Label, Motion, Touch, Zero, ms
 from tests.dask_cluster import two_workers
 
 
@@ -24,20 +21,8 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
         return out if out.exists() else simulate(out, "tiny", seed=0)
 
 
-@pytest.fixture
-def drawn() -> Flow:
-    """Return a flow in which one stream has two consumers, and a sink takes two streams."""
-    flow, sink = Flow("drawn"), TestSink()
-    touch = flow.source(TestSource(Touch))
-    motion = flow.source(TestSource(Motion))
-    zeroed = touch | Zero(baseline=400)
-    (zeroed & motion | Align(within=10 * ms) | Label()).to(sink)
-    zeroed.to(sink)
-    return flow
-
-
 @pytest.fixture(scope="session")
 def dask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """URL of a Dask scheduler with two workers, in processes of their own."""
-    with two_workers(tmp_path_factory.mktemp("dask")) as url:
-        yield url
+    with two_workers(tmp_path_factory.mktemp("dask")) as cluster:
+        yield cluster.url

@@ -7,16 +7,16 @@ from pathlib import Path
 from shutil import rmtree
 from typing import Self
 
-import numpy as np
 import pytest
 
 from connectors import Consumer, Event, Mqtt
 from flows.run.clocks import EventClock
-from operators.batch import BAROMETERS, Slips, Touch, ms
+from operators.batch import Touch, ms
 from operators.ports import Run
 from storage import Dataset, Session, verify
 from tests.command import slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.connectors.web.reading import slip
 from tests.pages import ROOT, block
 from tests.waiting import PATIENCE
 
@@ -44,11 +44,9 @@ class Rig:
 
     async def work(self, first: int, end: int) -> None:
         for number in range(first, end):
-            time, six = np.array([number * 10 * ms]), np.full((1, BAROMETERS), number, np.int16)
-            await self._dataset.write(Touch(time, six, six, six >= 0, finger=0))
-            await self._mqtt.write(
-                Slips(time, np.array([number % 2], np.int8), time, np.array([0.9]), finger=0)
-            )
+            time = number * 10 * ms
+            await self._dataset.write(Touch.rows([time], [[number] * 6], 0, True, finger=0))
+            await self._mqtt.write(slip(time, number % 2))
 
 
 async def take(events: Consumer, count: int) -> list[Event]:

@@ -9,23 +9,13 @@ import pytest
 
 from flows.cli.demo_command import report
 from flows.demo import demo
-from flows.graph import Flow
 from flows.graph.loading import load
-from flows.graph.testing import run_virtually
 from flows.graph.validation import problems
 from flows.record import record
-from flows.run.clocks import LoopClock
-from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner
-from operators import Motion, Run, Source, Touch, s
+from operators import Motion, Source, Touch, s
 from storage import Dataset, Session
-
-
-def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
-    async def main() -> Run:
-        return await LiveRunner(flow, "test", clock=LoopClock(start), duration=seconds * s).execute()
-
-    return run_virtually(main())
+from tests.flows.run.live import execute
 
 
 @pytest.mark.parametrize("name", ["demo", "lift", "live", "record", "relabel"])
@@ -40,7 +30,7 @@ def test_a_flow_that_records_samples_records_the_raw_streams_as_they_arrive(name
 
 
 def test_a_recorded_session_has_labelled_samples_and_replays_to_the_same(tmp_path: Path) -> None:
-    run = run_for(record(out=str(tmp_path / "live")), 20)
+    run = execute(record(out=str(tmp_path / "live")), duration=20 * s, start=0)
     assert run.sinks["dataset"].dropped == 0
     session = Session.open(tmp_path / "live")
     asyncio.run(ReplayRunner(record(out=str(tmp_path / "again")), session, "again").execute())
@@ -56,7 +46,7 @@ def test_a_recorded_session_has_labelled_samples_and_replays_to_the_same(tmp_pat
 def test_the_report_of_the_demo_compares_onsets_with_the_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = run_for(demo(str(tmp_path)), 20)
+    run = execute(demo(str(tmp_path)), duration=20 * s, start=0)
     onsets = capsys.readouterr().out.count("slip onset")
     text = "\n".join(report(tmp_path / "sessions" / run.session))
     slips, caught, missed = map(int, re.findall(r"(\d+) true slips: (\d+) detected, (\d+) missed", text)[0])

@@ -8,12 +8,11 @@ from connectors.sim.hand import Hand
 from connectors.sim.objects import OBJECTS
 from connectors.sim.simulated_rig import SLIDING
 from flows.graph import Flow
-from flows.graph.testing import TestSink, run_virtually
+from flows.graph.testing import TestSink
 from flows.lift import SIMULATED_SETTLE, lift
-from flows.run.clocks import LoopClock
-from flows.run.live_runner import LiveRunner
-from operators import Commands, Grip, InputError, Run, Score, Touch, Zero, s
+from operators import Commands, Grip, InputError, Score, Touch, Zero, s
 from operators.batch import Counts, Reals
+from tests.flows.run.live import execute
 
 
 class Perfect:
@@ -35,14 +34,6 @@ class Perfect:
         return np.full(len(windows), float(self._speed > SLIDING))
 
 
-def _for(flow: Flow, seconds: int) -> Run:
-    async def main() -> Run:
-        clock = LoopClock(1_700_000_000 * s)
-        return await LiveRunner(flow, "test", clock=clock, duration=seconds * s).execute()
-
-    return run_virtually(main())
-
-
 def _is_held(last: GraspState) -> bool:
     return not last.dropped and not last.on_table and last.hand - last.height < 0.02
 
@@ -62,7 +53,7 @@ def test_the_rule_holds_what_is_lost_without_it(monkeypatch: pytest.MonkeyPatch,
     given = flow.source(hand.touch) | Zero() | Score(Perfect(monkeypatch)) | rule
     given.to(hand)
     given.to(commands)
-    run = _for(flow, 7)
+    run = execute(flow, duration=7 * s, start=0)
     assert not any(status.error for status in run.sinks.values())
     assert not any(status.error for status in run.sources.values())
     assert hand.grasp is not None

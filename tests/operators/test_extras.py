@@ -1,6 +1,5 @@
 import re
 import tomllib
-from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,8 +8,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-from operators import InputError, extras
-from operators.extras import EXTRAS, install_command, missing_packages, require_extra
+from operators import extras
+from operators.extras import EXTRAS, install_command
 
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 
@@ -36,13 +35,6 @@ def test_the_install_command_fits_a_wheel_or_a_clone(
 ) -> None:
     monkeypatch.setattr(extras, "distribution", lambda _: SimpleNamespace(read_text=lambda _: origin))
     assert install_command("gripper") == command
-
-
-def test_missing_packages_are_named(hide_packages: Callable[..., None]) -> None:
-    hide_packages("torch")
-    assert missing_packages("train") == ["torch"]
-    with pytest.raises(InputError, match=r"^train: needs torch: .*pip install"):
-        require_extra("train", "train")
 
 
 # first releases without the advisories that were published up to November 2026

@@ -1,7 +1,7 @@
 """What a segment owes beyond the conformance of its operators: queues, cells, blocks, fingertips, order."""
 
 import pickle
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -70,22 +70,20 @@ def _runs(step: AnyOperator, *streams: Batch) -> list[Batch]:
     return [suite.run(step.reset_copy(), suite.pieces(streams, cuts)) for cuts in CUTS]
 
 
-def _check_equal(batches: Iterable[Batch], same: Callable[[Batch, Batch], None]) -> Batch:
+def _check_equal(batches: Iterable[Batch]) -> Batch:
     first, *others = batches
     for each in others:
-        same(each, first)
+        suite.same(each, first)
     return first
 
 
 # --- queues of fixed size --------------------------------------------------------------------------------
 
 
-def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched(
-    same: Callable[[Batch, Batch], None],
-) -> None:
+def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched() -> None:
     """The queue is for 1 kHz; this is 10 kHz while motion lags by 120 ms."""
     touch, motion = _touch(_times(1500, 10_000)), _motion(_times(2, 100, 120 * ms))
-    samples = _check_equal(_runs(Align(within=50 * ms, wait=900 * ms), touch, motion), same)
+    samples = _check_equal(_runs(Align(within=50 * ms, wait=900 * ms), touch, motion))
     assert isinstance(samples, Sample)
     assert samples.time.tolist() == touch.time.tolist()
     early = 1200 - 1023  # when the motion arrived
@@ -93,21 +91,21 @@ def test_touch_that_finds_the_queue_full_is_released_early_and_unmatched(
     assert len(Align(within=50 * ms, wait=900 * ms).push(touch[:1200], motion[:0])) == early
 
 
-def test_of_more_motion_than_the_queue_holds_the_newest_is_kept(same: Callable[[Batch, Batch], None]) -> None:
+def test_of_more_motion_than_the_queue_holds_the_newest_is_kept() -> None:
     """1024 rows are 51 ms at 20 kHz."""
     motion, touch = _motion(_times(2000, 20_000)), _touch(np.array([40, 43, 44, 60]) * ms)
     align = PREVIOUS.reset_copy()
     for row in range(0, 2000, 300):
         align.push(touch[:0], motion[row : row + 300])
     assert align.push(touch, motion[:0]).matched.tolist() == [False, False, False, True]
-    _check_equal(_runs(PREVIOUS, touch, motion), same)
+    _check_equal(_runs(PREVIOUS, touch, motion))
 
 
-def test_a_label_whose_motion_finds_the_queue_full_is_unknown(same: Callable[[Batch, Batch], None]) -> None:
+def test_a_label_whose_motion_finds_the_queue_full_is_unknown() -> None:
     """1024 rows are 20 ms at 50 kHz, less than the delay."""
     sample = _sample(_times(3000, 50_000), np.arange(3000) / 30_000)
     label = Label(rotation=0.2, delay=37 * ms, within=0)
-    labelled = _check_equal(_runs(label, sample), same)
+    labelled = _check_equal(_runs(label, sample))
     assert isinstance(labelled, Labelled)
     assert labelled.time.tolist() == sample.time.tolist()
     assert (labelled.label == UNKNOWN).all()
@@ -133,27 +131,23 @@ def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> N
 
 
 @pytest.mark.parametrize("rate", [1000.0, np.inf], ids=["in time", "of one time"])
-def test_more_rows_than_a_call_takes_are_those_of_many_calls(
-    rate: float, same: Callable[[Batch, Batch], None]
-) -> None:
+def test_more_rows_than_a_call_takes_are_those_of_many_calls(rate: float) -> None:
     rows = 3 * BLOCK + 7
     scores = Scores(_times(rows, rate), np.random.default_rng(0).random(rows), finger=3)
     late = Scores.rows([-1], 0.5, finger=3)
     whole, cut = Debounce(), Debounce()
     found = whole.push(concat(Scores, [scores, late]))
-    same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
+    suite.same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
     assert len(found) > BLOCK // 4
     assert (whole.late, cut.push(late).time.size, cut.late) == (1, 0, 1)
 
 
 @pytest.mark.parametrize("rate", [4000.0, np.inf], ids=["in time", "of one time"])
-def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(
-    rate: float, same: Callable[[Batch, Batch], None]
-) -> None:
+def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(rate: float) -> None:
     """Motion at the time of the touch comes before it, later motion after it."""
     touch = _touch(_times(2 * BLOCK, rate))
     motion = _motion(_times(4000, 400), np.arange(4000) / 1e5)
-    samples = _check_equal(_runs(PREVIOUS, touch, motion), same)
+    samples = _check_equal(_runs(PREVIOUS, touch, motion))
     assert isinstance(samples, Sample)
     assert samples.matched.all()
     np.testing.assert_array_equal(samples.velocity[:, 0], touch.time // (s // 400) / 1e5)
@@ -191,11 +185,9 @@ def test_more_rows_than_an_operator_allows_for_are_an_error() -> None:
         _Copies().push(Scores.zeros(BLOCK))
 
 
-def test_a_pickled_operator_keeps_its_parameters_and_starts_anew(
-    same: Callable[[Batch, Batch], None],
-) -> None:
+def test_a_pickled_operator_keeps_its_parameters_and_starts_anew() -> None:
     zero, touch = Zero(scans=30, spike=9.0), _raw(100, 6)
     first = zero.push(touch)
     again: Zero = pickle.loads(pickle.dumps(zero))  # noqa: S301 our own bytes
     assert (again, again.late) == (zero, 0)
-    same(again.push(touch), first)
+    suite.same(again.push(touch), first)

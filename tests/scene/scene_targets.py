@@ -12,12 +12,12 @@ from connectors.files.column_map import ColumnMap
 from connectors.sim.barometers import DECADES
 from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Parameters, Scene
+from connectors.sim.scene import Parameters
 from flows.learn.evaluation.published import SURFACES, TABLE_3, TABLE_3_ANY
 from flows.learn.labelled_recordings import LabelledRecording, scene_seed, simulated_recordings
 from flows.learn.measures import confusion, f1
-from operators import Health
-from operators.batch import UNKNOWN, Faults, Flags, Reals, concat
+from operators import FaultKind, Health
+from operators.batch import UNKNOWN, Faults, Flags, Reals, Touch, concat
 from operators.detectors import Detector
 from operators.errors import InputError
 from tests.scene.scene_statistics import FREQUENCIES, TABLE, measure
@@ -72,7 +72,9 @@ def targets(trace: LabelledRecording) -> list[Target]:
 def figures(plan: PaperPlan, seed: int, network: Detector) -> Reals:
     """Simulate a plan; return its figures, in the order of `targets`."""
     recordings = simulated_recordings(plan, seed)
-    faulty = [_degraded(scene, scene_seed(seed, n)) for n, scene in enumerate(plan.scenes(seed))]
+    faulty = [
+        degraded(simulate_scene(scene, scene_seed(seed, n))[0]) for n, scene in enumerate(plan.scenes(seed))
+    ]
     counted = [count for each in recordings for count in confusions(each, network)]
     statistics = measure(recordings)
 
@@ -102,11 +104,11 @@ def confusions(recording: LabelledRecording, network: Detector) -> Iterator[tupl
             yield MotionKind(kind, strokes.speed, strokes.surface), counts
 
 
-def _degraded(scene: Scene, seed: int) -> Flags:
-    """Return True at each sample at which `Health` reports a fault; (n,)."""
-    touch, _, _ = simulate_scene(scene, seed)
+def degraded(touch: Touch, *but: FaultKind) -> Flags:
+    """Return True at each sample at which `Health` reports a fault of another kind than some; (n,)."""
     health = Health()
     faults = concat(Faults, [health.push(touch), health.flush()])
+    faults = faults[~np.isin(faults.kind, but)]
     number = np.concatenate(([0], np.where(faults.active, 1, -1).cumsum()))  # of faults, after each change
     active: Flags = number[faults.time.searchsorted(touch.time, "right")] > 0
     return active

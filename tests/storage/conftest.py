@@ -8,8 +8,4 @@ import pytest
 @pytest.fixture(autouse=True)
 def _without_fsync(monkeypatch: pytest.MonkeyPatch) -> None:
     """Skip fsync, which takes most of the time and has no visible effect without a power cut."""
-
-    def nothing(_: int) -> None:
-        return
-
-    monkeypatch.setattr(os, "fsync", nothing)
+    monkeypatch.setattr(os, "fsync", lambda _: None)

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import numpy as np
-
 from operators.batch import BAROMETERS, Batch, Episodes, Motion, Slips, Touch, ms
 from operators.ports import Run
 from storage import files
@@ -58,15 +56,14 @@ def each_kind(steps: list[str], turns: tuple[int, ...] = (0, 2), every: int = 9)
 
 def row(kind: type[Batch], number: int) -> Batch:
     """Return row `number` of a stream."""
-    time = np.array([number * 10 * ms])
-    six = np.full((1, BAROMETERS), number)
+    time = number * 10 * ms
     if kind is Touch:
-        return Touch(time, six.astype(np.int16), six.astype(np.int16), six > 0, finger=0)
+        return Touch.rows([time], [[number] * BAROMETERS], number, number > 0, finger=0)
     if kind is Motion:
-        return Motion(time, time, six.astype(float), six.astype(float))
+        return Motion.rows([time], time, number, number)
     if kind is Slips:
-        return Slips(time, np.array([number % 2], np.int8), time, np.array([number / 100]), finger=0)
-    return new_episodes((number * 10 * ms, (number + 1) * 10 * ms, "tap"))
+        return Slips.rows([time], number % 2, time, number / 100, finger=0)
+    return new_episodes((time, time + 10 * ms, "tap"))
 
 
 def record(root: Path, run: Run, taken: list[int], durable: list[int] | None = None) -> None:

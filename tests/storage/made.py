@@ -77,21 +77,10 @@ def new_episodes(*rows: tuple[int, int, str]) -> Episodes:
 def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled:
     """Return samples at given instants whose values are their position; the arm's motion is known."""
     row = np.arange(len(time))
-    counts = (np.arange(6) + 10 * row[:, None] + 1000 * finger).astype(np.int16)
+    counts = np.arange(6) + 10 * row[:, None] + 1000 * finger
     wide = row[:, None] + np.arange(6) / 8
-    there = np.ones(len(time), np.bool_)
-    return Labelled(
-        np.asarray(time, np.int64),
-        counts,
-        np.full_like(counts, -1),
-        np.ones(counts.shape, np.bool_),
-        wide,
-        np.full((len(time), 6), np.nan),
-        there,
-        wide[:, 0],
-        (row % 3 - 1).astype(np.int8),
-        finger=finger,
-    )
+    label = row % 3 - 1
+    return Labelled.rows(time, counts, -1, True, wide, np.nan, True, wide[:, 0], label, finger=finger)
 
 
 def record(
@@ -179,6 +168,14 @@ def rows(
             assert getattr(found, name).tobytes() == getattr(written, name)[: len(found)].tobytes()
         counts.append(len(found))
     return counts
+
+
+def flip(path: Path, place: int, bit: int = 4) -> bytes:
+    """Flip a bit of a file (the third of a byte by default); return the new content."""
+    data = bytearray(path.read_bytes())
+    data[place] ^= bit
+    path.write_bytes(data)
+    return bytes(data)
 
 
 def session_names(root: Path) -> list[str]:

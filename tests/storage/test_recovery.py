@@ -18,7 +18,7 @@ from storage.files import lock
 from storage.journal import identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import contents, leave, new_run, rows, side_by_side, write
+from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side, write
 
 BATCHES = side_by_side(5)
 ALL = [25] * 5
@@ -37,13 +37,6 @@ def left(tmp_path: Path) -> Path:
 
 def recovered(folder: Path) -> Any:
     return Session.open(folder).about["recovered"]
-
-
-def flip(path: Path, place: int, bit: int = 4) -> bytes:
-    data = bytearray(path.read_bytes())
-    data[place] ^= bit
-    path.write_bytes(data)
-    return bytes(data)
 
 
 def test_rows_of_the_journal_become_listed_parts_once(left: Path) -> None:

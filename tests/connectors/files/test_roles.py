@@ -32,10 +32,8 @@ def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
         (("t", *CELLS, "Slip", "v", "other"), {"label": ("Slip",), "speed": ("v",)}),
         (("t", *CELLS, "vx", "vy", "vz", "v"), {"velocity": ("vx", "vy", "vz")}),
         (("t", *CELLS, "vx", "vy", "v"), {"speed": ("v",)}),
-        (
-            ("t", "T", *CELLS, "b1"),
-            {"time": ("t",), "counts": CELLS},
-        ),  # T is a temperature, b1 alone no fingertip
+        # T is a temperature, b1 alone no fingertip
+        (("t", "T", *CELLS, "b1"), {"time": ("t",), "counts": CELLS}),
         (("Date", "Time", *CELLS), {"date": ("Date",), "time": ("Time",)}),
         (("t", *(f"b{i}_{what}" for i in range(3) for what in "PT")), {"counts": ("b0_P", "b1_P", "b2_P")}),
         (("t", "p0 [kPa]", "p1 [kPa]", "T0 [degC]", "T1 [degC]"), {"counts": ("p0 [kPa]", "p1 [kPa]")}),

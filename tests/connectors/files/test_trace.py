@@ -148,11 +148,6 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
             "",
             ", line 3: has a quoted field that spans lines: close its quotation mark",
         ),
-        (
-            "t,s1,s3|2,1,1",
-            "",
-            ": no columns are recognised as cells; state counts=...; try --map time=t,counts=s1,s3",
-        ),
         ("s1,s2,s3|1,1,1", "", f": {NO_TIME}; try --map rate=ROWS_PER_SECOND,counts=s1..s3"),
         ("0,1,2|2,1,1|3,1,1", "", f": has 2 problems: (1) column1..column3 may be the cells; {COLUMNS}"),
         ("t,s1, s1|1,1,1", "", f": {TWICE}; try --map time=t,counts=NAME,NAME"),
@@ -193,11 +188,9 @@ def test_a_file_is_refused_with_the_remedy(write: Write, text: str, columns: str
     assert str(caught.value) == f"{path}{complaint}"
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
         _ = Trace(tmp_path / "absent.csv").touch
-    with pytest.raises(InputError, match="is not a regular file"):
-        _ = Trace(tmp_path).touch
 
 
 def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> None:

@@ -21,7 +21,7 @@ T = TypeVar("T", Outbox, Mqtt)
 def slips(*states: int, finger: int = 0, probability: float = 0.9) -> Slips:
     """Rows 10 ms apart."""
     time = FIRST + 10 * ms * np.arange(len(states))
-    return Slips(time, np.array(states, np.int8), time, np.full(len(states), probability), finger=finger)
+    return Slips.rows(time, states, time, probability, finger=finger)
 
 
 @asynccontextmanager

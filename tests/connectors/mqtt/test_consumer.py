@@ -1,7 +1,5 @@
 import asyncio
 import shutil
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -35,27 +33,17 @@ def publish(broker: TestBroker, seq: int, rig: str = "ur10", *options: str) -> E
     return event(seq, rig)
 
 
-async def waiting(events: Consumer, condition: Callable[[], bool]) -> None:
-    """Let it wait for an event that does not come, until something is so."""
+async def following(events: Consumer) -> None:
+    """Let it wait for an event that does not come, until it has what the broker retains."""
     coming = asyncio.create_task(anext(events))
-    await asyncio.sleep(0)  # it begins, and is done with the event before
-    await until(condition)
+    await until(lambda: bool(inside(events, "_position", "_rigs")))
     coming.cancel()
     await asyncio.wait([coming])
-
-
-async def following(events: Consumer) -> None:
-    """Wait until it has what the broker retains."""
-    await waiting(events, lambda: bool(inside(events, "_position", "_rigs")))
 
 
 async def take(events: Consumer, count: int) -> list[int]:
     async with asyncio.timeout(PATIENCE):
         return [(await anext(events)).seq for _ in range(count)]
-
-
-def publishing(broker: TestBroker, run: Run, **options: Any) -> AbstractAsyncContextManager[Mqtt]:
-    return opened(Mqtt(broker.url, "lab", "ur10", **options), run)
 
 
 async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: TestBroker) -> None:
@@ -94,7 +82,7 @@ async def test_dropped_messages_are_reported_and_their_events_fetched(
     broker: TestBroker, run: Run, links: list[Link], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reports = list[str]()
-    async with publishing(broker, run) as sink:
+    async with opened(Mqtt(broker.url, "lab", "ur10"), run) as sink:
         monkeypatch.setattr(link, "INCOMING_MAX", 8)
         async with Consumer(broker.url, report=reports.append) as events:
             await following(events)

@@ -87,12 +87,9 @@ async def test_requests_are_answered_in_turn_with_one_slice_each(
         epoch = outbox.epoch
         request(replies, epoch, 11, 50, "a")
         request(replies, epoch, 1, 2, "b")
-        assert await answer(replies) == (
-            "a",
-            [11, 12, 13, 14],
-            {"epoch": epoch, "from": 11, "to": 14, "missing": []},
-        )
-        assert await answer(replies) == ("b", [1, 2], {"epoch": epoch, "from": 1, "to": 2, "missing": []})
+        for name, slice_ in (("a", [11, 12, 13, 14]), ("b", [1, 2])):
+            closing = {"epoch": epoch, "from": slice_[0], "to": slice_[-1], "missing": []}
+            assert await answer(replies) == (name, slice_, closing)
         assert not await replies.next(next(TIMES))
 
 

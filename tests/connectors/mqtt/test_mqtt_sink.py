@@ -4,7 +4,6 @@ import signal
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -14,26 +13,21 @@ from connectors.mqtt import broker_link as link
 from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
 from connectors.mqtt.mqtt_sink import health
-from operators.batch import Faults, ms, s
+from operators.batch import ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.connectors.mqtt.made import opened, slips
+from tests.connectors.web.reading import fault
 from tests.inside import inside
 from tests.waiting import until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 RIG = "slip/v1/lab/rig"
-REFUSED = "cannot connect: Connection refused; check that the broker runs and that this is its port"
 NOW = 100 * s  # what the clock of the run shows
 TOPIC_LEVELS = ("a/b", "+", "a+", "#", "a\0b", "a\nb", "x" * 65)  # that are invalid
-
-
-def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
-    columns = np.array([barometer], np.int8), np.array([kind], np.int8), np.array([begins])
-    return Faults(np.array([NOW]), *columns, finger=0)
 
 
 def event(listener: TestListener, finger: str = "0") -> Event:
@@ -97,11 +91,11 @@ async def test_events_and_health_tell_which_faults_last(
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url, rig="rig")
     async with opened(sink, run):
-        await sink.write(fault(3, FaultKind.STUCK, begins=True))
-        await sink.write(fault(1, FaultKind.DEAD, begins=True))
+        await sink.write(fault(NOW, 3, FaultKind.STUCK))
+        await sink.write(fault(NOW, 1, FaultKind.DEAD))
         await sink.write(slips(1))
         await sink.write(slips(1, finger=1))
-        await sink.write(fault(3, FaultKind.STUCK, begins=False))
+        await sink.write(fault(NOW, 3, FaultKind.STUCK, begins=False))
         await sink.write(slips(0))
         health = broker.listen(f"{RIG}/health")
         reports = [read(await asyncio.to_thread(health.next)) for _ in range(3)]
@@ -177,12 +171,6 @@ async def test_a_killed_run_becomes_offline_unless_it_or_another_run_is_back_soo
     assert any(read(each)["session"] == "again" for each in seen)
     for sink in (*sinks.values(), again):
         await sink.close()
-
-
-def test_a_run_that_cannot_connect_does_not_start(broker: TestBroker, run: Run) -> None:
-    broker.stop()
-    with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
-        asyncio.run(Mqtt(broker.url, rig="rig").open(run))
 
 
 def test_a_run_without_the_right_to_publish_does_not_start(

@@ -20,10 +20,6 @@ pytestmark = pytest.mark.broker
 RIG = "slip/v1/lab/rig"
 
 
-async def slip(sink: Mqtt, count: int = 1) -> None:
-    await sink.write(slips(*[1] * count))
-
-
 async def collect(events: Consumer, found: list[str]) -> None:
     while True:
         found.append((await anext(events)).identifier)
@@ -47,7 +43,7 @@ async def test_two_runs_with_one_name_take_turns_name_the_cause_and_lose_nothing
             await sink.open(run)
         while len(links) < 8:
             for sink in sinks:
-                await slip(sink)
+                await sink.write(slips(1))
             await asyncio.sleep(0.02)
         took = asyncio.get_running_loop().time() - begun
         expected = [

@@ -14,6 +14,7 @@ from storage.append_log import AppendLog
 from tests.connectors.mqtt.made import EVENT, opened
 from tests.inside import inside
 from tests.storage.disk_steps import observed
+from tests.storage.made import flip
 from tests.waiting import PATIENCE, until
 
 
@@ -78,12 +79,6 @@ def names(epoch: str, numbers: Iterable[int]) -> list[str]:
 def stored(box: Outbox) -> bool:
     """Return True if all events of this run are durable."""
     return bool(inside(box, "_durable") == inside(box, "_newest"))
-
-
-def flip(path: Path, at: int) -> None:
-    content = bytearray(path.read_bytes())
-    content[at] ^= 1
-    path.write_bytes(content)
 
 
 async def test_a_failing_disk_stops_no_event_and_gets_them_all_later_from_a_bounded_memory(

@@ -2,8 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from connectors.sim.arm_motion import Controller, PlannedArm, in_base
@@ -28,16 +26,6 @@ def test_the_velocity_in_the_fingertip_frame_is_along_the_stroke() -> None:
     np.testing.assert_allclose(np.diff(pose[:, :2], axis=0), velocity[:-1, :2] * 1e-4, atol=1e-6)
     cruising = drive[(FINE > 1.0) & (FINE < 1.2)]
     np.testing.assert_allclose(cruising[:, :2], 0.1 * math.sqrt(0.5), atol=1e-12)
-
-
-@given(st.lists(st.floats(0.0, 2.6), min_size=1, max_size=20).map(sorted), st.integers(0, 20))
-def test_asking_piecewise_changes_nothing(times: list[float], cut: int) -> None:
-    instants = np.array(times)
-    whole = PlannedArm(Scene(PLAN), 0).at(instants)
-    arm = PlannedArm(Scene(PLAN), 0)
-    parts = arm.at(instants[:cut]), arm.at(instants[cut:])
-    for expected, *found in zip(whole, *parts, strict=True):
-        np.testing.assert_array_equal(np.concatenate(found), expected)
 
 
 def test_force_goes_from_grip_to_grip_without_a_jump() -> None:

@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 
 from connectors.sim.grasp import GraspState
@@ -12,10 +11,6 @@ BOX = OBJECTS["box"]
 START = 1_700_000_000 * s
 
 
-def _force(time: int, force: float) -> Commands:
-    return Commands(np.array([time]), np.array([force]))
-
-
 def _taken(hand: Hand, seconds: float, force: float | None = None) -> tuple[Touch, GraspState]:
     """Samples of a run in which a force is commanded after the first, and the state at its end."""
 
@@ -24,7 +19,7 @@ def _taken(hand: Hand, seconds: float, force: float | None = None) -> tuple[Touc
         await hand.open(Run("run", "flow", clock, clock.now()))
         async for touch in hand.touch.batches(clock):
             if force is not None and not taken:
-                await hand.write(_force(clock.now(), force))
+                await hand.write(Commands.rows([clock.now()], force))
             taken.append(touch)
             if len(taken) == round(seconds * 100):
                 break

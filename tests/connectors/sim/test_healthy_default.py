@@ -6,8 +6,8 @@ import pytest
 from connectors import SimulatedRig
 from connectors.sim.finger import Finger, simulate_scene
 from flows.lab.simulation import PLANS, planned_recordings
-from operators import FaultKind, Health, concat
-from operators.batch import Faults, Touch
+from operators import FaultKind, Touch
+from tests.scene.scene_targets import degraded
 
 MOST = 0.01  # share of samples
 VARIED = {"wide": 0.06, "calm": 0.1}  # the same: some fingertips hardly respond, others too much
@@ -15,11 +15,7 @@ VARIED = {"wide": 0.06, "calm": 0.1}  # the same: some fingertips hardly respond
 
 def faulty(touch: Touch) -> float:
     """Return the share of samples with a fault; a saturated cell is a limit of its range, not a fault."""
-    health = Health()
-    changes = concat(Faults, [health.push(touch), health.flush()])
-    changes = changes[changes.kind != FaultKind.SATURATED]
-    active = np.concatenate(([0], np.where(changes.active, 1, -1).cumsum()))
-    return float((active[changes.time.searchsorted(touch.time, "right")] > 0).mean())
+    return float(degraded(touch, FaultKind.SATURATED).mean())
 
 
 @pytest.mark.parametrize("seed", range(3))

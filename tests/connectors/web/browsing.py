@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from threading import Thread
 from typing import Any, Self
 
-import numpy as np
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Locator, Request, sync_playwright
 from playwright.sync_api import Page as Tab
@@ -65,8 +64,8 @@ def shaking(seconds: int) -> list[Touch]:
     batches = list[Touch]()
     for k in range(seconds * 100):
         shaken = k > 200 and k // 100 % 2 == 0
-        counts = np.full((1, 6), 700 - (250 + 200 * (k % 3) if shaken else k % 2), np.int16)
-        batches.append(Touch(np.array([k * 10 * ms]), counts, counts, np.ones((1, 6), np.bool_), finger=0))
+        count = 700 - (250 + 200 * (k % 3) if shaken else k % 2)
+        batches.append(Touch.rows([k * 10 * ms], [[count] * 6], count, True, finger=0))
     return batches
 
 

@@ -6,7 +6,6 @@ from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing, asynccontextmanager
 from typing import Any
 
-import numpy as np
 from aiohttp import ClientSession, WSMsgType
 
 from connectors import Metrics
@@ -18,31 +17,28 @@ from tests.waiting import PATIENCE
 
 def touched(time: int, *counts: int, finger: int = 0) -> Zeroed:
     """Return one row; cells that are not given have the count of the first one."""
-    row = np.array([[*counts, *[counts[0]] * (6 - len(counts))]], np.int16)
-    return Zeroed(np.array([time]), row, row, np.ones((1, 6), np.bool_), finger=finger)
+    row = [[*counts, *[counts[0]] * (6 - len(counts))]]
+    return Zeroed.rows([time], row, row, True, finger=finger)
 
 
 def slip(time: int, state: int, finger: int = 0) -> Slips:
     """Return an onset (1) or an end (0)."""
-    at = np.array([time])
-    return Slips(at, np.array([state], np.int8), at, np.array([0.9]), finger=finger)
+    return Slips.rows([time], state, time, 0.9, finger=finger)
 
 
 def scored(time: int, probability: float, finger: int = 0) -> Scores:
     """Return one score."""
-    return Scores(np.array([time]), np.array([probability]), finger=finger)
+    return Scores.rows([time], probability, finger=finger)
 
 
-def broken(time: int, cell: int, kind: FaultKind) -> Faults:
-    """Return the beginning of a fault of a cell."""
-    codes = np.array([cell], np.int8), np.array([kind], np.int8)
-    return Faults(np.array([time]), *codes, np.array([True]), finger=0)
+def fault(time: int, cell: int, kind: FaultKind, *, begins: bool = True, finger: int = 0) -> Faults:
+    """Return the beginning or the end of a fault of a cell."""
+    return Faults.rows([time], cell, kind, begins, finger=finger)
 
 
 def moved(time: int) -> Motion:
     """Return one row of the arm at 3 mm/s."""
-    at = np.array([time])
-    return Motion(at, at, np.array([[0.003, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)))
+    return Motion.rows([time], time, [0.003, 0, 0, 0, 0, 0], 0)
 
 
 async def frames(session: ClientSession, url: str) -> AsyncGenerator[dict[str, Any]]:

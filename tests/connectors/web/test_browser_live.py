@@ -15,7 +15,7 @@ from operators import Debounce, FaultKind, Run, Score, Touch, Zero, Zeroed, ms
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
 from tests.connectors.web.browsing import Served, ServedPage, Watched, shaking, sideways
-from tests.connectors.web.reading import broken, moved, scored
+from tests.connectors.web.reading import fault, moved, scored
 
 TOKEN = "0123456789abcdef"  # noqa: S105 - of tests
 
@@ -73,7 +73,7 @@ def test_every_part_is_shown_and_nothing_is_cut_off_at_the_side(watched: Watched
         expect(tab.locator("h1")).to_have_text("Fingertip 0Unknown")
         expect(tab.locator("#motion")).to_be_hidden()
         served.write(scored(now, 0.93), moved(now))
-        served.write(broken(now, 5, FaultKind.STUCK), broken(now, 63, FaultKind.SATURATED))
+        served.write(fault(now, 5, FaultKind.STUCK), fault(now, 63, FaultKind.SATURATED))
         served.slip(1)
         expect(tab.locator("#events tr")).to_contain_text("slip onset▲\u00a0doubtful: barometer 5 stuck")
         expect(tab.locator("#cells")).to_contain_text("■ barometer 5 stuck, barometer 63 saturated")
@@ -134,7 +134,7 @@ def test_each_curve_has_its_own_look_and_its_tile_highlights_it(watched: Watched
         expect(tab.locator("td.marked")).to_have_count(3)
         expect(unit).to_contain_text("highlighted")
         assert tab.locator("body").inner_text().count("good") == 1
-        served.write(broken(now, cells - 1, FaultKind.SATURATED))
+        served.write(fault(now, cells - 1, FaultKind.SATURATED))
         expect(pad.locator(".saturated")).to_contain_text("max")
         assert pad.locator(".saturated").evaluate(fits)
 

@@ -9,11 +9,11 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from connectors import Metrics
 from connectors.web.access import TOKEN
-from operators.batch import Faults, Slips, ms, s
+from operators.batch import Slips, ms, s
 from operators.errors import ParameterError
 from operators.health import FaultKind
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
-from tests.connectors.web.reading import scored, served
+from tests.connectors.web.reading import fault, scored, served
 
 NOW = 100 * s
 
@@ -33,8 +33,7 @@ def read(text: str) -> dict[str, float]:
 
 
 def slips(*times: int, state: int = 1, finger: int = 0) -> Slips:
-    time = np.array(times)
-    return Slips(time, np.full(len(time), state, np.int8), time, np.full(len(time), 0.9), finger=finger)
+    return Slips.rows(times, state, times, 0.9, finger=finger)
 
 
 async def asked(url: str, **headers: str) -> tuple[int, str, str]:
@@ -126,9 +125,9 @@ async def test_slips_are_counted_and_their_latency_is_a_histogram_unless_replaye
 
 
 async def test_faults_last_and_scores_are_counted_by_quality(run: Run) -> None:
-    cell, kind, batches = np.array([3], np.int8), np.full(1, FaultKind.STUCK, np.int8), list[Any]()
+    batches = list[Any]()
     for active, probability in (False, 0.1), (False, np.nan), (True, 0.1), (False, 0.1):
-        batches.append(Faults(np.array([s]), cell, kind, np.array([active]), finger=1))
+        batches.append(fault(s, 3, FaultKind.STUCK, begins=active, finger=1))
         batches.append(scored(0, probability, finger=1))
         found = read(await served(run, *batches))
         assert found[key("barometer_fault", finger="1", barometer="3", kind="stuck")] == active

@@ -6,10 +6,10 @@ import pytest
 
 from connectors.events import encode
 from connectors.web.live_page import EVENTS_KEPT, KEPT, STEP, Frames, rows_json
-from operators.batch import EVERY, Faults, Scores, Touch, ms, s
+from operators.batch import EVERY, Scores, Touch, ms, s
 from operators.health import FaultKind
 from operators.ports import Run
-from tests.connectors.web.reading import moved, scored, slip, touched
+from tests.connectors.web.reading import fault, moved, scored, slip, touched
 
 START = 90 * s  # of the run
 NOW = 100 * s
@@ -18,11 +18,6 @@ NOW = 100 * s
 @pytest.fixture
 def frames(run: Run) -> Frames:
     return Frames(run, zeroed=True)
-
-
-def fault(kind: FaultKind, *, active: bool) -> Faults:
-    cell, kinds = np.array([3], np.int8), np.array([kind], np.int8)
-    return Faults(np.array([START]), cell, kinds, np.array([active]), finger=1)
 
 
 def frame(frames: Frames, seen: int = -1) -> dict[str, Any]:
@@ -62,14 +57,14 @@ def test_a_frame_has_what_is_new_for_its_browser(frames: Frames) -> None:
 def test_the_quality_is_that_of_the_newest_score_and_of_the_cells(frames: Frames) -> None:
     frames.add(scored(START, 0.5, finger=1))
     assert frame(frames)["quality"] == {"1": ["good", None]}
-    frames.add(fault(FaultKind.STUCK, active=True))
-    frames.add(fault(FaultKind.DRIFTING, active=False))
+    frames.add(fault(START, 3, FaultKind.STUCK, finger=1))
+    frames.add(fault(START, 3, FaultKind.DRIFTING, begins=False, finger=1))
     frames.add(slip(NOW, 1, finger=1))
     found = frame(frames)
     assert found["quality"] == {"1": ["doubtful", "barometer 3 stuck"]}
     assert [event["quality"][0] for event in found["events"]] == ["doubtful"]
     assert found["faults"] == {"1": {"3": "stuck"}}
-    frames.add(fault(FaultKind.STUCK, active=False))
+    frames.add(fault(START, 3, FaultKind.STUCK, begins=False, finger=1))
     frames.add(scored(START + 10 * ms, np.nan, finger=1))
     found = frame(frames)
     assert (found["quality"], found["faults"]) == ({"1": ["blind", "no probability"]}, {})

@@ -20,7 +20,7 @@ from operators.errors import InputError
 from operators.health import FaultKind
 from operators.ports import Run
 from storage import Session
-from tests.connectors.web.reading import scored, slip, touched
+from tests.connectors.web.reading import fault, scored, slip, touched
 from tests.storage.made import new_samples, write_pad
 from tests.waiting import PATIENCE
 
@@ -91,13 +91,12 @@ async def test_a_window_has_the_rows_between_its_ends(keep: Keep) -> None:
 
 
 async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep: Keep) -> None:
-    stuck = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
     batches: list[Zeroed | Slips | Faults] = [
         touched(START, -300),
         touched(START + 50 * ms, -300),
         *[slip(START + at * ms, state) for at, state in ((10, 1), (40, 0))],
         *[slip(START + at * ms, state, finger=2) for at, state in ((5, 1), (40, 0))],
-        Faults(np.array([START + 20 * ms]), *stuck, finger=0),
+        fault(START + 20 * ms, 3, FaultKind.STUCK),
     ]
     contents: dict[str, Any] = {**(await keep(*batches)).contents()}
     assert (contents["session"], contents["start"], contents["length"]) == ("one", 90_000, 50)
@@ -113,10 +112,9 @@ async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep
 
 
 async def test_faults_and_quality_are_those_of_the_time(keep: Keep) -> None:
-    stuck = np.array([3], np.int8), np.array([FaultKind.STUCK], np.int8), np.array([True])
-    fault = Faults(np.array([START + 50 * ms]), *stuck, finger=0)
+    stuck = fault(START + 50 * ms, 3, FaultKind.STUCK)
     scores = [scored(START + k * 10 * ms, k / 10) for k in range(10)]
-    recorded, marked = await keep(touched(START - 2 * s, -7), *scores, fault), {"0": {"3": "stuck"}}
+    recorded, marked = await keep(touched(START - 2 * s, -7), *scores, stuck), {"0": {"3": "stuck"}}
     for at, time, faults, quality in (
         (45, [40], {}, "good"),
         (60, [60], marked, "doubtful"),

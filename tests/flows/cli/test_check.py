@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from tests.command import error, slipflow
+from tests.flows.cli.test_import_command import TRACE
 
 
 def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
@@ -64,11 +65,8 @@ flow = Flow("own")
 def test_check_prepares_the_operators_of_a_run(operators: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "own.py"
     path.write_text(OWN + f"(flow.source(TestSource(Touch)) | {operators}).to(TestSink())\n")
-    assert (
-        slipflow("check", path)
-        .stderr.splitlines()[-1]
-        .startswith("error: " + message.replace("PATH", str(path)))
-    )
+    line = slipflow("check", path).stderr.splitlines()[-1]
+    assert line.startswith("error: " + message.replace("PATH", str(path)))
 
 
 def test_a_folder_with_the_name_of_a_shipped_flow_does_not_hide_it(tmp_path: Path) -> None:
@@ -85,8 +83,7 @@ def test_a_trace_in_a_flow_is_read_by_a_run_of_it_only(tmp_path: Path) -> None:
         "(touch | Zero() | Score(load_detector('psd')) | Debounce()).to(Console())\n"
     )
     assert "touch = Replay(grip.csv, Touch)" in slipflow("check", "grip.py", cwd=tmp_path).stdout
-    rows = "".join(f"{k / 100},{','.join([str(k % 3)] * 6)}\n" for k in range(300))
-    (tmp_path / "other.csv").write_text(f"t,p0,p1,p2,p3,p4,p5\n{rows}")
+    (tmp_path / "other.csv").write_text(TRACE)
     done = slipflow("run", "grip.py", "--replay", "other.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "grip.csv" in error("run", "grip.py", cwd=tmp_path)

@@ -1,7 +1,6 @@
 """The command `slipflow collect`."""
 
 import json
-import re
 import signal
 import subprocess
 from collections.abc import Callable
@@ -10,6 +9,7 @@ from typing import Any
 
 from flows.graph.validation import problems
 from tests.command import SLIPFLOW, error, slipflow
+from tests.pages import ROOT, block
 from tests.waiting import PATIENCE, wait_until
 
 SPHERE = """
@@ -82,8 +82,6 @@ def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:
 
 
 def test_the_flow_on_the_hardware_page_is_valid() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "hardware.md").read_text()
-    [block] = re.findall(r"```python hold.py\n(.*?)```", page, re.DOTALL)
     names = dict[str, Any]()
-    exec(block, names)  # noqa: S102 - the page's own code
+    exec(block(ROOT / "docs/how-to/hardware.md", "hold.py"), names)  # noqa: S102 - the page's own code
     assert problems(names["hold"]("10.0.0.2", "10.0.0.3")) == []

@@ -12,14 +12,14 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from operators import Run, Touch, s
 from operators.ports import SinkStatus
+from tests.flows.cli.test_import_command import TRACE
 
 
 @pytest.fixture
 def trace(tmp_path: Path) -> Trace:
-    """Trace of two seconds at 100 Hz."""
+    """Trace of three seconds at 100 Hz."""
     path = tmp_path / "trace.csv"
-    rows = "".join(f"{k / 100},1,2,3,4,5,{k}\n" for k in range(200))
-    path.write_text("t,p0,p1,p2,p3,p4,p5\n" + rows)
+    path.write_text(TRACE)
     return Trace(path)
 
 

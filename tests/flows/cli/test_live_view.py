@@ -12,6 +12,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from operators import Debounce, ParameterError, Scores, Slips, Touch, Zero
+from tests.command import Terminal
 from tests.waiting import PATIENCE
 
 
@@ -44,13 +45,6 @@ def test_raw_touch_is_shown_if_none_is_zeroed_and_each_type_once(*, zeroed: bool
     page, names = page_of(flow)
     assert (names, page.threshold) == (["Zeroed" if zeroed else "Touch"], None)
     assert problems(flow) == []
-
-
-class Terminal(StringIO):
-    """Stream that is a terminal."""
-
-    def isatty(self) -> bool:
-        return True
 
 
 def test_the_token_is_printed_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:

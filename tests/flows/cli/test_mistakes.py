@@ -7,11 +7,11 @@ import pytest
 
 from tests.command import slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.flows.cli.test_import_command import TRACE
 
 NEEDS_UR = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
-ROWS = [f"{k / 100},{','.join(str(500 + (k + c) % 5) for c in range(6))},{k // 50 % 2}" for k in range(300)]
 FILES = {
-    "lab.csv": "\n".join(["t,p0,p1,p2,p3,p4,p5,slip", *ROWS, ""]),
+    "lab.csv": TRACE,
     "wrong.csv": "a,b\n1,2\n",
     "broken.py": "def broken(:\n",
     "mine.toml": "[path]\ndepth = '2'",

@@ -16,12 +16,10 @@ import pytest
 
 from flows.cli.show import load
 from flows.demo import demo
-from flows.graph.testing import run_virtually
-from flows.run.clocks import LoopClock
-from flows.run.live_runner import LiveRunner
 from operators import s
 from storage import Session
 from tests.command import slipflow
+from tests.flows.run.live import execute
 from tests.storage.made import write_pad
 from tests.waiting import PATIENCE
 
@@ -30,13 +28,7 @@ from tests.waiting import PATIENCE
 def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
     """Session of 12 s of the demo."""
     out = tmp_path_factory.mktemp("data")
-
-    async def main() -> None:
-        await LiveRunner(
-            demo(str(out)), "test", clock=LoopClock(1_700_000_000 * s), duration=12 * s
-        ).execute()
-
-    run_virtually(main())
+    execute(demo(str(out)), duration=12 * s, start=0)
     return Session.open(out)
 
 

@@ -1,15 +1,16 @@
 import re
 import subprocess
 from time import time_ns
-from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from connectors import Event
 from connectors.events import timestamp
 from operators import s
 from tests.command import SLIPFLOW
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.connectors.mqtt.made import EVENT
 
 pytestmark = pytest.mark.broker
 
@@ -20,8 +21,7 @@ def started(*arguments: str) -> subprocess.Popen[str]:
 
 
 def event(rig: str, time: int, latency: float | None = 8.5) -> Event:
-    about: dict[str, Any] = {"site": "lab", "rig": rig, "finger": "0", "epoch": "ab", "seq": 7}
-    return Event(**about, state="onset", time=time, probability=0.93, latency=latency)
+    return replace(EVENT, rig=rig, time=time, probability=0.93, latency=latency)
 
 
 def test_an_event_is_printed_as_received_in_json(broker: TestBroker) -> None:

@@ -33,26 +33,15 @@ from operators import (
 )
 from operators.operator import output_type
 from operators.steps import Record, RowType, Steps
-from tests.operators import conftest
 from tests.operators import test_conformance as suite
-
-same = conftest.same  # the fixture
 
 
 def scores(*probabilities: float, start: int = 0, finger: int = EVERY) -> Scores:
-    time = start + np.arange(len(probabilities), dtype=np.int64) * 10 * ms
-    return Scores(time, np.array(probabilities), finger=finger)
+    return Scores.rows(start + np.arange(len(probabilities)) * 10 * ms, probabilities, finger=finger)
 
 
 def touch(*times: int, finger: int = EVERY) -> Touch:
-    n = len(times)
-    counts = np.full((n, 6), 400 + finger, np.int16)
-    return Touch(np.array(times, np.int64), counts, counts, np.ones((n, 6), np.bool_), finger=finger)
-
-
-def motion(*times: int) -> Motion:
-    n = len(times)
-    return Motion(np.array(times, np.int64), np.array(times, np.int64), np.ones((n, 6)), np.ones((n, 6)))
+    return Touch.rows(times, [[400 + finger] * 6] * len(times), 400 + finger, True, finger=finger)
 
 
 def test_a_compiled_leaves_the_declared_operators_as_they_were() -> None:
@@ -194,7 +183,10 @@ def test_motion_that_comes_with_touch_of_one_fingertip_reaches_the_others() -> N
     compiled = CompiledFlow(flow)
     left, right, arm = compiled.entries
     compiled.push({right: touch(0, finger=1)})
-    joined = [batch for _, batch in compiled.push({left: touch(0, finger=0), arm: motion(0, 8 * ms)})]
+    joined = [
+        batch
+        for _, batch in compiled.push({left: touch(0, finger=0), arm: Motion.rows([0, 8 * ms], 0, 1, 1)})
+    ]
     assert [batch.finger for batch in joined] == [0, 1]
 
 
@@ -232,7 +224,7 @@ def outputs(compiled: CompiledFlow, pushes: Iterable[dict[int, Batch]]) -> dict[
 @suite.every
 @pytest.mark.parametrize("cuts", [[], range(400)], ids=["at once", "one by one"])
 def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
-    case: suite.Case, cuts: Iterable[int], same: Callable[[Batch, Batch], None]
+    case: suite.Case, cuts: Iterable[int]
 ) -> None:
     streams = case.streams(5, 200)
     flow = Flow("f")
@@ -245,13 +237,11 @@ def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
     pushes = [dict(enumerate(piece)) for piece in suite.pieces(streams, cuts)]
     found = outputs(CompiledFlow(flow), pushes)
     expected = suite.run(case.step.reset_copy(), [streams])
-    same(suite.joined(kind, found[streams[0].finger]), expected)
+    suite.same(suite.joined(kind, found[streams[0].finger]), expected)
 
 
 @pytest.mark.parametrize("rows", [1, 7, 300], ids=["one by one", "cut", "at once"])
-def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingertip(
-    rows: int, same: Callable[[Batch, Batch], None]
-) -> None:
+def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingertip(rows: int) -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
     (zeroed & (flow.source(TestSource(Motion)) | DeviceClock()) | Align()).to(TestSink())
@@ -267,5 +257,5 @@ def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingert
     for each in touches:
         samples = Align().push(Zero(baseline=400).push(each), DeviceClock().push(arm))
         joined = concat(Sample, cast("list[Sample]", found[each.finger]))
-        same(joined[: len(samples)], samples)
+        suite.same(joined[: len(samples)], samples)
         assert len(joined) == 300

@@ -4,13 +4,18 @@ from shutil import copy
 from flows.graph import Flow
 from flows.graph.drawing import describe
 from flows.graph.testing import TestSink, TestSource
-from operators import Debounce, Score, Scores, ms
+from operators import Align, Debounce, Label, Motion, Score, Scores, Touch, Zero, ms
 from storage import load_detector
 from storage.models import shipped_path
 
 
-def test_text_reads_like_the_declaration(drawn: Flow) -> None:
-    assert str(drawn).splitlines() == [
+def test_text_reads_like_the_declaration() -> None:
+    flow, sink = Flow("drawn"), TestSink()
+    touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))
+    zeroed = touch | Zero(baseline=400)
+    (zeroed & motion | Align(within=10 * ms) | Label()).to(sink)
+    zeroed.to(sink)
+    assert str(flow).splitlines() == [
         "flow drawn",
         "  touch    = TestSource(Touch)",
         "  motion   = TestSource(Motion)",
@@ -36,8 +41,3 @@ def test_a_detector_is_drawn_by_the_name_of_its_model(tmp_path: Path) -> None:
         "Score(tcn)",
         "Score(mine.safetensors)",
     ]
-
-
-def test_an_operator_is_drawn_with_its_non_default_parameters() -> None:
-    assert describe(Debounce()) == "Debounce()"
-    assert describe(Debounce(minimum=50 * ms)) == "Debounce(minimum=50 ms)"

@@ -1,6 +1,5 @@
 """Simulated datasets: reproducible, complete or absent, and the same as a live recording."""
 
-import hashlib
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -25,11 +24,7 @@ from operators.errors import SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
 from tests.command import slipflow
-
-
-def hashes(folder: Path) -> dict[str, str]:
-    files = [path for path in folder.rglob("*") if path.is_file()]
-    return {one.relative_to(folder).as_posix(): hashlib.sha256(one.read_bytes()).hexdigest() for one in files}
+from tests.storage.made import contents
 
 
 def sessions(dataset: Path) -> list[Session]:
@@ -46,15 +41,15 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(tmp_path: Path, tiny: Path) -> None:
     (tmp_path / "empty").mkdir()
     with workers(2) as executor:
-        again = hashes(simulate(tmp_path / "empty", "tiny", 0, executor=executor))
-    assert again.items() <= hashes(tiny).items()
+        again = contents(simulate(tmp_path / "empty", "tiny", 0, executor=executor))
+    assert again.items() <= contents(tiny).items()
     assert len(again) > 15
 
 
 @pytest.mark.usefixtures("few")
 def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: Path) -> None:
-    before, other = hashes(tiny), hashes(simulate(tmp_path / "other", "tiny", 1))
-    assert {path for path, sha256 in other.items() if before[path] == sha256} == {"dataset.json"}
+    before, other = contents(tiny), contents(simulate(tmp_path / "other", "tiny", 1))
+    assert {path for path, content in other.items() if before[path] == content} == {"dataset.json"}
     assert len(other) > 15
 
 
@@ -82,10 +77,9 @@ def test_every_session_is_complete_and_readable(tiny: Path) -> None:
 def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulation, "_GRASPS", 3)
     done = simulate(tmp_path / "grasps", "grasps", 4)
-    sessions = [Session.open(path) for path in sorted((done / "sessions").iterdir())]
-    assert [session.name for session in sessions] == ["grasp-000", "grasp-001", "grasp-002"]
+    assert [session.name for session in sessions(done)] == ["grasp-000", "grasp-001", "grasp-002"]
     seen = set[int]()
-    for number, session in enumerate(sessions):
+    for number, session in enumerate(sessions(done)):
         travel = np.cumsum(simulate_grasp(4, number)[1].sliding) / 100  # m
         label = session.frame("samples")["label"].to_numpy()
         assert len(label) == len(travel)
@@ -159,4 +153,4 @@ def test_the_command_prints_the_number_of_sessions(tmp_path: Path, tiny: Path) -
     done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1")
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == f"{out}: 3 sessions (1 for train, 1 for validation, 1 for test)\n"
-    assert hashes(out).items() <= hashes(tiny).items()
+    assert contents(out).items() <= contents(tiny).items()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from connectors import SimulatedRig
 from connectors.sim.scene import Move, Scene
 from flows.graph import Flow
-from flows.graph.testing import TestSink, run_virtually
+from flows.graph.testing import TestSink
 from flows.lab.simulation import planned_recordings
 from flows.learn.evaluation.stress_study import stressed
 from flows.learn.labelled_recordings import (
@@ -24,13 +24,12 @@ from flows.learn.labelled_recordings import (
     simulated_recording,
 )
 from flows.learn.training.trained_model import provenance
-from flows.run.clocks import LoopClock
-from flows.run.live_runner import LiveRunner
 from operators import Align, Label, Labelled, SlidingMotion, Touch, Zero, ms, s
 from operators.errors import FingertipError, InputError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, LabelSpan, Session
 from storage.files import put_checked, read_checked
+from tests.flows.run.live import execute
 from tests.storage.made import record
 
 Part = TypeVar("Part")
@@ -94,11 +93,7 @@ def test_a_dataset_has_the_sliding_labels_that_a_live_flow_gives(tmp_path: Path)
     truth.to(dataset)
     (zeroed & motion | Align() | Label()).to(dataset)
     (zeroed & (truth | SlidingMotion()) | Align() | Label()).to(sink)
-
-    async def main() -> None:
-        await LiveRunner(flow, "live", clock=LoopClock(0)).execute()
-
-    run_virtually(main())
+    execute(flow, start=0)
     [recorded] = load(tmp_path)
     live = sink.rows(Labelled, 0).label
     assert recorded.sliding is not None
@@ -148,9 +143,7 @@ def test_labels_by_hand_change_the_provenance_but_not_the_digest(tiny: Path, tmp
 def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) -> None:
     count, start = 600, 1_700_000_000 * s
     time = start + np.arange(count) * 10 * ms
-    counts = np.full((count, 6), 700, np.int16)
-    touch = Touch(time, counts, counts, np.ones((count, 6), np.bool_), finger=2)
-    session = record(tmp_path, [touch])
+    session = record(tmp_path, [Touch.rows(time, np.full((count, 6), 700), 700, True, finger=2)])
     with pytest.raises(InputError, match="or label by hand with `slipflow show`"):
         load(tmp_path)
     session.write_hand_labels([LabelSpan(time[300], time[500], 2, "static")], based_on=0)
@@ -161,8 +154,7 @@ def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) ->
 
 
 def test_a_session_whose_fingertip_is_unknown_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    time, counts = np.full(200, s), np.zeros((200, 6), np.int16)
-    session = record(tmp_path, [Touch(time, counts, counts, np.ones((200, 6), np.bool_), finger=0)])
+    session = record(tmp_path, [Touch.rows([s] * 200, np.zeros((200, 6)), 0, True, finger=0)])
     session.write_hand_labels([LabelSpan(s, 2 * s, 0, "slip")], based_on=0)
     with pytest.raises(InputError, match=r"does not state its fingertip, .*: record or import it again"):
         load(tmp_path)

@@ -4,18 +4,16 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from flows.graph import Flow
 from flows.graph.testing import TestSink, VirtualLoop, run_virtually
+from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Clock, Run, Scores, Sink, Source, ms
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
     """One-row batches, 10 ms apart, from the `first`-th on."""
-    rows = range(first, first + count)
-    return [Scores(np.array([k * 10 * ms]), np.array([probability])) for k in rows]
+    return [Scores.rows([k * 10 * ms], probability) for k in range(first, first + count)]
 
 
 def flow_of(source: Source[Any], *sinks: Sink[Any]) -> Flow:
@@ -31,13 +29,15 @@ def execute(
     flow: Flow,
     *,
     duration: int | None = None,
+    start: int | None = None,
     stops: tuple[float, ...] = (),
     at: Mapping[float, Callable[[LiveRunner, VirtualLoop], object]] | None = None,
 ) -> Run:
-    """A whole run, in virtual time, stopped at some times (s), and with calls `at` others."""
+    """A whole run in virtual time, from `start` (ns), stopped at some times (s), with calls `at` others."""
 
     async def main() -> Run:
-        runner, loop = LiveRunner(flow, "test", duration=duration), asyncio.get_running_loop()
+        runner = LiveRunner(flow, "test", clock=LoopClock(start), duration=duration)
+        loop = asyncio.get_running_loop()
         assert isinstance(loop, VirtualLoop)
         for time in stops:
             loop.call_later(time, runner.stop)
@@ -73,6 +73,6 @@ class Endless(Source[Scores]):
         try:
             while True:
                 await clock.sleep_until(clock.now() + 10 * ms)
-                yield Scores(np.array([clock.now()]), np.array([0.9]))
+                yield Scores.rows([clock.now()], 0.9)
         finally:
             self.closed = True

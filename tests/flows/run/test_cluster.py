@@ -10,37 +10,26 @@ import pytest
 
 from storage.layout import session_folder
 from tests.command import SLIPFLOW, slipflow
-from tests.dask_cluster import DaskCluster, kill
-from tests.flows.run.recorder import Recorder
+from tests.dask_cluster import DaskCluster, kill, two_workers
+from tests.flows.run import test_replays
+from tests.flows.run.recorder import record
 from tests.storage.made import contents, session_names
 from tests.waiting import PATIENCE, wait_until
 
 pytestmark = pytest.mark.cluster
 
-FLOW = """
+FLOW = test_replays.FLOW.replace("TestSource(Touch))", "TestSource(Touch, fingers=(0, 1))) | Slow()")
+FLOW += """
 import time
 from dataclasses import dataclass
-from connectors import Console
-from flows.graph import Flow
-from flows.graph.testing import TestSource
-from operators import Debounce, Operator, Score, Touch, Zero
+from operators import Operator
 from pauses import PAUSE
-from storage import Dataset, load_detector
 
 @dataclass
 class Slow(Operator[Touch, Touch]):
     def process(self, batch: Touch) -> Touch:
         time.sleep(PAUSE)
         return batch
-
-def felt(out: str = "out") -> Flow:
-    flow, dataset = Flow("felt"), Dataset(out)
-    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Slow() | Zero()
-    slips = zeroed | Score(load_detector("psd")) | Debounce(threshold=0.5)
-    zeroed.to(dataset)
-    slips.to(dataset)
-    slips.to(Console())
-    return flow
 """
 RECORDINGS = 12
 
@@ -50,9 +39,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with recordings and a flow of two files."""
     root = tmp_path_factory.mktemp("lab")
     for number in range(RECORDINGS):
-        recorder = Recorder(root / "in", f"session-{number:02d}", seed=number)
-        recorder.record(15)
-        recorder.close()
+        record(root / "in", f"session-{number:02d}", 15, seed=number)
     (root / "felt.py").write_text(FLOW)
     (root / "pauses.py").write_text("PAUSE = 0.1  # s\n")
     return root
@@ -69,10 +56,7 @@ def expected(lab: Path) -> tuple[dict[str, bytes], list[str]]:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
-    with DaskCluster(tmp_path) as running:
-        running.add_worker()
-        running.add_worker()
-        running.wait(2)
+    with two_workers(tmp_path) as running:
         yield running
 
 
@@ -136,9 +120,7 @@ def test_a_recording_that_kills_its_workers_is_named_and_the_others_are_written(
     flow = FLOW.replace("time.sleep(PAUSE)", deadly).replace("pauses", "no_pauses")
     (tmp_path / "felt.py").write_text(flow)
     (tmp_path / "no_pauses.py").write_text("PAUSE = 0\n")  # `slipflow` may run in this process: another name
-    recorder = Recorder(tmp_path / "in", "deadly")
-    recorder.record(1)
-    recorder.close()
+    record(tmp_path / "in", "deadly", 1)
     for name, where in (("local", ["--jobs", "2"]), ("dask", ["--cluster", cluster.url])):
         arguments = command(tmp_path, tmp_path / name)
         done = slipflow(*arguments, str(session_folder(lab / "in", "session-03")), *where)

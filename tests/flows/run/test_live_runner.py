@@ -250,10 +250,8 @@ def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:
 @pytest.mark.parametrize("stall", [0.2, 1.0])
 def test_rows_of_one_time_are_joined_after_a_stall_of_the_host(stall: float) -> None:
     flow, sink = Flow("f"), TestSink()
-    cells, flags = np.full((1, 6), 500, np.int16), np.ones((1, 6), np.bool_)
-    six = np.zeros((1, 6))
-    felt = [Touch(np.array([k * 10 * ms]), cells, cells, flags, finger=0) for k in range(200)]
-    moved = [Motion(np.array([k * 8 * ms]), np.array([k]), six, six) for k in range(250)]
+    felt = [Touch.rows([k * 10 * ms], [[500] * 6], 500, True, finger=0) for k in range(200)]
+    moved = [Motion.rows([k * 8 * ms], k, 0, 0) for k in range(250)]
     touch = flow.source(TestSource(Touch, felt, fingers=(0,)))
     motion = flow.source(TestSource(Motion, moved))
     ((touch | Zero(500)) & motion | Align(within=20 * ms)).to(sink)

@@ -22,8 +22,8 @@ from operators.errors import FlowError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
 from storage import Session
 from storage.layout import session_folder
-from tests.flows.run.recorder import Recorder
-from tests.storage.made import session_names
+from tests.flows.run.recorder import record
+from tests.storage.made import contents, session_names
 
 FLOW = """
 from connectors import Console, Mqtt
@@ -60,9 +60,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset of four sessions."""
     root = tmp_path_factory.mktemp("dataset")
     for seconds in (5, 12, 6, 11):
-        recorder = Recorder(root, f"{seconds:02d}-seconds")
-        recorder.record(seconds, (0,))
-        recorder.close()
+        record(root, f"{seconds:02d}-seconds", seconds, (0,))
     return root
 
 
@@ -79,18 +77,6 @@ def replay(felt: str, paths: list[Path], out: Path, **settings: str) -> list[Rep
     return list(Replays(source(felt, out=str(out), **settings), paths).run())
 
 
-def written(out: Path) -> list[tuple[str, dict[str, bytes]]]:
-    """The Parquet files of each session."""
-    return [
-        (
-            name,
-            {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))},
-        )
-        for name in session_names(out)
-        for folder in [session_folder(out, name)]
-    ]
-
-
 def test_two_workers_give_the_bytes_and_lines_that_one_process_gives(
     felt: str, four: list[Path], tmp_path: Path, two: Executor
 ) -> None:
@@ -101,10 +87,10 @@ def test_two_workers_give_the_bytes_and_lines_that_one_process_gives(
     assert [each.printed for each in one] == [each.printed for each in more]
     assert "slip onset" in "".join(each.printed for each in one)
     assert [each.summary for each in one] == [each.summary for each in more]
-    files = written(tmp_path / "1")
-    assert files == written(tmp_path / "2")
-    assert [name for name, _ in files] == [path.name for path in four]
-    assert all("touch/part-000000.parquet" in parts and "slips.parquet" in parts for _, parts in files)
+    files = contents(tmp_path / "1")
+    assert files == contents(tmp_path / "2")
+    parts = "touch/part-000000.parquet", "slips.parquet"
+    assert {f"sessions/{path.name}/{part}" for path in four for part in parts} < {*files}
     assert sorted(path.name for path in (tmp_path / "2").iterdir()) == ["dataset.json", "sessions"]
 
 
@@ -134,14 +120,14 @@ def test_a_repeated_task_changes_nothing_and_another_flow_is_refused(
 ) -> None:
     out = tmp_path / "out"
     [first] = replay(felt, four[:1], out)
-    before, same = written(out), source(felt, out=str(out))
+    before, same = contents(out), source(felt, out=str(out))
     again = Replays(same, four[:2])
     assert (again.existing, again.recordings) == (four[:1], four[1:2])
     assert replay_task(same, str(four[0])) == first  # as after the loss of the worker that had finished it
-    assert written(out) == before
+    assert contents(out) == before
     renamed = copytree(four[1], tmp_path / four[0].name)
     assert "another session has this name" in replay_task(same, str(renamed)).error
-    assert written(out) == before
+    assert contents(out) == before
     other = source(felt, out=str(out), least="0.6")
     with pytest.raises(InputError, match="is of another recording or flow: write to another dataset"):
         Replays(other, four[:1])

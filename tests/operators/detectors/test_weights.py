@@ -1,9 +1,11 @@
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from operators import InputError
+from operators.detectors import TRAINED
 from operators.detectors.weights import check_weights
 
 SHAPES = {"kernel": (2, 3), "bias": (3,)}
@@ -26,3 +28,9 @@ def test_valid_arrays_pass_and_further_ones_are_ignored() -> None:
 def test_an_invalid_array_is_named(weights: dict[str, Any], complaint: str) -> None:
     with pytest.raises(InputError, match=rf"^Net weights: {complaint}$"):
         check_weights("Net", {"kernel": np.ones((2, 3)), **weights}, SHAPES)
+
+
+@pytest.mark.parametrize("make", TRAINED.values())
+def test_a_detector_without_its_weights_says_so(make: Callable[[Any], object]) -> None:
+    with pytest.raises(InputError, match="is missing"):
+        make({})

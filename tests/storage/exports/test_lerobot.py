@@ -9,7 +9,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from operators.batch import EVERY, Motion, ms
+from operators.batch import Motion, ms
 from operators.errors import InputError
 from storage import Session
 from storage.exports.lerobot import export
@@ -63,12 +63,9 @@ class Read:
         assert set(self.frames[0].columns) == set(info["features"])
         for number, (episode, frames) in enumerate(zip(self.episodes, self.frames, strict=True)):
             assert episode["episode_index"] == number
-            assert (
-                episode["length"]
-                == len(frames)
-                == episode["dataset_to_index"] - episode["dataset_from_index"]
-            )
             assert episode["dataset_from_index"] == index
+            assert episode["dataset_to_index"] == index + len(frames)
+            assert episode["length"] == len(frames)
             assert frames["index"].to_list() == list(range(index, index + len(frames)))
             assert frames["frame_index"].to_list() == list(range(len(frames)))
             stamps = np.arange(len(frames)) / info["fps"]
@@ -110,7 +107,7 @@ class Read:
 def poses(time: Any) -> Motion:
     stamps = np.asarray(time, np.int64)
     known = stamps[:, None] / 1e9 + np.arange(6)
-    return Motion(stamps, stamps, np.zeros((len(stamps), 6)), known, finger=EVERY)
+    return Motion.rows(stamps, stamps, 0, known)
 
 
 def test_frames_have_the_values_of_the_sessions(tmp_path: Path) -> None:

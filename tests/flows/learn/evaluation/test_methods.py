@@ -2,6 +2,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from shutil import copy
 from typing import Any
 
 import numpy as np
@@ -13,29 +14,14 @@ from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.detectors import Detector, Psd
-from operators.detectors.paper_tcn import shapes
 from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE
-from storage import save_weights
-from storage.models import shipped_names
-
-
-@pytest.fixture(scope="module")
-def training() -> list[LabelledRecording]:
-    """Two recordings in which slip shakes every barometer."""
-    random = np.random.default_rng(0)
-    label = np.repeat(np.arange(16) % 2, 50).astype(np.int8)
-    spread = np.where(label, 40, 1)[:, None]
-    counts = (random.normal(0, spread, (800, 6)).round().astype(np.int16) for _ in range(2))
-    return [LabelledRecording(each, label, split="train") for each in counts]
+from storage.models import shipped_names, shipped_path
 
 
 def model(path: Path, **about: object) -> Path:
     """A file of the paper's network, with a card."""
-    random = np.random.default_rng(0)
-    weights = {name: random.normal(size=shape).astype(np.float32) + 1 for name, shape in shapes().items()}
-    weights["std"] = np.abs(weights["std"])
-    save_weights(path, weights, {"detector": "paper_tcn"})
+    copy(shipped_path("paper_tcn"), path)
     if about:
         path.with_suffix(".json").write_text(json.dumps(about))
     return path
@@ -46,8 +32,8 @@ def fitted(training: Sequence[LabelledRecording], *names: str) -> dict[str, Dete
     return {each.name: each.fit(fold).detector for each in baselines(names)}
 
 
-def test_baselines_are_fitted_to_the_training_of_a_fold(training: list[LabelledRecording]) -> None:
-    found = fitted(training, "psd", "psd_1s", "logistic")
+def test_baselines_are_fitted_to_the_training_of_a_fold(surfaces: list[LabelledRecording]) -> None:
+    found = fitted(surfaces, "psd", "psd_1s", "logistic")
     assert {name: each.length for name, each in found.items()} == {"logistic": 41, "psd": 25, "psd_1s": 100}
     psd = found["psd"]
     assert isinstance(psd, Psd)
@@ -55,30 +41,30 @@ def test_baselines_are_fitted_to_the_training_of_a_fold(training: list[LabelledR
 
 
 def test_baselines_are_fitted_at_the_rate_and_in_the_unit_of_their_data(
-    training: list[LabelledRecording],
+    surfaces: list[LabelledRecording],
 ) -> None:
     fingertip = replace(TAKKTILE, rate=200.0, unit="kPa", resolution=0.01)
-    fast = [replace(each, fingertip=fingertip) for each in training]
+    fast = [replace(each, fingertip=fingertip) for each in surfaces]
     found = fitted(fast, "psd", "psd_1s", "logistic")
     assert {name: each.length for name, each in found.items()} == {"logistic": 81, "psd": 50, "psd_1s": 200}
     for detector in found.values():
         assert np.isfinite(fast[0].probabilities(detector)[-1])
     with pytest.raises(FingertipError, match=r"psd needs steps of 0\.01 kPa, 200 Hz; the data has count"):
-        training[0].probabilities(found["psd"])
+        surfaces[0].probabilities(found["psd"])
 
 
 def test_a_rate_that_is_too_low_for_the_frequencies_of_psd_is_a_reason(
-    training: list[LabelledRecording],
+    surfaces: list[LabelledRecording],
 ) -> None:
-    slow = [replace(each, fingertip=replace(TAKKTILE, rate=16.0)) for each in training]
+    slow = [replace(each, fingertip=replace(TAKKTILE, rate=16.0)) for each in surfaces]
     with pytest.raises(ParameterError, match=r"below 7\.68 Hz"):
         fitted(slow, "psd")
 
 
-def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(training: list[LabelledRecording]) -> None:
-    own, psd = Debounce(0.8, 3, 8), FittedMethod("psd", fitted(training, "psd")["psd"])
-    fold = Fold("", training, training, training)
-    tuned = tuned_on(training, psd.detector)
+def test_a_debounce_is_that_of_the_card_or_tuned_or_the_papers(surfaces: list[LabelledRecording]) -> None:
+    own, psd = Debounce(0.8, 3, 8), FittedMethod("psd", fitted(surfaces, "psd")["psd"])
+    fold = Fold("", surfaces, surfaces, surfaces)
+    tuned = tuned_on(surfaces, psd.detector)
     for method, learned, debounce, origin in (
         (replace(psd, debounce=own), fold, own, "its card"),
         (psd, fold, tuned, "validation"),
