@@ -10,6 +10,7 @@ from tests.faults.schedule import Schedule, draw, shrink
 from tests.faults.world import simulate
 
 CHUNK = 20  # schedules per task of a process
+TASKS = 25  # of a process; then another one takes over, because memory that a kill leaves behind adds up
 
 
 def violations(schedule: Schedule, bug: str | None = None) -> list[str]:
@@ -34,7 +35,7 @@ def search(first: int, limit: int | None, jobs: int, bug: str | None) -> int:
     """Simulate schedules until `limit` or an interrupt; print the rate and each violation."""
     seeds = count(first) if limit is None else range(first, first + limit)
     start, failed = perf_counter(), 0
-    with get_context("spawn").Pool(jobs) as pool:
+    with get_context("spawn").Pool(jobs, maxtasksperchild=TASKS) as pool:
         for done, (seed, found) in enumerate(pool.imap(partial(_checked, bug=bug), seeds, CHUNK), 1):
             if found:
                 failed += 1
