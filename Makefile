@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-lerobot test-cluster chaos faults scene scene-fit check docs figures release-check bench models detector-pages clean
+.PHONY: demo test test-slow test-lerobot test-cluster chaos faults scene scene-fit check docs figures release-check bench models sizes detector-pages clean
 
 demo:  ## run the demo without hardware: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -66,9 +66,9 @@ bench:  ## run the benchmarks and print their tables
 	for name in engine live_path replay; do \
 	    .venv/bin/python -m tests.benchmarks.bench_$$name || exit 1; done
 
-models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
-models: export OMP_NUM_THREADS := 1
-models: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 slow-4 calm-3 calm-4 grasps-3 grasps-4 grasps-5 grasps-6 grasps-7)
+models sizes detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
+models sizes: export OMP_NUM_THREADS := 1
+models sizes: DATA := $(addprefix models/,paper-0 paper-1 paper-2 wide-3 wide-4 wide-5 slow-3 slow-4 calm-3 calm-4 grasps-3 grasps-4 grasps-5 grasps-6 grasps-7)
 models: PAPER := train models/paper-0 --method
 models:  ## train the models in storage/trained: an hour on two cores
 	@deploy/prepare test
@@ -81,6 +81,10 @@ models:  ## train the models in storage/trained: an hour on two cores
 	} | xargs -P 2 -L 1 slipflow
 	for name in tcn paper_tcn frequency_cnn; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
+
+sizes:  ## train the tcn in six sizes and print speed against accuracy, after `make models`: an hour; strokes=, grasps=: datasets, trace=FILE
+	python -m tests.benchmarks.bench_sizes models --train $(DATA) --paper models/paper-0 \
+	    --strokes $(strokes) --grasps $(grasps) --trace $(trace) --out docs/explanations/detectors/sizes.svg
 
 detector-pages:  ## print the tables and figures of docs/explanations/detectors into models/pages, after `make models`: half an hour
 	slipflow evaluate models/paper-0 --chart --out models/pages

@@ -1,0 +1,172 @@
+"""Speed against accuracy of `tcn` by its size, on simulated strokes, real recordings and random held objects.
+
+Trains the sizes that the folder lacks, with the recipe of the shipped network, then judges all of them. Real
+recordings and the trace judge only: no setting may be chosen by them.
+"""
+
+import time
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
+from flows.graph.testing import TestSink, TestSource
+from flows.lab.experiments.study import EXPERIMENTS, Method
+from flows.learn.evaluation.evaluation_study import evaluate
+from flows.learn.measures import SAMPLES, SHARES
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.trained_model import label_scores
+from flows.learn.training.trainer import train
+from flows.report.figures import FAINT, MAIN, WIDTH, Figure, grid, svg
+from flows.report.results import estimates
+from flows.report.table import Table
+from operators import Debounce, Score, Touch, Zero, ms
+from operators.detectors import Detector
+from storage import load_detector
+from tests.benchmarks.machine import print_head, take_turns
+from tests.scene.scene_targets import read_trace
+from tests.scene.tune_experiments import SEED, successes
+
+FILTERS: Final = (4, 8, 16, 24, 32, 48)
+DEFAULT: Final = "tcn_24"
+ROWS, TURNS = 2000, 15  # of one fingertip
+COST: Final = "us/sample"
+STATISTICS: Final = {**SHARES, **SAMPLES}
+
+
+def trained(filters: int, folder: Path, data: Sequence[Path]) -> Path:
+    """Return the model file of a size; train it if it is missing."""
+    path = folder / f"tcn_{filters}.safetensors"
+    if not path.exists():
+        train(data, path, Recipe(filters=filters))
+    return path
+
+
+def live_cost(detector: Detector) -> Callable[[], float]:
+    """Return a function that pushes single samples through a live flow, and returns the CPU us of one."""
+    flow = Flow("live")
+    stream: Any = flow.source(TestSource(Touch, fingers=(0,)))
+    (stream | Zero() | Score(detector) | Debounce()).to(TestSink())
+    compiled, walk = CompiledFlow(flow), np.random.default_rng(0).integers(-20, 21, (ROWS, 6))
+    counts = (-250 + np.cumsum(walk, axis=0) % 250).astype(np.int16)
+    push = compiled.pusher(*compiled.entries)
+    times, valid = np.arange(ROWS) * 10 * ms, np.ones_like(counts, np.bool_)
+    rows = Touch(times, counts, counts, valid, finger=0).packed.copy()
+    push(Touch.unpack(rows.copy(), 0))
+    rows["time"] = rows["time"][-1]  # later turns have one time, so that no row is late
+    pieces = [rows[at : at + 1] for at in range(ROWS)]
+
+    def measure() -> float:
+        began = time.process_time()
+        for row in pieces:
+            push(Touch.unpack(row, 0))
+        return (time.process_time() - began) / ROWS * 1e6
+
+    return measure
+
+
+def shares(
+    dataset: Path, models: Sequence[Path], hold_out: Sequence[str], **metrics: str
+) -> list[list[float]]:
+    """Return metrics of models on a dataset, %, (models, metrics)."""
+    found = evaluate(dataset, hold_out=hold_out, names=[*map(str, models)])
+    table = estimates(found.results, {name: STATISTICS[name] for name in metrics.values()}, draws=0)
+    value = {(row["method"], row["statistic"]): row["value"] for row in table.to_dicts()}
+    return [[value[model.stem, name] for name in metrics.values()] for model in models]
+
+
+def held_objects(models: Sequence[Path], trials: int, executor: Executor) -> list[list[float]]:
+    """Return the strict success with random validation objects, %: (models, tap and lift).
+
+    Each model has the threshold that is best for it.
+    """
+    methods = [Method(str(model)) for model in models]
+    rates = []
+    for experiment in EXPERIMENTS:
+        tasks = [(experiment, SEED + number) for number in range(trials)]
+        rates.append(100 * np.mean([*executor.map(partial(successes, methods), tasks)], axis=0))
+    best = np.argmax(np.mean(rates, axis=0), axis=1)  # (models,)
+    return [[float(rate[place, best[place]]) for rate in rates] for place in range(len(models))]
+
+
+def chart(table: Table) -> Figure:
+    """Draw each measure over the cost."""
+    heads = [name for name in table.head[1:] if name != COST]
+    figure, axes = grid(-(-len(heads) // 4), 4, (WIDTH, 2.4 * -(-len(heads) // 4)))
+    for axis, head in zip(axes, heads, strict=False):
+        for row in table.rows:
+            values: Any = dict(zip(table.head, row, strict=True))
+            colour = MAIN if values["network"] == DEFAULT else FAINT
+            axis.plot(values[COST], values[head], "o", color=colour)
+            axis.annotate(values["network"].removeprefix("tcn_"), (values[COST], values[head]), (4, 2),
+                          textcoords="offset points", fontsize=8)  # fmt: skip
+        axis.set(title=head, xlabel="us per sample")
+        axis.grid(visible=True)
+    for axis in axes[len(heads) :]:
+        axis.set_axis_off()
+    return figure
+
+
+def judged(given: Namespace, executor: Executor) -> Table:
+    """Train what is missing, and return the table of all sizes."""
+    jobs = [executor.submit(trained, size, given.folder, given.train) for size in FILTERS]
+    models = [job.result() for job in jobs]
+    costs = take_turns({model.stem: live_cost(load_detector(str(model))) for model in models}, TURNS)
+    paper = shares(given.paper, models, (), paper="accuracy %")
+    strokes = shares(given.strokes, models, ("all",), balanced="balanced %", auc="AUC %")
+    grasps = shares(given.grasps, models, ("all",), auc="AUC %")
+    trace = [
+        [label_scores(load_detector(str(model)), [read_trace(given.trace)])["balanced"]] for model in models
+    ]
+    held = held_objects(models, given.trials, executor)
+    head = [
+        "network",
+        COST,
+        "paper plan %",
+        "strokes %",
+        "strokes AUC %",
+        "grasps AUC %",
+        "trace %",
+        "tap %",
+        "lift %",
+    ]
+    rows = [
+        [model.stem, median(costs[model.stem]), *(value for part in parts for value in part)]
+        for model, *parts in zip(models, paper, strokes, grasps, trace, held, strict=True)
+    ]
+    return Table(head, rows, decimals={COST: 2})
+
+
+def main() -> None:
+    """Print the table and draw the chart."""
+    options = ArgumentParser(prog="python -m tests.benchmarks.bench_sizes", description=__doc__)
+    options.add_argument("folder", type=Path, help="folder of the models, tcn_FILTERS.safetensors")
+    options.add_argument("--train", type=Path, nargs="+", default=[], help="datasets to train on")
+    for name, what in {
+        "paper": "dataset of the paper's plan",
+        "strokes": "real strokes over surfaces",
+        "grasps": "real grasps",
+        "trace": "CSV trace of a real stroke",
+    }.items():
+        options.add_argument(f"--{name}", type=Path, required=True, help=what)
+    options.add_argument("--trials", type=int, default=60, help="trials of each experiment (default 60)")
+    options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    options.add_argument("--out", type=Path, default=Path("sizes.svg"), help="chart (default sizes.svg)")
+    given = options.parse_args()
+    print_head(f"{given.trials} trials, medians of {TURNS} turns")
+    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as executor:
+        table = judged(given, executor)
+    print(table.markdown())
+    given.out.write_text(svg(partial(chart, table)))
+
+
+if __name__ == "__main__":
+    main()
