@@ -36,7 +36,6 @@ from tests.scene.scene_targets import read_trace
 from tests.scene.tune_experiments import SEED, successes
 
 FILTERS: Final = (4, 8, 16, 24, 32, 48)
-DEFAULT: Final = "tcn_24"
 ROWS, TURNS = 2000, 15  # of one fingertip
 COST: Final = "us/sample"
 STATISTICS: Final = {**SHARES, **SAMPLES}
@@ -104,7 +103,7 @@ def chart(table: Table) -> Figure:
     for axis, head in zip(axes, heads, strict=False):
         for row in table.rows:
             values: Any = dict(zip(table.head, row, strict=True))
-            colour = MAIN if values["network"] == DEFAULT else FAINT
+            colour = MAIN if values["network"] == "tcn_24" else FAINT
             axis.plot(values[COST], values[head], "o", color=colour)
             axis.annotate(values["network"].removeprefix("tcn_"), (values[COST], values[head]), (4, 2),
                           textcoords="offset points", fontsize=8)  # fmt: skip
@@ -158,11 +157,10 @@ def main() -> None:
     }.items():
         options.add_argument(f"--{name}", type=Path, required=True, help=what)
     options.add_argument("--trials", type=int, default=60, help="trials of each experiment (default 60)")
-    options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
     options.add_argument("--out", type=Path, default=Path("sizes.svg"), help="chart (default sizes.svg)")
     given = options.parse_args()
     print_head(f"{given.trials} trials, medians of {TURNS} turns")
-    with ProcessPoolExecutor(given.jobs, get_context("spawn")) as executor:
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
         table = judged(given, executor)
     print(table.markdown())
     given.out.write_text(svg(partial(chart, table)))

@@ -102,8 +102,8 @@ def _events(world: World) -> Iterator[str]:
 
 def _may_redeliver(world: World, event: Identity, first: float, again: float) -> bool:
     """Return True if the consumer was killed while it processed an event, or saved that it had."""
-    saved = next((end for end in world.processed.get(event, ()) if end >= first), again) + SAVED
-    return any(first <= kill <= min(saved, again) for kill in world.consumer_kills)
+    end = next((end for end in world.processed.get(event, ()) if end >= first), again) + SAVED
+    return any(first <= kill <= min(again, end + _stalled(world, end, kill)) for kill in world.consumer_kills)
 
 
 def _kept_events(world: World, rig_run: RigRun) -> Iterator[Identity]:
@@ -128,13 +128,15 @@ def _durable(world: World, when: float, ended: float, *, rewritten: bool) -> boo
 
     They are `rewritten` at once after a failed fsync if they are events.
     """
-    stalled = sum(
-        STALL_MAX * fault.size
-        for fault in world.schedule.faults
-        if fault.kind == "loop stalls" and when - STALL_MAX <= fault.start <= ended
-    )
+    stalled = _stalled(world, when, ended)
     fails = _disk_fails(world, when + stalled, ended, rewritten=rewritten)
     return when + stalled < ended - POWER_SPAN and not fails
+
+
+def _stalled(world: World, first: float, last: float) -> float:
+    """Return the largest time (s) for which everything may have stood still between two instants."""
+    stalls = (each for each in world.schedule.faults if each.kind == "loop stalls")
+    return sum(STALL_MAX * each.size for each in stalls if first - STALL_MAX <= each.start <= last)
 
 
 def _disk_fails(world: World, first: float, last: float, *, rewritten: bool) -> bool:
