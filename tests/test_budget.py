@@ -18,10 +18,10 @@ BUDGET = {  # lower a number when the project has become smaller; never raise on
     "flows": 12_407,
     "product": 31_863,
     "product files": 215,
-    "tests": 30_308,
+    "tests": 30_302,
     "commands": 16,
     "options": 77,
-    "words": 35_861,
+    "words": 35_854,
 }
 
 

@@ -23,7 +23,6 @@ from flows.lab.experiments.study import EXPERIMENTS, Method
 from flows.learn.evaluation.evaluation_study import evaluate
 from flows.learn.measures import SAMPLES, SHARES
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import label_scores
 from flows.learn.training.trainer import train
 from flows.report.figures import FAINT, MAIN, WIDTH, Figure, grid, svg
 from flows.report.results import estimates
@@ -32,7 +31,6 @@ from operators import Debounce, Score, Touch, Zero, ms
 from operators.detectors import Detector
 from storage import load_detector
 from tests.benchmarks.machine import print_head, take_turns
-from tests.scene.scene_targets import read_trace
 from tests.scene.tune_experiments import SEED, successes
 
 FILTERS: Final = (4, 8, 16, 24, 32, 48)
@@ -72,14 +70,12 @@ def live_cost(detector: Detector) -> Callable[[], float]:
     return measure
 
 
-def shares(
-    dataset: Path, models: Sequence[Path], hold_out: Sequence[str], **metrics: str
-) -> list[list[float]]:
-    """Return metrics of models on a dataset, %, (models, metrics)."""
-    found = evaluate(dataset, hold_out=hold_out, names=[*map(str, models)])
-    table = estimates(found.results, {name: STATISTICS[name] for name in metrics.values()}, draws=0)
+def shares(dataset: Path, split: str, models: Sequence[Path], *metrics: str) -> list[list[float]]:
+    """Return metrics of models on a split of a dataset, %: (models, metrics)."""
+    found = evaluate(dataset, split=split, names=[*map(str, models)])
+    table = estimates(found.results, {name: STATISTICS[name] for name in metrics}, draws=0)
     value = {(row["method"], row["statistic"]): row["value"] for row in table.to_dicts()}
-    return [[value[model.stem, name] for name in metrics.values()] for model in models]
+    return [[value[model.stem, name] for name in metrics] for model in models]
 
 
 def held_objects(models: Sequence[Path], trials: int, executor: Executor) -> list[list[float]]:
@@ -119,12 +115,10 @@ def judged(given: Namespace, executor: Executor) -> Table:
     jobs = [executor.submit(trained, size, given.folder, given.train) for size in FILTERS]
     models = [job.result() for job in jobs]
     costs = take_turns({model.stem: live_cost(load_detector(str(model))) for model in models}, TURNS)
-    paper = shares(given.paper, models, (), paper="accuracy %")
-    strokes = shares(given.strokes, models, ("all",), balanced="balanced %", auc="AUC %")
-    grasps = shares(given.grasps, models, ("all",), auc="AUC %")
-    trace = [
-        [label_scores(load_detector(str(model)), [read_trace(given.trace)])["balanced"]] for model in models
-    ]
+    paper = shares(given.paper, "test", models, "accuracy %")
+    strokes = shares(given.strokes, "all", models, "balanced %", "AUC %")
+    grasps = shares(given.grasps, "all", models, "AUC %")
+    trace = shares(given.trace, "all", models, "balanced %")
     held = held_objects(models, given.trials, executor)
     head = [
         "network",
@@ -153,7 +147,7 @@ def main() -> None:
         "paper": "dataset of the paper's plan",
         "strokes": "real strokes over surfaces",
         "grasps": "real grasps",
-        "trace": "CSV trace of a real stroke",
+        "trace": "a real trace, imported",
     }.items():
         options.add_argument(f"--{name}", type=Path, required=True, help=what)
     options.add_argument("--trials", type=int, default=60, help="trials of each experiment (default 60)")

@@ -79,10 +79,8 @@ class _DenseTask(TrainingTask):
         self.steps, self.check_every = recipe.steps, max(recipe.steps // recipe.checks, 1)
         self._recipe, self._device = recipe, training_device()
         self._warm_up = max(WARM_UP, recipe.receptive_field - 1)  # samples
-        train, validation = (
-            [with_past(each, max(self._warm_up, least - len(each))) for each in of]
-            for of, least in ((train, recipe.crop), (validation, 0))
-        )
+        train = [with_past(each, max(self._warm_up, recipe.crop - len(each))) for each in train]
+        validation = [with_past(each, self._warm_up) for each in validation]
         self._crops = Crops(train, recipe.crop, self._device)
         label = self._crops.label
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
@@ -92,7 +90,9 @@ class _DenseTask(TrainingTask):
         unseen = [np.empty(0, label.dtype), *(recording.label[self._warm_up :] for recording in validation)]
         self._unseen_label = np.concatenate(unseen)
         if (self._unseen_label == UNKNOWN).all():
-            raise ParameterError("train_dense", "validation", f"{len(validation)} without", "with labels")
+            raise ParameterError(
+                "train_dense", "validation", f"{len(validation)} without labels", "recordings with labels"
+            )
         self._known = torch.as_tensor(label != UNKNOWN).to(self._device, torch.float32)  # (n,)
         self._slip = torch.as_tensor(label == SLIP).to(self._device, torch.float32)  # (n,)
         self._first = torch.as_tensor(self._crops.first).to(self._device)

@@ -40,7 +40,7 @@ def test_recordings_of_one_class_are_refused(recordings: list[LabelledRecording]
         train_dense(flat, recordings[4:], SMALL)
     unknown = replace(recordings[4], label=np.full_like(recordings[4].label, -1))
     for validation in ([], [unknown]):
-        with pytest.raises(ParameterError, match="must be with labels"):
+        with pytest.raises(ParameterError, match="must be recordings with labels"):
             train_dense(recordings[:4], validation, SMALL)
 
 
