@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterable, Iterator
 from itertools import starmap
 from math import isfinite
-from typing import Annotated, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
 from urllib.parse import quote, unquote
 
 import msgspec
@@ -171,10 +171,15 @@ def encode(document: Json) -> bytes:
     b'{"p":null,"rates":[100.0,null]}'
     """
     try:
-        return msgspec.json.encode(document, enc_hook=list)  # of other sequences
-    except (TypeError, UnicodeEncodeError):  # numpy's floats, or a file name that is not UTF-8
-        text = json.dumps(document, ensure_ascii=False, default=list).encode(errors="replace")
+        return msgspec.json.encode(document, enc_hook=_plain)
+    except UnicodeEncodeError:  # a file name that is not UTF-8
+        text = json.dumps(document, ensure_ascii=False, default=_plain).encode(errors="replace")
         return msgspec.json.encode(json.loads(text))
+
+
+def _plain(value: Any) -> Any:
+    """Return a number or array of numpy, or another sequence, as Python's own."""
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else list(value)
 
 
 def timestamp(time: int) -> str:

@@ -60,7 +60,6 @@ from operators.ports import (
 )
 from operators.resample import Resample
 from operators.score import Score
-from operators.sliding_motion import SlidingMotion
 from operators.window import Window
 from operators.zero import Zero
 
@@ -110,7 +109,6 @@ __all__ = [
     "Scores",
     "Sink",
     "SinkStatus",
-    "SlidingMotion",
     "SlipflowError",
     "Slips",
     "Source",

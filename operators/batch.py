@@ -8,7 +8,7 @@ of one row needs a single array; users' code and files read columns.
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field
 from functools import cache, cached_property
-from operator import attrgetter
+from operator import attrgetter, index
 from typing import Any, Final, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -37,10 +37,13 @@ minute: Final = 60 * s  # ns
 
 
 class Batch(Declared):
-    """Rows of one type, ordered by event time."""
+    """Rows of one type, in order of arrival: a row may be late, older than one before it."""
 
     time: Times = column(np.int64, unit="ns")  # (n,) event time
     finger: int = field(default=EVERY, kw_only=True)  # fingertip of all rows
+
+    def __post_init__(self) -> None:
+        cast("Any", self).finger = index(self.finger)  # an integer of numpy lacks methods of int
 
     @classmethod
     def unpack(cls, packed: NDArray[Any], finger: int = EVERY) -> Self:
@@ -50,7 +53,7 @@ class Batch(Declared):
         array([0.5])
         """
         batch: Any = _new(cls)
-        batch.packed, batch.finger = packed, finger  # set so, they need no dictionary
+        batch.packed, batch.finger = packed, index(finger)  # set so, they need no dictionary
         return cast("Self", batch)
 
     @classmethod
@@ -61,10 +64,11 @@ class Batch(Declared):
         array([0.5, 0.5])
         """
         names = columns(cls)
-        cells = next((len(v[0]) for v, c in zip(values, names.values(), strict=True) if CELLS in c.shape), 0)
+        shapes = (np.shape(v) for v, c in zip(values, names.values(), strict=True) if CELLS in c.shape)
+        cells = next((shape[-1] for shape in shapes if len(shape) > 1), BAROMETERS)
         rows = np.zeros(len(values[0]), packed_type(cls, cells))
         for name, value in zip(names, values, strict=True):
-            rows[name] = value
+            rows[name] = value if len(rows) else 0
         return cls.unpack(rows, finger)
 
     def later(self, by: int) -> Self:

@@ -5,9 +5,10 @@ import re
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from dis import get_instructions
+from enum import Enum, EnumType
 from functools import cache
 from traceback import walk_tb
-from types import CodeType, FunctionType
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
@@ -45,6 +46,7 @@ class _Listener(event.Listener):
 
 _NOISE: Final = re.compile(r"\x1b\[\d*m|\(\[.*\], \d+, True\)")  # colours; fields of records
 _ADDRESS: Final = re.compile(" at 0x[0-9a-f]+")  # differs in each process
+_LIBRARIES: Final = {"math", "numba", "numpy"}  # modules whose contents stay the same
 _programs: Final = dict[object, Any]()  # of this process; their machine code lives as long as they do
 
 cast("Any", event).register("numba:compile", _listener := _Listener())
@@ -125,17 +127,44 @@ def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
             where = f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
             reason = f"{function.__name__} reads variables of the function around it: use settings"
             raise InputError(where, reason)
-        text, loaded = _contents(function.__code__)
-        parts = [text, repr((function.__defaults__, function.__kwdefaults__))]
-        for name in loaded:
-            value = function.__globals__.get(name)
-            if isinstance(helper := getattr(value, "py_func", value), FunctionType):
-                parts.append(_name(helper, names))
-            else:  # perhaps from another file
-                text = repr(value.tobytes() if isinstance(value, np.ndarray) else value)
-                parts.append(f"{name}={_ADDRESS.sub('', text)}")
+        text, loaded, read = _contents(function.__code__)
+        values = [function.__defaults__, function.__kwdefaults__, *map(function.__globals__.get, loaded)]
+        # code in the cache imports its modules: they may be renamed
+        parts = [function.__module__, text, *loaded, *(_content(each, read, names) for each in values)]
+        parts += ["checked"] if _is_checked(function) else []
         names[function] = f"{function.__name__}_{zlib.crc32(repr(parts).encode()):x}"
     return names[function]
+
+
+def _content(value: object, read: Sequence[str], names: dict[FunctionType, str]) -> str:
+    """Return a value that is compiled in as text; of a module, the attributes that a function may `read`."""
+    if isinstance(helper := getattr(value, "py_func", value), FunctionType):
+        return _name(helper, names)
+    if isinstance(value, ModuleType):  # perhaps of another file, whose changes numba does not notice
+        value = _attributes(value, read)
+    elif isinstance(value, EnumType):
+        value = dict(value.__members__)
+    if isinstance(value, dict):
+        return repr([(key, _content(each, read, names)) for key, each in value.items()])
+    if isinstance(value, tuple):
+        return repr((type(value), [_content(each, read, names) for each in value]))
+    if isinstance(value, np.ndarray):
+        return repr((value.dtype, value.shape, value.tobytes()))
+    return _ADDRESS.sub("", repr((type(value), value.value) if isinstance(value, Enum) else value))
+
+
+def _attributes(module: ModuleType, read: Sequence[str]) -> dict[str, object]:
+    """Return the attributes with these names of a module, and of the modules among them, by their paths."""
+    modules, found = [module], dict[str, object]()
+    for each in modules:  # which grows
+        found[each.__name__] = None
+        for name in read if each.__name__.partition(".")[0] not in _LIBRARIES else ():
+            value = getattr(each, name, None)
+            if not isinstance(value, ModuleType):
+                found[f"{each.__name__}.{name}"] = value
+            elif value not in modules:
+                modules.append(value)
+    return found
 
 
 def _linked(
@@ -149,21 +178,28 @@ def _linked(
             scope[name] = _copy
         elif isinstance(helper, FunctionType):
             if helper not in known:
-                known[helper] = njit(error_model="numpy")(_linked(helper, names, known))
+                linked, checked = _linked(helper, names, known), _is_checked(helper)
+                known[helper] = njit(error_model="numpy", boundscheck=checked)(linked)
             scope[name] = known[helper]
     result = FunctionType(function.__code__, scope, names[function], function.__defaults__)
     result.__qualname__, result.__kwdefaults__ = names[function], function.__kwdefaults__
     return result
 
 
+def _is_checked(function: FunctionType) -> bool:
+    """Return True for a function of users, in which an index out of range is an error, not other memory."""
+    return not str(function.__module__).startswith("operators.")
+
+
 @cache
-def _contents(code: CodeType) -> tuple[str, list[str]]:
-    """Return what a function and the comprehensions in it do, as text, and the globals that they read."""
+def _contents(code: CodeType) -> tuple[str, list[str], list[str]]:
+    """Return what a function with its comprehensions does, as text, and the globals and names it reads."""
     codes = list(_codes(code))
     plain = [[each for each in part.co_consts if not isinstance(each, CodeType)] for part in codes]
     text = repr([(part.co_code, part.co_names, kept) for part, kept in zip(codes, plain, strict=True)])
     loads = (each for part in codes for each in get_instructions(part) if each.opname == "LOAD_GLOBAL")
-    return text, sorted({each.argval for each in loads})
+    names = {each for part in codes for each in (*part.co_names, *part.co_consts) if isinstance(each, str)}
+    return text, sorted({each.argval for each in loads}), sorted(names)
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:

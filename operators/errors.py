@@ -34,9 +34,10 @@ _REMEDIES: Final[Mapping[int | None, str]] = MappingProxyType(
 class SlipflowError(Exception):
     """Base of all errors that a user can cause and fix; the message is one line."""
 
-    def __reduce__(self) -> tuple[type["SlipflowError"], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[type["SlipflowError"], tuple[object, ...], dict[str, object]]:
         """Pickle the attributes, in the order of the arguments, so that processes can exchange errors."""
-        return type(self), tuple(vars(self).values()) or self.args
+        arguments = [value for name, value in vars(self).items() if name != "__notes__"]
+        return type(self), tuple(arguments) or self.args, vars(self)
 
 
 class ParameterError(SlipflowError):
@@ -109,8 +110,8 @@ class OutputClosedError(EndpointError):
     """Output whose reader has gone, as in ``slipflow run ... | head``: the run ends quietly."""
 
 
-def os_error_reason(error: OSError) -> str:
-    """Return the system's reason for an error, and the remedy where one is known.
+def os_error_reason(error: OSError, *, of_device: bool = False) -> str:
+    """Return the system's reason for an error of a file or a device, and the remedy where one is known.
 
     >>> os_error_reason(OSError(errno.ENOSPC, "No space left on device"))
     'No space left on device; free some space, or use another location'
@@ -119,4 +120,6 @@ def os_error_reason(error: OSError) -> str:
     if error.errno == errno.EEXIST and error.filename is not None:
         reason = f"{reason}, {error.filename}"
     remedy = _REMEDIES.get(error.errno)
+    if of_device and error.errno == errno.EIO:
+        remedy = "check the cable and the power"
     return f"{reason}; {remedy}" if remedy else reason

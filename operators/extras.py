@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from operators.checks import check_choice
 from operators.errors import InputError
 
 
@@ -55,6 +56,8 @@ def require_extra(extra: str, owner: str) -> None:
 
     Raises:
         InputError: naming `owner`, if one is missing; the message contains the command that installs them.
+        ParameterError: if there is no such extra.
     """
+    check_choice(owner, "extra", extra, EXTRAS)
     if missing := missing_packages(extra):
         raise InputError(owner, f"needs {', '.join(missing)}: {install_command(extra)}")

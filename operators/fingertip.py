@@ -193,9 +193,11 @@ def grid(cells: int, columns: int | None = None) -> tuple[tuple[int, ...], ...]:
 
 
 def rows_per_second(time: Times) -> float | None:
-    """Return the rate of rows with times (n,) in ns, which may share times: rows over time, without pauses.
+    """Return the rate of rows with times (n,) in ns, in any order: rows over time, without pauses.
 
-    A pause is longer than 0.25 s and 20 mean intervals between times, of those that are shorter.
+    A pause is longer than 0.25 s and 20 mean intervals between times, of those that are shorter. Lost samples
+    do not lower the rate if most intervals are equal: a longer one counts as several. Rounded times differ
+    from lost samples in that they do not drift from a regular clock.
 
     Returns:
         None if all rows have the same time.
@@ -203,16 +205,27 @@ def rows_per_second(time: Times) -> float | None:
     >>> rows_per_second(np.array([0, 0, 1, 2, 2, 3]) * 1_000_000)  # whole milliseconds
     1666.6666666666667
     """
-    stamps, first = np.unique(time, return_index=True)
-    steps, rows = np.diff(stamps), np.diff(first)  # of each time until the next: ns, number of rows
+    stamps, counts = np.unique(time, return_counts=True)
+    steps, rows = np.diff(stamps), counts[:-1]  # of each time until the next: ns, number of rows
     if not steps.size:
         return None
     order = np.argsort(steps)
     ordered = steps[order]
     means = np.cumsum(ordered) / np.arange(1, ordered.size + 1)
     pauses = 1 + np.flatnonzero(ordered[1:] > np.maximum(_PAUSE * means[:-1], s / 4))
-    kept = order[: next((each for each in pauses if 2 * each > ordered.size), ordered.size)]
-    return float(rows[kept].sum() * s / steps[kept].sum())
+    kept = np.sort(order[: next((each for each in pauses if 2 * each > ordered.size), ordered.size)])
+    steps, rows = steps[kept], rows[kept]
+    usual = float(np.median(steps))
+    for longest in (np.inf, 2.5 * usual):  # of all rows, then without gaps
+        near = steps <= longest
+        mean = steps[near].sum() / rows[near].sum()
+        drift = np.ptp(np.cumsum(steps[near] - mean * rows[near]))
+        if drift <= 3 * usual and 2 * steps[near].sum() > steps.sum():
+            return float(s / mean)
+    samples = float(np.maximum(np.rint(steps / usual), 1).sum())
+    equal = np.mean(np.abs(steps - usual) <= usual / 10)
+    lost = equal > 2 / 3 and rows.sum() < 1.1 * rows.size and samples < 2 * rows.size
+    return (samples if lost else float(rows.sum())) * s / float(steps.sum())
 
 
 def measured(batch: Touch) -> Fingertip | None:

@@ -13,7 +13,9 @@ from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 
-_LONGEST: Final = 50 * ms  # ns, longest interval between two decisions; a longer one is a gap
+_SHORTEST_GAP: Final = 50 * ms  # ns between two decisions
+_GAP: Final = 3  # usual intervals; a gap is longer
+_USUAL: Final = 5  # intervals whose median is the usual one
 
 
 @dataclass
@@ -23,6 +25,9 @@ class GripController(Operator[Scores, Commands]):
     The first decision commands `force`, which closes the hand. Decisions within `settle` after it are
     ignored, as the contact itself causes them. A slip is registered after `consecutive` decisions for slip
     in a row; NaN interrupts the run. A command is issued if it differs from the last one.
+
+    A gap between decisions counts as no time, so that the force does not rise by it. It is longer than 50 ms
+    and than three times the median of the five intervals before it.
 
     Args:
         force: Initial force, N.
@@ -48,6 +53,9 @@ class GripController(Operator[Scores, Commands]):
     _aim: float = field(default=0.0, init=False, repr=False)  # N, desired force
     _begun: int = field(default=0, init=False, repr=False)  # ns, first decision
     _before: int = field(default=0, init=False, repr=False)  # ns, latest decision
+    _intervals: deque[int] = field(  # ns, the latest between decisions
+        default_factory=lambda: deque([0] * _USUAL, _USUAL), init=False, repr=False, compare=False
+    )
     _run: int = field(default=0, init=False, repr=False)  # slip decisions in a row
 
     def __post_init__(self) -> None:
@@ -81,7 +89,7 @@ class GripController(Operator[Scores, Commands]):
 
         Args:
             time: Time of the decision, ns.
-            elapsed: Time since the last decision, s; 0 after a gap.
+            elapsed: Time since the last decision, s; 0 if that is a gap.
             probability: Probability of slip; NaN: unknown.
             registered: Whether a slip is registered.
         """
@@ -93,9 +101,9 @@ class GripController(Operator[Scores, Commands]):
             self._aim = self._commanded = self.force
             return self.force
         since, self._before = time - self._before, time
-        if since > _LONGEST:  # a gap: nothing is known about it
-            since = 0
-        elapsed = since / s
+        usual = sorted(self._intervals)[_USUAL // 2]
+        self._intervals.append(since)
+        elapsed = since / s if since <= max(_SHORTEST_GAP, _GAP * usual) else 0.0
         settled = time - self._begun >= self.settle
         self._run = self._run + 1 if settled and probability >= self.threshold else 0
         registered = self._run >= self.consecutive

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Times, Touch
+from operators.batch import BAROMETERS, Times, Touch, Zeroed
 from operators.checks import check_above
 from operators.errors import FingertipError, ParameterError
 from operators.fingertip import CELL_LIMIT, TAKKTILE, Fingertip, grid
@@ -18,7 +18,8 @@ class Pool(Operator[Touch, Touch]):
     """Pool the cells of a fingertip into groups, one output cell each, and scale their counts.
 
     An output cell is `gain` times the mean of its group's valid cells, rounded to the nearest count. It is
-    valid if at least half of the group is. Zeroed input gives zeroed output. Pool raw touch before `Zero`.
+    valid if at least half of the group is. Raw input gives `Touch`; zeroed input and samples give `Zeroed`,
+    without motion and labels. Pool raw touch before `Zero`.
 
     Args:
         groups: Cells of each group, for output cells 0, 1, ...; () keeps each cell alone.
@@ -75,8 +76,9 @@ class Pool(Operator[Touch, Touch]):
         return made
 
     def row_type(self, *given: RowType) -> RowType:
-        """Return the type of the input with a cell per group."""
-        return RowType(given[0].kind, len(self.groups) or given[0].cells)
+        """Return raw or zeroed touch, as the input, with a cell per group."""
+        kind = Zeroed if issubclass(given[0].kind, Zeroed) else Touch
+        return RowType(kind, len(self.groups) or given[0].cells)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step.

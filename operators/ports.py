@@ -76,6 +76,7 @@ class SinkStatus:
     queued: int = 0  # batches
     waiting: int | None = None  # copy of `Sink.waiting`
     unstored: int = 0  # copy of `Sink.pending`, once per second; at the end they count as dropped
+    connected: bool | None = None  # copy of `Sink.connected`, once per second
     dropped: int = 0  # rows lost by policy, or while the sink failed
     failures: int = 0
     error: str = ""  # latest failure; empty while the sink works
@@ -213,6 +214,11 @@ class Sink(Endpoint, ABC, Generic[Taken]):
     @property
     def waiting(self) -> int | None:
         """Stored events that the receiver has not acknowledged; None: nothing is acknowledged."""
+        return None
+
+    @property
+    def connected(self) -> bool | None:
+        """True while the receiver can be reached and refuses nothing; None: there is no receiver."""
         return None
 
     @abstractmethod

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.batch import Touch, ms, s
+from operators.batch import Touch, Zeroed, ms, s
 from operators.checks import check_above, check_between
 from operators.fingertip import Fingertip
 from operators.operator import Operator
@@ -25,7 +25,8 @@ class Resample(Operator[Touch, Touch]):
 
     A line ends at a row in which the cell is invalid, and at a gap. A cell is valid if lines cover at least
     half of the period; a period of which the input covers less than half gives no row. Temperatures are those
-    of the newest input row. Zeroed input gives zeroed output.
+    of the newest input row. Raw input gives `Touch`; zeroed input and samples give `Zeroed`, without motion
+    and labels.
 
     Args:
         rate: Rows per second, Hz.
@@ -57,8 +58,8 @@ class Resample(Operator[Touch, Touch]):
         return replace(given, rate=float(self.rate))
 
     def row_type(self, *given: RowType) -> RowType:
-        """Return the type of the input."""
-        return given[0]
+        """Return raw or zeroed touch, as the input."""
+        return RowType(Zeroed if issubclass(given[0].kind, Zeroed) else Touch, given[0].cells)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the functions that take a row and give those whose periods end up to it."""

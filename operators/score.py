@@ -1,15 +1,16 @@
 """Scoring of samples by a detector."""
 
 from dataclasses import dataclass, field, replace
-from typing import Final, Self, TypeVar
+from numbers import Integral
+from typing import Any, Final, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import Counts, Flags, Scores, Zeroed
+from operators.batch import Counts, Flags, Reals, Scores, Zeroed
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector, StreamingDetector
-from operators.errors import ParameterError
+from operators.errors import BatchError, ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import Operator
 from operators.steps import RowType, Steps
@@ -34,7 +35,8 @@ class Score(Operator[Zeroed, Scores]):
         hop: Distance between scores, samples.
 
     Raises:
-        ParameterError: if `hop` is below 1, or `detector` is the name of a detector.
+        ParameterError: if `hop` or the detector's length is below 1, or `detector` is not an object with
+            `score`, such as the name or the class of a detector.
 
     >>> from operators.detectors import Psd
     >>> cells = np.zeros((30, 6), np.int16)
@@ -49,10 +51,12 @@ class Score(Operator[Zeroed, Scores]):
 
     def __post_init__(self) -> None:
         check_at_least("Score", "hop", self.hop, 1, "sample")
-        if isinstance(self.detector, str):
-            must_be = f"a detector: write Score(load_detector({self.detector!r}))"
-            raise ParameterError("Score", "detector", self.detector, must_be)
-        self._window = Window(self.detector.length, self.hop)
+        given: Any = self.detector
+        length = getattr(given, "length", None)
+        if isinstance(given, type) or not (hasattr(given, "score") and isinstance(length, Integral)):
+            must_be = "an object with name, length (whole samples) and score: Psd() or load_detector('tcn')"
+            raise ParameterError("Score", "detector", given, must_be)
+        self._window = Window(given.length, self.hop)
 
     def for_fingertip(self, given: Fingertip) -> Self:
         """Return the operator with the detector for this fingertip, if it makes a difference.
@@ -79,15 +83,29 @@ class Score(Operator[Zeroed, Scores]):
         counts = forward_fill(batch.counts, batch.valid, self._last)
         self._last = counts[-1]
         filled = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
-        windows, score = self._window.process(filled), self.detector.score
+        windows = self._window.process(filled)
         if not len(windows):
             return Scores.empty()
         blocks = range(0, len(windows), _BLOCK)
-        probability = np.concatenate([score(windows.counts[i : i + _BLOCK]) for i in blocks])
+        scores = [self._checked_scores(windows.counts[i : i + _BLOCK]) for i in blocks]
+        probability = np.concatenate(scores, dtype=np.float64)
         newest = windows.valid[:, -1]  # (n, cells)
         few = np.count_nonzero(newest, axis=1) * 2 < newest.shape[1]  # (n,)
         probability[few] = np.nan
         return Scores(windows.time, probability, finger=batch.finger)
+
+    def _checked_scores(self, windows: Counts) -> Reals:
+        """Return the detector's scores of windows, after a check of their type, shape and values."""
+        name, scores = type(self.detector).__name__, self.detector.score(windows)
+        is_array, shape = isinstance(cast("object", scores), np.ndarray), (len(windows),)
+        if not is_array or scores.dtype.kind != "f" or scores.shape != shape:
+            has = f"{scores.dtype} of shape {scores.shape}" if is_array else type(scores).__name__
+            reason = f"{name}.score returned {has}, must return an array of floats of shape {shape}"
+            raise BatchError("Scores", "probability", reason)
+        if (wrong := scores[(scores < 0) | (scores > 1)]).size:
+            reason = f"{name}.score returned {wrong[0]!s}, must return numbers from 0 to 1, or NaN"
+            raise BatchError("Scores", "probability", reason)
+        return scores
 
 
 def forward_fill(

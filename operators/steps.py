@@ -1,13 +1,17 @@
 """Operators as steps: functions of one row, which a `Segment` fuses into one compiled call per batch.
 
 A step is ``step(settings, state, row, out) -> bool``. It reads `row` and `settings`, updates `state`,
-writes `out`, and returns whether there is an output row. An operator that gives several rows for one, or
-holds rows back, has ``take(settings, state, row)`` instead, called once per row, and
-``give(settings, state, out) -> bool``, called until it returns False. A join has one `take` per input.
+writes `out`, and returns True or False: whether there is an output row. It must set `out.time` and every
+other column of that row: a column that it leaves out keeps its last value.
+
+An operator that gives several rows for one, or holds rows back, has ``take(settings, state, row)`` instead,
+called once per row, and ``give(settings, state, out) -> bool``, called until it returns False. A join has
+one `take` per input.
 
 All arguments are records, whose fields are attributes: `row.time`, `row.counts[cell]`. Steps are compiled
 where numba is installed; elsewhere they run as Python and give the same bits, if they compute with
-`int(...)`, `float(...)` and `math`. The functions that they call are compiled with them.
+`int(...)`, `float(...)` and `math`. The functions that they call are compiled with them. In
+compiled steps 1.0 / 0.0 is inf, not an exception.
 """
 
 from collections.abc import Callable, Mapping

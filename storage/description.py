@@ -17,10 +17,9 @@ from storage import files
 from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, TABLES
 
 VERSION: Final = 2  # of the dataset format
-
 UNKNOWN: Final[Description] = MappingProxyType({})  # instead of a session.json that cannot be read
-
 _IDENTITY: Final = ("session", "start_ns")
+_ALLOWED: Final = (".", DATASET, SESSIONS, "lost+found")  # starts of names in a new dataset; ext4's too
 
 
 class VersionError(InputError):
@@ -37,7 +36,7 @@ def describe_dataset(root: Path) -> None:
     if not path.exists():
         with files.exclusive(root):
             if not path.exists():
-                if any(not each.name.startswith((".", DATASET, SESSIONS)) for each in root.iterdir()):
+                if any(not each.name.startswith(_ALLOWED) for each in root.iterdir()):
                     raise InputError(str(root), "has other files and is not a dataset: give another folder")
                 files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
     read_dataset(root)

@@ -28,8 +28,8 @@ from operators.batch import Batch, columns, packed_type
 from operators.errors import InputError
 from operators.fingertip import CELL_LIMIT
 from storage import files
-from storage.append_log import AppendLog, LogReader
-from storage.layout import JOURNAL, SEGMENTS, TABLE_OF, file_name, files_of
+from storage.append_log import LIMIT, AppendLog, LogReader
+from storage.layout import JOURNAL, SEGMENTS, TABLE_OF, file_name, numbered_files
 
 VERSION: Final = 7  # of identity and records; other versions refuse the segment
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
@@ -62,8 +62,7 @@ class Buffer:
     >>> from operators.batch import Slips
     >>> buffer = Buffer(Slips)
     >>> for finger in (0, 0, 1):
-    ...     one = np.array([7])
-    ...     buffer.add(Slips(one, one.astype(np.int8), one, one / 8, finger=finger))
+    ...     buffer.add(Slips.rows([7], 1, 7, 0.5, finger=finger))
     >>> [(first, batch.finger, len(batch)) for first, batch in buffer.numbered()]
     [(0, 0, 2), (2, 1, 1)]
     """
@@ -79,10 +78,11 @@ class Buffer:
         return self.start + self.rows
 
     def add(self, batch: Batch) -> None:
-        """Add the rows of a batch that is not empty."""
+        """Add the rows of a batch that is not empty, all or none."""
+        rows, fingers = batch.packed.tobytes(), batch.finger.to_bytes(2, byteorder, signed=True) * len(batch)
         self.rows, self.first, self.last = self.extent_with(batch)
-        self._rows += batch.packed.tobytes()
-        self._fingers += batch.finger.to_bytes(2, byteorder, signed=True) * len(batch)
+        self._rows += rows
+        self._fingers += fingers
 
     def extent_with(self, batch: Batch) -> tuple[int, int, int]:
         """Return the row count, first and last time if `batch` were added."""
@@ -216,11 +216,18 @@ class Journal:
         return AppendLog(path, identity(self._session, number), encode(rows))
 
 
+def journal_files(folder: Path) -> list[Path]:
+    """Return the files of a session's journal, also incomplete ones; other files may lie next to them."""
+    patterns = SEGMENTS, SEGMENTS + files.SCRATCH
+    return [path for each in patterns for path in numbered_files(folder, each).values()]
+
+
 def delete_journal(folder: Path) -> None:
-    """Delete the journal of a session: all its rows are in parts."""
-    for path in (*files_of(folder, SEGMENTS), *files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")):
+    """Delete the journal of a session, whose rows must be in parts; files that are not of it stay."""
+    for path in journal_files(folder):
         path.unlink(missing_ok=True)
-    (folder / JOURNAL).rmdir()
+    if not any((folder / JOURNAL).iterdir()):
+        (folder / JOURNAL).rmdir()
     files.sync(folder)
 
 
@@ -231,11 +238,14 @@ def identity(session: str, number: int) -> bytes:
 
 
 def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
-    """Return the records of rows, one for each batch."""
+    """Return the records of rows: one for each batch, or several if it is too large for one."""
     records = list[bytes]()
     for first, batch in rows:
-        head = _HEAD.pack(_CODES[type(batch)], batch.finger, batch.cells, len(batch), first)
-        records.append(head + batch.packed.tobytes())
+        most = (LIMIT - _HEAD.size) // batch.packed.itemsize
+        for start in range(0, len(batch), most):
+            part = batch.packed[start : start + most]
+            head = _HEAD.pack(_CODES[type(batch)], batch.finger, batch.cells, len(part), first + start)
+            records.append(head + part.tobytes())
     return records
 
 

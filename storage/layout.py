@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
 from functools import cached_property
-from math import prod
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -133,11 +132,6 @@ def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
         for path in files_of(folder, pattern)
     )
     return dict(sorted((number, path) for number, path in found if number is not None))
-
-
-def row_size(kind: type[Batch], cells: int) -> int:
-    """Return the size of a row of a fingertip with this number of cells, in bytes."""
-    return sum(each.dtype.itemsize * prod(each.sizes(cells)) for each in columns(kind).values())
 
 
 def session_folder(root: Path, session: str) -> Path:

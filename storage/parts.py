@@ -11,12 +11,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
 
+from operators.batch import packed_type
 from operators.errors import EndpointError, InputError
 from operators.ports import Description
 from storage import files
 from storage.arrow import pa, pq
 from storage.description import UNKNOWN, check_identity, identity
-from storage.layout import MANIFEST, TABLES, Table, file_name, may_exist, numbered_files, row_size, table_of
+from storage.layout import MANIFEST, TABLES, Table, file_name, may_exist, numbered_files, table_of
 from storage.schema import cells_of, fields_of, flat, schema
 
 MANIFEST_VERSION: Final = 2
@@ -144,7 +145,7 @@ def read_part(folder: Path, part: Part) -> pa.Table:
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         cells = cells_of(file.schema_arrow)
-        if file.metadata.num_rows * row_size(table.kind, cells) > UNPACKED_LIMIT:
+        if file.metadata.num_rows * packed_type(table.kind, cells).itemsize > UNPACKED_LIMIT:
             reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
             raise InputError(str(path), reason)
         expected = schema(table, cells=cells)

@@ -15,7 +15,7 @@ from storage import files
 from storage.append_log import LogReader
 from storage.description import describe_recovery, read_session
 from storage.files import lock
-from storage.journal import Buffer, NumberedRows, check_segment, decode, delete_journal
+from storage.journal import Buffer, NumberedRows, check_segment, decode, delete_journal, journal_files
 from storage.layout import (
     DAMAGED,
     JOURNAL,
@@ -104,7 +104,7 @@ class Recovery:
         self._covered = not self._strays or (bool(self._logs) and not self.lost)  # the journal has their rows
         if not self._covered:
             self.done += [f"{path.relative_to(folder)}: is not in the manifest" for path in self._strays]
-        if not self._buffers and (folder / JOURNAL).is_dir():
+        if not self._buffers and (folder / JOURNAL).is_dir() and journal_files(folder):
             self.done.append("its journal was deleted: all its rows are in parts")
         if "end_ns" not in about and not self._logs:
             if self._all_parts() or not self._covered:

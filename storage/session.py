@@ -17,17 +17,8 @@ from storage.arrow import pa
 from storage.description import read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
-from storage.layout import (
-    JOURNAL,
-    SESSION,
-    TABLE_OF,
-    TABLES,
-    Table,
-    check_links,
-    may_exist,
-    session_folders,
-    table_of,
-)
+from storage.journal import journal_files
+from storage.layout import SESSION, TABLE_OF, TABLES, Table, check_links, may_exist, session_folders, table_of
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
 
@@ -86,7 +77,7 @@ class Session:
         if not may_exist(folder / SESSION):
             folder = _only_session(folder)
         check_links(folder)
-        if may_exist(folder / JOURNAL):
+        if journal_files(folder):
             _recover(folder)
         about = read_session(folder)
         return cls(folder, about, read_manifest(folder, about))

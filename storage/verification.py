@@ -14,6 +14,7 @@ from storage import files
 from storage.description import VersionError, read_dataset, read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, read_hand_labels
+from storage.journal import journal_files
 from storage.layout import (
     DAMAGED,
     JOURNAL,
@@ -232,7 +233,7 @@ class _SessionCheck:
             self._add("repaired", f"has a folder {DAMAGED!r}, with files that a recovery moved there")
         if self._recording:
             return
-        if may_exist(self.folder / JOURNAL):
+        if journal_files(self.folder):
             self._add("repairable", "has a journal: slipflow verify --repair turns it into parts")
         if not self._has_manifest:  # reported already
             return
@@ -253,7 +254,8 @@ class _SessionCheck:
         """Note files that are not part of the session."""
         for path in scratch_files(self.folder):
             self._add("note", f"{path.name} was left over: slipflow verify --repair deletes it")
-        for table in TABLES:
-            for path in files_of(self.folder, table.pattern):
-                if table_of(path.relative_to(self.folder).as_posix()) is None:
-                    self._add("note", f"{path}: is not read: its name is not that of a part")
+        segments = journal_files(self.folder)
+        for pattern in (*(table.pattern for table in TABLES), f"{JOURNAL}/*"):
+            for path in files_of(self.folder, pattern):
+                if table_of(path.relative_to(self.folder).as_posix()) is None and path not in segments:
+                    self._add("note", f"{path}: is not read: its name is not that of a part or segment")

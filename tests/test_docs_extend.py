@@ -3,11 +3,9 @@
 import asyncio
 import inspect
 import resource
-import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from struct import pack
 from types import ModuleType
 from typing import Any
 
@@ -56,15 +54,12 @@ def test_the_operators_pass_the_conformance_suite(
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 
-async def received(source: Source[Touch], sent: bytes, *, reset: bool = False) -> list[list[int]]:
-    """Return the batches from a peer that sends these bytes and then closes or resets the connection."""
+async def received(source: Source[Touch], sent: bytes) -> list[list[int]]:
+    """Return the batches from a peer that sends these bytes and then closes the connection."""
 
     async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(sent)
         await writer.drain()
-        if reset:
-            peer = writer.get_extra_info("socket")
-            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, pack("ii", 1, 0))
         writer.close()
 
     counts = list[list[int]]()

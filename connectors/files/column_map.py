@@ -96,8 +96,10 @@ class ColumnMap:
 
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
-            quantity = name.partition(".")[0]
+            quantity, dot, finger = name.partition(".")
             check_choice(_OWNER, "quantity", quantity, SIZES)
+            if dot and (quantity != COUNTS or not finger.isdecimal()):
+                raise ParameterError(_OWNER, "quantity", name, f"{quantity}, or counts.1 of fingertip 1")
             if len(columns) not in (0, *(SIZES[quantity] or range(1, CELL_LIMIT + 1))):
                 many = " or ".join(map(str, SIZES[quantity])) or f"1 to {CELL_LIMIT}"
                 raise ParameterError(_OWNER, name, ",".join(columns), f"{many} column names")

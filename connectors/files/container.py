@@ -22,6 +22,7 @@ LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
 _PARQUET: Final = b"PAR1"
 _GZIP: Final = b"\x1f\x8b"
 _PYTHON: Final = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/how-to/import.md"
+_BINARY: Final = rb"(?=(?s:.{0,63})[\0-\x08\x0e-\x1f])"  # no text: a column may be named like a format
 _OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and remedy by the first bytes of other formats
     rb"\x89MCAP0": ("an MCAP file", _PYTHON.format("mcap_json.py, or bag.py for ROS messages")),
     rb"SQLite format 3": ("a ROS 2 bag or another SQLite file", _PYTHON.format("bag.py")),
@@ -37,11 +38,12 @@ _OTHERS: Final[dict[bytes, tuple[str, str]]] = {  # name and remedy by the first
         _PYTHON.format("arrays.py"),
     ),
     rb"\x93NUMPY": ("an array of numpy", _PYTHON.format("arrays.py")),
-    rb"ARROW1|FEA1": ("a Feather or Arrow file", _PYTHON.format("polars.read_ipc")),
+    rb"%b(ARROW1|FEA1)" % _BINARY: ("a Feather or Arrow file", _PYTHON.format("polars.read_ipc")),
     rb"\x80[\2-\5]": ("a pickle of Python", _PYTHON.format("pandas.read_pickle, if you trust its origin")),
-    rb"\s*(\{|\[\s*[\[{\"\d-])": ("a JSON file", _PYTHON.format("polars.read_json")),
-    rb"TDSm|\s*<|%PDF|ULog": ("a TDMS, XML, HTML, PDF or PX4 file", "save its table as CSV"),
-    rb"\x28\xb5\x2f\xfd|\x78[\x01\x5e\x9c\xda]|\xfd7zXZ|BZh|7z\xbc\xaf|Rar!": (
+    rb"\s*(\{\s*[\"}]|\[(?![^\[,]*\].)\s*[\[{\"\d-])": ("a JSON file", _PYTHON.format("polars.read_json")),
+    rb"\s*<(?![^>\n]*>[,;|\t])|%PDF": ("an XML, HTML or PDF file", "save its table as CSV"),
+    rb"%b(TDSm|ULog)" % _BINARY: ("a TDMS or PX4 file", "save its table as CSV"),
+    rb"%b(\x28\xb5\x2f\xfd|\x78[\x01\x5e\x9c\xda]|\xfd7zXZ|BZh|7z\xbc\xaf|Rar!)" % _BINARY: (
         "compressed",
         "decompress it, or use gzip",
     ),

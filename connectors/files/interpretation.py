@@ -11,9 +11,9 @@ from connectors.files.column_map import LABEL, LABELS, MOTIONS, UNITS, ColumnMap
 from connectors.files.number_format import MISSING, with_decimal
 from connectors.files.raw_table import RawTable
 from connectors.files.readings import described, doubts_at_rest, readings_of, reals_of, touch_of
-from connectors.files.roles import completed, label_value, label_values
+from connectors.files.roles import SLIP_WORD, completed, label_value, label_values
 from connectors.files.time_axis import time_axis
-from operators.batch import EVERY, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch, s
+from operators.batch import EVERY, SLIP, STATIC, UNKNOWN, Codes, Flags, Motion, Reals, Touch, s
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 
@@ -89,7 +89,11 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         touch = touch_of(columns, time[rows], counts[rows], valid[rows])
         still = np.full((stop - start, 6), np.nan)
         motion = Motion(time[rows], time[rows], velocity[rows], still, finger=EVERY)[moving[rows]]
-        warnings = [*table.warnings, *doubts_at_rest(touch)]
+        if not valid[rows].any():
+            where = f"{table.file}, {table.place} {table.numbers[start]}"
+            raise InputError(where, "begins a part without readings: delete the part")
+        doubts = [text for row, text in table.warnings if row is None or start <= row < stop]
+        warnings = [*doubts, *doubts_at_rest(touch)]
         if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
             warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
@@ -132,13 +136,18 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
         listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
         text = f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
-        table.add_problem(text, place, fix=None if columns.labels else f"labels.slip={words[0]}")
+        slips = [text for text in codes if known.get(label_value(text)) == "slip" and SLIP_WORD.search(text)]
+        fix = None if columns.labels else f"labels.slip={','.join(slips) or 'WORD'}"
+        table.add_problem(text, place, fix=fix)
     given = [(label, [text for text in codes if text and codes[text] == LABELS[label]]) for label in LABELS]
     meanings = "; ".join(f"{label}: {', '.join(words):.100}" for label, words in given if words)
     table.notes += [meanings] if meanings else []
-    if columns.labels and (absent := sorted(known.keys() - set(map(label_value, codes)))):
+    stated = {label_value(value) for values in columns.labels.values() for value in values}
+    if absent := sorted(stated - set(map(label_value, codes))):
         has = ", ".join(f"{text!r} ({many})" for text, many in texts.value_counts(sort=True).rows())
         which = " or ".join(map(repr, absent))
-        table.warnings.append(f"no row has the label {which}; the column has {has:.200}")
+        table.warn(f"no row has the label {which}; the column has {has:.200}")
+    if {*codes.values()} == {SLIP, UNKNOWN}:
+        table.warn("no row is static: an empty label means unknown")
     labels: Codes = found.fill_null(UNKNOWN).to_numpy()
     return labels

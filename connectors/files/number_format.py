@@ -13,6 +13,7 @@ from connectors.files.raw_table import RawTable
 MISSING: Final = ("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--")  # in lower case
 _NUMBER: Final = r"^[+-]?[\d.,]*(?:\d[{0}]|[{0}]\d)[\d.,]*(?:[eE][+-]?\d+)?$"  # with a sign
 _DECIMAL: Final = r"^[+-]?(?:\d+[{0}]\d*|[{0}]\d+)(?:[eE][+-]?\d+)?$"  # with no other sign
+_REMEDY: Final = "remove the signs of thousands (in polars: str.replace_all)"
 _DOUBT: Final = r"^[+-]?[1-9]\d{0,2}[.,]\d{3}$"  # may have decimals or thousands
 
 
@@ -42,15 +43,17 @@ def with_decimal(table: RawTable, columns: ColumnMap) -> ColumnMap:
         signs = {sign: _example(table, used, _NUMBER.format(sign)) for sign in ".,"}
         comma = bool(signs[","])
         sign, decimal = (",", "comma") if comma else (".", "point")
-        if all(signs.values()):
-            both = " and ".join(signs.values())
-            remedy = "remove signs of thousands (in polars: str.replace_all), or state decimal=point or comma"
-            table.add_problem(f"numbers have both point and comma ({both}): {remedy}")
+        twice = _example(table, used, r"^[+-]?\d+(?:\.\d{3}\.\d{3}|,\d{3},\d{3})")
+        if found := " and ".join(signs.values()) if all(signs.values()) else twice:
+            table.add_problem(f"numbers have both point and comma, or one of them twice ({found}): {_REMEDY}")
             table.stop()
         certain = table.separator == "comma" and not comma
         if signs[sign] and not (certain or _example(table, table.columns, _DECIMAL.format(sign), _DOUBT)):
-            text = f"{signs[sign]} may have decimals or thousands; state decimal={decimal}"
-            table.add_problem(f"{text}, or remove the sign of thousands", fix=f"decimal={decimal}")
+            cells = [reals(table.columns[name], sign) for name in columns.cell_names]
+            parts = columns.has_counts and any((each.fill_nan(0) % 1 > 0).any() for each in cells)
+            unit = " and a unit, as units.counts=kPa" if parts else ""
+            text = f"{signs[sign]} may have decimals or thousands; state decimal={decimal}{unit}"
+            table.add_problem(f"{text}, or {_REMEDY}", fix=None if parts else f"decimal={decimal}")
         columns = replace(columns, decimal=decimal)
     table.notes += ["decimal comma"] if columns.decimal == "comma" else []
     return columns

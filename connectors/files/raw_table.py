@@ -31,7 +31,7 @@ class RawTable:
     left_out: Mapping[str, str] = field(default_factory=dict[str, str])  # reasons by names
     sha256: str = ""  # of the file, hex
     notes: list[str] = field(default_factory=list[str])  # conclusions on how the file is read
-    warnings: list[str] = field(default_factory=list[str])  # doubts about implausible values
+    warnings: list[tuple[int | None, str]] = field(default_factory=list[tuple[int | None, str]])
     problems: dict[str, tuple[str, str]] = field(default_factory=dict[str, tuple[str, str]])  # place, reason
     fixes: list[str] = field(default_factory=list[str])  # items of a map that solve problems
     suggested: list[str] = field(default_factory=list[str])  # items of a map that has the table's columns
@@ -65,6 +65,10 @@ class RawTable:
         """Return the place of a value in messages."""
         return f"{self.place} {self.numbers[row]}, column {column}"
 
+    def warn(self, text: str, row: int | None = None) -> None:
+        """Add a doubt about implausible values, of the part with a row or of all parts."""
+        self.warnings.append((row, text))
+
     def add_problem(self, reason: str, place: str = "", *, about: str = "", fix: str | None = None) -> None:
         """Add a problem at a place; of each subject, by default the place, only the first."""
         subject = about or place or reason
@@ -73,12 +77,12 @@ class RawTable:
             self.fixes += [] if fix is None else [fix]
 
     def check(self, name: str, good: Flags, must_be: str) -> None:
-        """Add the first value of a column that is invalid as a problem; `good`: (n,) False for these."""
+        """Add the first invalid value of a column as a problem, once for all columns; `good`: (n,)."""
         if not good.all():
             row = int(np.argmin(good))
             found = self.columns[name][row]
             text = "''" if found is None else repr(found) if isinstance(found, str) else f"{found}"
-            self.add_problem(f"is {text:.40}, must be {must_be}", self.place_of(row, name))
+            self.add_problem(f"is {text:.40}, must be {must_be}", self.place_of(row, name), about=must_be)
 
     def stop(self) -> None:
         """Raise an error, if there are problems.

@@ -8,7 +8,7 @@ import numpy as np
 
 from connectors.files.column_map import COUNTS, ColumnMap, layout_text
 from connectors.files.number_format import reals
-from connectors.files.raw_table import RawTable
+from connectors.files.raw_table import RawTable, listed
 from operators.batch import Counts, Flags, Reals, Times, Touch, s
 from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid
@@ -24,6 +24,8 @@ _SENTINELS: Final = (  # usual values for no reading
 )
 _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
+_ENOUGH: Final = 100  # rows, after which a cell that works has changed
+_FAR: Final = 1 << 53  # counts; larger ones are not exact
 
 
 def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts, Flags]:
@@ -38,8 +40,8 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
         for value in missing:
             row, cell = np.argwhere(readings == value)[0].tolist()
             many, place = int((readings == value).sum()), table.place_of(row, names[cell])
-            text = f"{place} is {value:g}, far from all others: taken as missing ({many} in all"
-            table.warnings.append(f"{text}; missing= keeps it)")
+            text = f"{place} is {value:.10g}, far from all others: taken as missing"
+            table.warn(f"{text} ({many} in all; missing= keeps it)", row)
     readings[np.isin(readings, missing)] = np.nan
     zeroed = columns.zeroed
     if zeroed is None:
@@ -47,16 +49,28 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
         table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
     resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
     if columns.resolution is not None and not _is_multiple(readings, resolution):
-        table.warnings.append(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
+        table.warn(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
     offset = columns.offset
     if offset is None and not zeroed and (found := offsets(readings, resolution)).any():
         offset = tuple(map(int, found))
     columns = replace(columns, resolution=resolution, offset=offset, zeroed=zeroed, missing=missing)
     counts, good = counts_of(readings, columns)
     for cell, (name, middle) in enumerate(zip(names, np.resize(offset or 0, len(names)), strict=True)):
-        ends = f"from {(middle - COUNT_LIMIT) * resolution:g} to {(middle + COUNT_LIMIT) * resolution:g}"
-        table.check(name, good[:, cell], f"{ends} at a resolution of {resolution:g}")
+        low, high = (middle - COUNT_LIMIT) * resolution, (middle + COUNT_LIMIT) * resolution
+        table.check(name, good[:, cell], f"from {low:g} to {high:g} at a resolution of {resolution:g}")
+    _warn_of_implausible(table, readings, columns)
     return columns, counts, ~np.isnan(readings)
+
+
+def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:
+    """Warn of cells that never change, and of readings (n, cells) outside the stated range."""
+    cells = zip(columns.cell_names, readings.T, strict=True)
+    same = [name for name, cell in cells if np.nanmin(cell) == np.nanmax(cell)]
+    if same and len(readings) >= _ENOUGH:
+        table.warn(f"all readings of {listed(same)} are the same: is the cell broken?")
+    low, high = np.sort(columns.range or (-np.inf, np.inf))
+    if not columns.zeroed and (np.nanmin(readings) < low or np.nanmax(readings) > high):
+        table.warn(f"readings are outside the stated range, {low:.9g} to {high:.9g}")
 
 
 def _read(table: RawTable, columns: ColumnMap) -> Reals:
@@ -109,7 +123,7 @@ def touch_of(columns: ColumnMap, time: Times, counts: Counts, valid: Flags) -> d
 
 
 def described(columns: ColumnMap, rate: float) -> Fingertip:
-    """Return the fingertip of the counts that a complete map gives; a range becomes counts.
+    """Return the fingertip of the counts that a complete map gives; a range becomes counts, of any width.
 
     Raises:
         ParameterError: if the layout does not fit the cells.
@@ -121,9 +135,9 @@ def described(columns: ColumnMap, rate: float) -> Fingertip:
         raise ParameterError("Trace", "layout", layout_text(layout), must_be)
     resolution, limits = columns.resolution or 1.0, None
     if columns.range is not None:
-        middle = np.mean(columns.offset or (0,))
-        ends = np.clip(np.rint(np.array(columns.range) / resolution - middle), -COUNT_LIMIT, COUNT_LIMIT)
-        limits = int(ends[0]), int(ends[1])
+        middle = np.rint(np.mean(columns.offset or (0,)))
+        low, high = np.clip(np.rint(np.array(columns.range) / resolution), -_FAR, _FAR) - middle
+        limits = int(low), int(high)
     return Fingertip(layout, rate, columns.unit, resolution, limits)
 
 

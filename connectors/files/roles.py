@@ -35,7 +35,7 @@ _NAMES: Final = {  # usual names, without blanks and signs, in lower case
     "|zeit|zeitstempel|uhrzeit",
     DATE: "date|datum",
     SPEED: "speed|v|tcpspeed|geschwindigkeit",
-    LABEL: "labels?|slip|isslip|slipping|groundtruth",
+    LABEL: "labels?|slip|isslip|slipping|schlupf|groundtruth",
 }
 _CELL: Final = re.compile(  # words before the number of a cell
     "s|c|p|b|counts?|cells?|taxels?|txl|baro|barometer|pressure|press|druck|sensors?|ch|channel|kanal|zelle|pad"
@@ -47,11 +47,14 @@ _AXES: Final = ("vx", "vy", "vz", "wx", "wy", "wz")
 _WORDS: Final = {  # usual values of labels
     label: values.split("|")
     for label, values in {
-        "slip": "slip|slipping|sliding|slide|rutscht|rutschen|gleiten|gleitet|1|true",
-        "static": "static|no slip|no_slip|noslip|stick|stable|rest|hold|still|0|false|haften|haftet|ruhe",
+        "slip": "slip|slipping|sliding|slide|rutscht|rutschen|gleiten|gleitet|1|true|ja|yes",
+        "static": "static|no slip|no_slip|noslip|stick|stable|rest|hold|still|haften|haftet|ruhe|0|false"
+        "|nein|no",
         "unknown": "unknown|-1|unbekannt|?",
     }.items()
 }
+SLIP_WORD: Final = re.compile("slip|slid|rutsch|gleit|schlupf", re.IGNORECASE)
+_FEW: Final = 20  # values of labels
 _HEAD: Final = 20  # rows that tell what a column is
 _SYNONYMS: Final = {  # of units, in lower case
     "s": "sec secs second seconds sek sekunden",
@@ -109,6 +112,12 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
             reason = "no column is recognised as time; state time=..., or rate=... if it has none"
             table.add_problem(reason, about=TIME)
     found = {key: names for key, names in found.items() if names}
+    if LABEL not in {*found, *stated.columns} and stated.labelled is None:
+        used = {name for names in found.values() for name in names}
+        for name in [each for each in free if each not in used]:
+            words = table.columns[name].unique().cast(pl.String, strict=False).drop_nulls()
+            if 1 < len(words) <= _FEW and any(map(SLIP_WORD.search, (name, *words))):
+                table.warn(f"column {name} may have labels: state label={name}")
     units = _units(found, stated, table)
     columns = replace(stated, columns=found, units=units)
     table.fixes += [""] if table.problems else []
@@ -183,8 +192,13 @@ def is_temperature(text: str) -> bool:
 
 
 def label_values(labels: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return the label by value of a label column; without `labels`, of the usual words and numbers."""
-    return {label_value(value): label for label, values in (labels or _WORDS).items() for value in values}
+    """Return the label by value of a label column: the usual words and numbers, unless `labels` has others.
+
+    If only those of slip are stated, all other values are static.
+    """
+    usual = {} if {*labels} == {"slip"} else _WORDS
+    words = {label: usual[label] for label in usual if label not in labels} | dict(labels)
+    return {label_value(value): label for label, values in words.items() for value in values}
 
 
 def label_value(text: str) -> str:
@@ -196,8 +210,8 @@ def label_value(text: str) -> str:
 
 
 def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]:
-    """Return the columns that a map names; a pattern becomes those that match, ordered by their numbers."""
-    found = list[str]()
+    """Return the columns that a map names, or none; a pattern becomes those that match, by their numbers."""
+    found, before = list[str](), len(table.problems)
     for name in names:
         if name in table.columns:
             found.append(name)
@@ -208,12 +222,11 @@ def _matched(key: str, names: Sequence[str], table: RawTable) -> tuple[str, ...]
         else:
             reason = f"there is no column {name}; the columns are {listed([*table.columns])}"
             table.add_problem(reason, about=key)
-    for name in found:
-        if found.count(name) > 1:
-            table.add_problem(f"column {name} cannot be two cells")
+    for name in [each for each in found if found.count(each) > 1]:
+        table.add_problem(f"column {name} cannot be two cells")
     if len(found) not in (0, *(SIZES.get(key) or range(CELL_LIMIT + 1))):
         table.add_problem(f"{key} matches {len(found)} columns", about=key)
-    return tuple(found)
+    return tuple(found) if len(table.problems) == before else ()
 
 
 def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ...]:
@@ -286,13 +299,16 @@ def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable)
         items.insert(0, f"time={name}" if name else "rate=ROWS_PER_SECOND")
         free = [each for each in free if each != name]
     if not any(_quantity(key) == COUNTS for key in columns.columns):
+        values = {name: table.columns[name].cast(pl.Float64, strict=False).unique() for name in free}
+        free = [name for name in free if {*values[name]} != {0, 1}]  # those may be labels
         several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
         others = {name for name in free for quantity in _NAMES if _has_usual_name(quantity, name)}
         numbers = tuple(name for name in free if name not in others and _is_number(table.columns[name]))
+        numbers = () if table.left_out else numbers[:CELL_LIMIT]  # rather no list than one without a cell
         if [len(each) for each in several] == 2 * [len(several[0]) if several else 0]:
             items += [f"counts.{finger}={_short(names)}" for finger, names in enumerate(several)]
         else:
-            items.append(f"counts={_short(several[0] if several else numbers[:CELL_LIMIT]) or 'NAME,NAME'}")
+            items.append(f"counts={_short(several[0] if several else numbers) or 'NAME,NAME'}")
     return items
 
 

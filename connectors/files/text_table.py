@@ -23,7 +23,6 @@ _FEW, _FIELDS = 20, 20_000  # lines at least; fields at most
 _WIDE: Final = 20  # values of a row that may be a channel
 _COMMENT: Final = re.compile(r"\s*[#%]+\s*")
 _NAMES: Final = {sign: name for name, sign in SEPARATORS.items()}
-_FOREIGN: Final = re.compile(r"[;\t|,]")  # in a word: it is no word, but several values
 _DATE: Final = r"\d{1,4}[-/. ](\d{1,2}|[a-z]{3})[-/. ]\d{1,4}"
 _VALUE: Final = re.compile(  # a number, a date, a time, or nothing
     r"|[+\-\u2212]?[\d.,'\u2019\u00a0\u202f ]*\d[\d.,]*(e[+-]?\d+)?"
@@ -48,9 +47,8 @@ class _Shape:
 def parse_text(content: bytes, where: str, sha256: str = "", separator: str | None = None) -> RawTable:
     """Parse the content of a text file with a row of values per line.
 
-    Lines above the names are skipped. Columns without a name are ``column1``, ``column2``, ....
-
-    The default `separator` is the one that divides the lines into values.
+    Lines above the names are skipped. Columns without a name are ``column1``, ``column2``, .... The default
+    `separator` is the tab, semicolon, pipe or comma of most lines, else blanks.
 
     Raises:
         InputError: if it is too large or not a table.
@@ -64,10 +62,8 @@ def parse_text(content: bytes, where: str, sha256: str = "", separator: str | No
         raise InputError(where, "has a line of more than 1 MiB: is it a table with a row per time?")
     shape = _shape(lines[:_LINES], where, SEPARATORS[separator] if separator else None)
     notes += [f"separator {_NAMES[shape.separator]}"] if shape.separator != "," else []
-    if shape.named_by > 1:
-        notes.append(f"names in line {shape.named_by}")
-    if not shape.named_by:
-        notes.append("without names of columns")
+    if shape.named_by != 1:
+        notes.append(f"names in line {shape.named_by}" if shape.named_by else "without names of columns")
     notes += [] if content.endswith(b"\n") else ["the last line has no end: was it cut off?"]
     return _parsed(content, where, shape, sha256, notes)
 
@@ -115,28 +111,39 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     most = max(line.count(sign) for line in lines for sign in _NAMES)
     check_size(where, 0, most + 1)
     lines = lines[: max(_FEW, _FIELDS // (most + 1))]
-    candidates = [stated] if stated else [said[1]] if said and said[1] in _NAMES else list(_NAMES)
     begin = 1 if said and lines[1:] else 0
-    found = {sign: _rows(lines, sign, begin) for sign in candidates}
-    sign = max(found, key=lambda each: _merit(lines, each, begin, *found[each]))
-    width, rows = found[sign]
+    sign = stated or (said[1] if said and said[1] in _NAMES else _separator(lines))
+    rows = _rows(lines, sign, begin)
     if not rows:
         raise InputError(where, "has no rows of numbers below a line that names the columns")
-    fields = [split_line(lines[row], sign) for row in rows]
-    _check_rows(fields, where)
-    above = [number for number in range(begin, rows[0]) if len(split_line(lines[number], sign)) >= width - 1]
+    first, fields, width = min(rows), [*rows.values()], len(rows[min(rows)])
+    channels = {row[0] for row in fields if not _VALUE.fullmatch(row[0])}
+    if width > max(_WIDE, 3 * len(fields)) and len(channels) == len(fields) > 1:
+        reason = f"has a row per channel ({', '.join(sorted(channels)):.60}): transpose it to a row per time"
+        raise InputError(where, reason)
+    above = [number for number in range(begin, first) if len(split_line(lines[number], sign)) >= width - 1]
     words = [place for place, each in enumerate(fields[0]) if not _VALUE.fullmatch(each)]
     if not above and any(all(_VALUE.fullmatch(row[place]) for row in fields[1:]) for place in words):
-        rows = rows[1:] or [rows[0] + 1]  # names such as t,1,2,3
-    first = rows[0]
+        first = min([*rows][1:], default=first + 1)  # names such as t,1,2,3
     above = [number for number in range(begin, first) if lines[number].strip()]
-    units = tuple[str, ...]()
-    if len(above) > 1 and _are_units(lowest := _fields(lines[above[-1]], sign), width):
-        above, units = above[:-1], tuple(lowest)
+    units = [each.strip("[](){}<> ") for each in _fields(lines[above[-1]], sign)] if above[1:] else []
+    known = {*units} - {"", "-"}
+    units = units if known and all(map(unit_in, known)) and len(units) >= width - 1 else []
+    above = above[:-1] if units else above
     names = _fields(lines[above[-1]], sign) if above else []
     if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):
-        return _Shape(sign, width, ("",) * width, units, first, 0)
-    return _Shape(sign, width, tuple(names), units, first, above[-1] + 1)
+        return _Shape(sign, width, ("",) * width, tuple(units), first, 0)
+    return _Shape(sign, width, tuple(names), tuple(units), first, above[-1] + 1)
+
+
+def _separator(lines: Sequence[str]) -> str:
+    """Return the sign that separates the fields of most lines; a comma may also be that of decimals."""
+    signs = list[str]()
+    for line in filter(re.compile(r"\s*(?=[^#%\s]).*\d").match, reversed(lines)):
+        bare = re.sub(rf'"[^"]*"|{_DATE}[T_ ]+', "", line, flags=re.IGNORECASE)
+        comma = "," in bare and not re.search(r"\d +-?\d", bare)
+        signs.append(next((sign for sign in "\t;|" if sign in bare), "," if comma else " "))
+    return max(signs, key=signs.count, default=",")
 
 
 def _fields(line: str, sign: str) -> list[str]:
@@ -144,48 +151,17 @@ def _fields(line: str, sign: str) -> list[str]:
     return split_line(_COMMENT.sub("", line, count=1) if _COMMENT.match(line) else line, sign)
 
 
-def _rows(lines: Sequence[str], sign: str, begin: int) -> tuple[int, list[int]]:
-    """Return the width of the rows of values that a separator gives, and their indices."""
-    rows = dict[int, int]()
+def _rows(lines: Sequence[str], sign: str, begin: int) -> dict[int, list[str]]:
+    """Return the fields of the lines that are rows of values of the most frequent width, by their index."""
+    rows = dict[int, list[str]]()
     for number, line in enumerate(lines[begin:], begin):
         fields = [] if _COMMENT.match(line) else split_line(line, sign)
         filled = [each for each in fields if each]
-        values = sum(bool(_VALUE.fullmatch(each)) for each in filled)
-        words = all(_VALUE.fullmatch(each) or not _FOREIGN.search(each) for each in filled)
-        if values >= max(1, len(filled) / 2) and words:
-            rows[number] = len(fields)
-    widths = Counter(rows.values())
+        if filled and 2 * sum(bool(_VALUE.fullmatch(each)) for each in filled) >= len(filled):
+            rows[number] = fields
+    widths = Counter(map(len, rows.values()))
     width = max(widths, key=lambda each: (widths[each], each), default=0)
-    return width, [number for number, each in rows.items() if each == width]
-
-
-def _merit(lines: Sequence[str], sign: str, begin: int, width: int, rows: Sequence[int]) -> tuple[int, ...]:
-    """Return what speaks for a separator: rows of several values, as many names, other signs than blanks."""
-    if width < 2:
-        return (0,)
-    names = {len(_fields(line, sign)) for line in lines[begin : rows[0]]}
-    alike = {width} if sign == " " else {width, max(2, width - 1)}
-    return len(rows), bool(names & alike), sign != " ", width
-
-
-def _check_rows(rows: Sequence[Sequence[str]], where: str) -> None:
-    """Require that rows are times, not channels that begin with their name."""
-    words = {row[0] for row in rows if row[0] and not _VALUE.fullmatch(row[0])}
-    wide = len(rows[0]) > max(_WIDE, 3 * len(rows))
-    if wide and len(words) == len(rows) > 1 and all(_VALUE.fullmatch(each) for each in rows[0][1:]):
-        reason = f"has a row per channel ({', '.join(sorted(words)):.60}): transpose it to a row per time"
-        raise InputError(where, reason)
-
-
-def _are_units(fields: Sequence[str], width: int) -> bool:
-    """Return True if the fields of a line are units."""
-    bare = [each.strip("[]() ") for each in fields]
-    known = [bool(unit_in(each)) for each in bare]
-    return (
-        len(fields) >= width - 1
-        and any(known)
-        and all(map(lambda good, each: good or each in ("", "-"), known, bare))
-    )
+    return {number: each for number, each in rows.items() if len(each) == width}
 
 
 def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[str]) -> RawTable:
@@ -206,7 +182,8 @@ def _parsed(content: bytes, where: str, shape: _Shape, sha256: str, notes: list[
     named_again = pl.all_horizontal(again).fill_null(value=False)  # by a logger that started again
     keep = filled.select(pl.any_horizontal(pl.all())).to_series() & ~frame.select(named_again).to_series()
     numbers, left = np.flatnonzero(keep.to_numpy()) + shape.first + 1, len(keep) - int(keep.sum())
-    notes += [f"left out {left} lines without values, or with the names again"] if left else []
+    many = f"{left} line{'s' * (left > 1)}"
+    notes += [f"left out {many} without values, or with the names again"] if left else []
     frame = frame.filter(keep)
     often, columns = Counter(named(names)), dict[str, pl.Series]()
     for name, given, column, used in zip(named(names), names, frame, filled, strict=True):

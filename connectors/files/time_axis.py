@@ -22,7 +22,9 @@ FASTEST: Final = 5000.0  # Hz
 _ENOUGH: Final = 10  # rows from which on a rate is judged
 _COARSE: Final = 0.1  # largest share of the rows that one time may have
 _SHOWN: Final = 5  # parts in an error
-_MOST: Final = 1000  # wraps in a file
+_MOST: Final = 1000  # wraps in a file, or rows out of order
+_LOST: Final = 2.0  # largest ratio of a stated rate and that of the rows, of which some may be lost
+_ROUNDED: Final = 3  # missing samples that may come from rounded times
 _NEAR: Final = 20  # usual intervals, of the step over a wrap; a longer step is a pause
 _WRAPS: Final[Mapping[int, str]] = {  # ns: after which clocks start again at 0
     4_294_967_296_000: "32-bit clock of microseconds",
@@ -77,20 +79,32 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
         return columns, unknown, ()
     time = continued(raw.to_numpy(), table.notes)
     parts = _parts(table, name, time, split=split)
-    rate, steps = _rate(table, name, time, parts, columns.rate), np.diff(time)
-    if rate and len(pauses := np.flatnonzero(steps > max(_NEAR * s / rate, s / 4))):
-        longest, first = steps[pauses].max() / s, f"{table.place} {table.numbers[pauses[0]]}"
-        several = f"{len(pauses)} pauses of up to {longest:.1f} s, the first after {first}"
-        table.warnings.append(several if len(pauses) > 1 else f"1 pause of {longest:.1f} s, after {first}")
+    rate = _rate(table, name, time, parts, columns.rate)
     plausible = rate is None or SLOWEST <= rate <= FASTEST
-    if rate and not (plausible or stated or epoch):
-        _add_unit_problem(table, name, rate)
+    if rate and not (plausible or stated):
+        _add_unit_problem(table, name, rate, unit)
     if not plausible:
-        table.warnings.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
+        table.warn(f"the rate is {rate:.4g} Hz: is the time in another unit?")
     if columns.rate and rate and abs(rate - columns.rate) > RATE_TOLERANCE * columns.rate:
-        text = f"has {rate:.1f} rows per second, not {columns.rate:g}: is its time in another unit?"
-        table.add_problem(text)
-    return replace(columns, rate=columns.rate or rate), time, parts
+        add = table.warn if 1 / _LOST < rate / columns.rate < _LOST else table.add_problem
+        add(f"has {rate:.4g} rows per second, not {columns.rate:g}: wrong unit of the time, or lost rows?")
+    columns = replace(columns, rate=columns.rate or rate)
+    for start, stop in parts if columns.rate else ():
+        _warn_of_gaps(table, time[start:stop], start, columns.rate or 1.0)
+    return columns, time, parts
+
+
+def _warn_of_gaps(table: RawTable, time: Times, start: int, rate: float) -> None:
+    """Warn of pauses and of missing samples in the times (n,) of the part that begins with row `start`."""
+    steps = np.diff(time)
+    usual = float(np.median(steps[steps > 0])) if np.any(steps > 0) else 0.0  # longer, if rows share times
+    pauses = steps > max(_NEAR * s / rate, s / 4, 2 * usual)
+    if several := int(np.count_nonzero(pauses)):
+        first, longest = table.numbers[start + np.argmax(pauses)], steps[pauses].max() / s
+        table.warn(f"pauses: {several}, up to {longest:.1f} s, the first after {table.place} {first}", start)
+    expected = round(float(steps[~pauses].sum()) * rate / s) + several
+    if (missing := expected - len(steps)) > _ROUNDED:
+        table.warn(f"{missing} of {expected + 1} samples are missing", start)
 
 
 def continued(time: Times, notes: list[str]) -> Times:
@@ -107,28 +121,37 @@ def continued(time: Times, notes: list[str]) -> Times:
     return found
 
 
-def _add_unit_problem(table: RawTable, name: str, rate: float) -> None:
-    """Add the problem that the unit of the time is not stated, and seconds are implausible."""
-    others = {each: rate * UNITS[TIME]["s"] / UNITS[TIME][each] for each in ("ms", "us", "ns", "min")}
+def _add_unit_problem(table: RawTable, name: str, rate: float, unit: str) -> None:
+    """Add the problem that the unit of the time is not stated, and the concluded one is implausible."""
+    scales = {each: UNITS[TIME][unit] / UNITS[TIME][each] for each in ("s", "ms", "us", "ns", "min")}
+    others = {each: rate * scale for each, scale in scales.items() if each != unit}
     likely = [f"units.time={each} ({hz:.4g} Hz)" for each, hz in others.items() if SLOWEST <= hz <= FASTEST]
     if len(table) >= _ENOUGH:
-        reason = f"column {name} has no unit, in seconds its rate is {rate:.4g} Hz"
+        reason = f"column {name} has no unit, in {unit} its rate is {rate:.4g} Hz"
         remedy = " or ".join(likely) or "another unit (convert days with polars)"
         fix = likely[0].partition(" ")[0] if likely else None
-        table.add_problem(f"{reason}; state {remedy}, or units.time=s", fix=fix)
+        table.add_problem(f"{reason}; state {remedy}, or units.time={unit}", fix=fix)
 
 
 def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
     """Return the parts, each with a clock that never goes back; without `split`, several are a problem."""
     back = np.flatnonzero(np.diff(time) < 0) + 1
     parts = tuple(pairwise([0, *back.tolist(), len(time)]))
-    if len(back) and not split:
-        good = np.ones(len(time), np.bool_)
-        good[back] = False
-        sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
-        must_be = f"no less than in the {table.place} before; if the logger started again,"
-        table.check(name, good, f"{must_be} --split makes {len(parts)} sessions ({sizes} rows)")
+    strays = [row for row in (_stray(time, row) for row in back[:_MOST].tolist()) if row]
+    sizes = ", ".join([*(str(stop - start) for start, stop in parts[:_SHOWN]), "..."][: len(parts)])
+    must_be = f"no less than in the {table.place} before; if the logger started again,"
+    must_be += f" --split makes {len(parts)} sessions ({sizes} rows)"
+    if strays or not split:
+        must_be = "in order: sort the rows by time, or delete this one" if strays else must_be
+        table.check(name, ~np.isin(np.arange(len(time)), strays or back), must_be)
     return parts
+
+
+def _stray(time: Times, back: int) -> int | None:
+    """Return the row out of order where the clock goes `back` but then on; None: it starts again."""
+    if np.any(time[back + 1 : back + 3] > time[back - 1]):
+        return back
+    return back - 1 if back > 1 and time[back] > time[back - 2] else None
 
 
 def _rate(table: RawTable, name: str, time: Times, parts: Parts, stated: float | None) -> float | None:
@@ -145,7 +168,7 @@ def _rate(table: RawTable, name: str, time: Times, parts: Parts, stated: float |
         return None
     if most > 1:
         text = f"column {name}: {len(part) - values} of {len(part)} rows share the time of the row before"
-        table.warnings.append(f"{text} (up to {most} rows); the rate is that of the rows over the time")
+        table.warn(f"{text} (up to {most} rows); the rate is that of the rows over the time", start)
     return rows_per_second(part)
 
 

@@ -113,6 +113,8 @@ class Trace:
             "units": dict(found.units),
             **self._about,
         }
+        about |= {"labelled": found.labelled} if found.labelled else {}
+        about |= {"missing": [*found.missing]} if found.missing else {}
         if LABEL in found.columns and found.labels:
             about["labels"] = {name: list(values) for name, values in found.labels.items()}
         if part.offset.any():
@@ -139,12 +141,20 @@ def interpreted(
     if isinstance(source, str | Path):
         return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:
-        source = _upright(source) if isinstance(source, Mapping) else source
+        source = _upright(source) if isinstance(source, Mapping) else _with_index(source)
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
     return interpret(RawTable.of(frame, name), columns, split=split)
+
+
+def _with_index(frame: Any) -> Any:
+    """Return a pandas DataFrame whose index, if it has times or a name, is a column."""
+    index: Any = getattr(frame, "index", None)
+    if not hasattr(index, "names") or ([*index.names] == [None] and not hasattr(index, "freq")):
+        return frame
+    return (frame if any(index.names) else frame.rename_axis("timestamp")).reset_index()
 
 
 def _upright(arrays: Mapping[str, Any]) -> Mapping[str, Any]:

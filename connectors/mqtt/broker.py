@@ -107,8 +107,8 @@ class Broker:
         except ssl.SSLError:
             reason = f"contains no private key of its certificate, without a passphrase ({CERTIFICATE})"
             raise InputError(str(own), f"{reason}: cat client.crt client.key > client.pem") from None
-        except (OSError, ValueError) as error:
-            reason = f"cannot use the client certificate and its key ({CERTIFICATE}): {error}"
+        except OSError as error:
+            reason = f"cannot read the client certificate ({CERTIFICATE}): {os_error_reason(error)}"
             raise InputError(str(own), reason) from None
         return context
 

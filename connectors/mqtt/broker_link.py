@@ -1,5 +1,6 @@
 """One connection to an MQTT 5 broker, based on aiomqtt, and findings about the broker before a run."""
 
+import _ssl
 import asyncio
 import logging
 import os
@@ -10,6 +11,7 @@ from collections import deque
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import suppress
 from secrets import token_hex
+from time import time
 from typing import Any, Final
 
 import aiomqtt
@@ -45,6 +47,8 @@ _HINTS = {  # by text of the error; the first that fits
     "key usage": _EXTENSION,
     "Key Identifier": _EXTENSION,
     "mismatch, certificate is not valid for": "write the host as in the broker's certificate",
+    "certificate has expired": "renew the broker's certificate, or set the clock of this machine",
+    "certificate is not yet valid": "set the clock of this machine",
     "CERTIFICATE_VERIFY_FAILED": f"set {CA} to the file of the CA that signed its certificate",
     "Connection refused": "check that the broker runs and that this is its port",
     "Name or service not known": "check the host name",
@@ -55,6 +59,10 @@ _HINTS = {  # by text of the error; the first that fits
 }
 _paho_log = logging.getLogger("slipflow.paho")  # duplicates the errors raised here
 _paho_log.setLevel(logging.CRITICAL)
+
+
+class RefusedError(EndpointError):
+    """Refusal by a broker, or of its certificate: attempts fail until a person changes something."""
 
 
 class Link:
@@ -85,6 +93,9 @@ class Link:
         delay = Properties(PacketTypes.WILLMESSAGE)  # type: ignore[no-untyped-call]
         delay.WillDelayInterval = WILL_DELAY
         user, password = broker.login()
+        tls = broker.tls() if broker.scheme == "mqtts" else None
+        if tls:
+            tls.sslsocket_class = _Socket
         self._client = aiomqtt.Client(
             broker.host,
             broker.port,
@@ -95,7 +106,7 @@ class Link:
             will=aiomqtt.Will(will.topic, will.payload, 1, retain=True, properties=delay) if will else None,
             clean_start=False,  # a clean start would trigger the will of the previous connection
             properties=session,
-            tls_context=_tls(broker) if broker.scheme == "mqtts" else None,
+            tls_context=tls,
             timeout=TIMEOUT,
             keepalive=KEEPALIVE,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
@@ -122,7 +133,7 @@ class Link:
         """Connect.
 
         Raises:
-            EndpointError: if the broker is unreachable, does not respond or refuses the client.
+            EndpointError: if the broker is unreachable or does not respond; `RefusedError` if it refuses.
         """
         entering = asyncio.ensure_future(self._client.__aenter__())
         entering.add_done_callback(lambda task: task.cancelled() or task.exception())  # if nobody awaits it
@@ -140,7 +151,10 @@ class Link:
             raise
         except (aiomqtt.MqttError, ValueError) as error:
             self.abort()
-            raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
+            reason = f"{_reason(error)}{self._hint(error)}"
+            refused = isinstance(error, MqttConnectError) or "certificate" in reason  # of either side
+            failure = RefusedError if refused else EndpointError
+            raise failure(self._url, f"cannot connect: {reason}") from None
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
@@ -216,7 +230,7 @@ class Link:
             return f"; {hint}"
         tls = self._url.startswith("mqtts:")
         if tls and (text == _CLOSED or "alert" in text):  # after the handshake: the broker has TLS
-            return f"; if it asks for client certificates, set {CERTIFICATE} to one that its CA signed"
+            return f"; {_certificate_hint()}"
         if text == _CLOSED or "SSL" in text or "reset by peer" in text:
             return f"; if it uses {'no TLS, write mqtt:// and its port' if tls else 'TLS, write mqtts://'}"
         return ""
@@ -284,12 +298,6 @@ class _Socket(ssl.SSLSocket):
             raise
 
 
-def _tls(broker: Broker) -> ssl.SSLContext:
-    context = broker.tls()
-    context.sslsocket_class = _Socket
-    return context
-
-
 def _reason(error: BaseException | None) -> str:
     """Return the reason given by the broker or the system."""
     text = str(error.rc if isinstance(error, aiomqtt.MqttCodeError) else error)
@@ -298,6 +306,17 @@ def _reason(error: BaseException | None) -> str:
     if text in ("timed out", "Operation timed out", ""):
         return f"no response within {TIMEOUT:g} s"
     return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] |\.? \(_ssl\.c:\d+\)$", "", text)
+
+
+def _certificate_hint() -> str:
+    """Return the likely remedy if a broker with TLS refuses this client."""
+    if not (path := os.environ.get(CERTIFICATE)):
+        return f"if it asks for client certificates, set {CERTIFICATE} to one that its CA signed"
+    # Python has no other reader of certificates
+    end: str = _ssl._test_decode_cert(path)["notAfter"]  # type: ignore[attr-defined] # noqa: SLF001
+    if ssl.cert_time_to_seconds(end) < time():
+        return f"renew the client certificate {path}, which expired on {end}"
+    return f"check that the CA of the broker signed the client certificate {path}"
 
 
 def _refusal(code: ReasonCode) -> str:

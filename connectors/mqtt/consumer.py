@@ -116,9 +116,6 @@ class Consumer(AsyncIterator[Event]):
         if self._saving:
             self._saving.check()
 
-    def __aiter__(self) -> Self:
-        return self
-
     async def __anext__(self) -> Event:
         """Return the next event; wait as long as necessary."""
         self._finish_event()

@@ -65,6 +65,7 @@ class Mqtt(Sink[Slips | Faults]):
     def __post_init__(self) -> None:
         self._broker, self.rig = Broker.parse(self.url), self.rig or host_rig()
         self._topic = rig_topic("Mqtt", self.site, self.rig)
+        self._path = outbox_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
         try:
             stated = Model(**{"id": "unknown", **self.model})  # which has no other keys
             self._model = msgspec.convert(stated.values(), Model)
@@ -91,11 +92,16 @@ class Mqtt(Sink[Slips | Faults]):
         """Events that the broker has not acknowledged."""
         return self._outbox.waiting
 
+    @property
+    def connected(self) -> bool:
+        """True while the broker is connected and refuses nothing."""
+        return self._sender.connected
+
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check the disk of the outbox, and the broker by one message on the topic ``doctor`` of the rig."""
         from connectors.mqtt.broker_link import diagnose_broker
 
-        for finding in await asyncio.to_thread(check_disk, self._outbox_path()):
+        for finding in await asyncio.to_thread(check_disk, self._path):
             yield finding
         async for finding in diagnose_broker(self._broker, f"{self._topic}/doctor", clock):
             yield finding
@@ -111,7 +117,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._run = run
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._published: dict[str, int] = {}  # time (ns) of the event in the published state, by finger
-        self._outbox = Outbox(self._outbox_path())
+        self._outbox = Outbox(self._path)
         await self._outbox.open()
         # the same in each run, so that a new connection cancels the previous will
         identifier = f"slipflow/{self.site}/{self.rig}"
@@ -145,9 +151,6 @@ class Mqtt(Sink[Slips | Faults]):
                 if unsent := self._outbox.waiting - self._outbox.unstored:
                     text = "%s: %d unsent events remain in %s; the next run sends them"
                     log.warning(text, self._broker, unsent, self._outbox.path)
-
-    def _outbox_path(self) -> Path:
-        return outbox_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
 
     def _degraded(self, finger: str) -> tuple[Fault, ...]:
         return tuple(sorted(self._faults.get(finger, ()), key=lambda fault: (fault.barometer, fault.kind)))

@@ -244,7 +244,7 @@ class Outbox:
             if self.error:
                 self.error = ""
                 text = "%s: can be written again; the events kept in memory are in it, %d are not kept"
-                log.warning(text, self.path, self.not_kept)
+                log.info(text, self.path, self.not_kept)
             self._written = newest
             self._release(newest)
             self._sync_due.set()

@@ -60,6 +60,11 @@ class Sender:
         outbox.on_pending = self._wake.set
 
     @property
+    def connected(self) -> bool:
+        """True while the broker is connected and refuses no topic."""
+        return bool(self._link and self._link.alive and not self._refused)
+
+    @property
     def refused(self) -> list[str]:
         """Topics that the broker refuses."""
         return sorted(self._refused)
@@ -73,8 +78,7 @@ class Sender:
             EndpointError: if the broker is unreachable or refuses, unless `connect_required` is False.
         """
         self._identifier, self._will = identifier, will
-        for message in retained:
-            self._retained[message.topic] = message
+        self._retained = {message.topic: message for message in retained}
         try:
             link = await self._connect()
             if reason := next(filter(None, await link.send_all(retained)), ""):
@@ -101,23 +105,24 @@ class Sender:
             self._sending.check()
 
     async def _keep_sending(self) -> None:
-        failed, pauses = False, Pauses()
+        failure, pauses = None, Pauses()
         while True:
             try:
                 link = self._link or await self._connect()
                 pauses.connected()
                 if pauses.brief > 1:
                     log.error(_SHARED_NAME, self._broker, self._topic)
-                elif failed:
-                    log.warning("%s: connected again, %d events pending", self._broker, self._outbox.waiting)
-                failed = False
+                elif failure:
+                    log.info("%s: connected again, %d events pending", self._broker, self._outbox.waiting)
+                failure = None
                 while await self._send_pending(link) or not self._closing:
                     pass
             except Exception as error:  # noqa: BLE001 - sending continues after any error
                 await self._disconnect()
-                if not failed and pauses.brief <= 1:
-                    log.warning("%s, reconnecting; events are kept in %s", error, self._outbox.path)
-                failed = True
+                if type(error) is not failure and pauses.brief <= 1:
+                    level = logging.WARNING if type(error) is EndpointError else logging.ERROR
+                    log.log(level, "%s, reconnecting; events are kept in %s", error, self._outbox.path)
+                failure = type(error)
             if self._closing:
                 return
             await pauses.wait()
@@ -181,11 +186,11 @@ class Sender:
             del self._changed[message.topic]
         if message.topic in self._refused:
             self._refused.remove(message.topic)
-            log.warning("%s: accepts %s again", self._broker, message.topic)
+            log.info("%s: accepts %s again", self._broker, message.topic)
 
     def _refuse(self, topic: str, text: str) -> None:
         if topic not in self._refused:
-            log.warning("%s", text)
+            log.error("%s", text)
         self._refused.add(topic)
 
     async def _disconnect(self) -> None:

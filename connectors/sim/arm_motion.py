@@ -121,6 +121,6 @@ class Controller:
             return None
         t = t[: len(velocity)]
         time, arrive = self._sampler.stamp(len(t))
-        stamps = CONTROLLER_UPTIME + t * (1 + self._sampler.timing.drift)  # s
+        stamps = CONTROLLER_UPTIME + t  # s
         motion = Motion(time, np.rint(stamps * s).astype(np.int64), velocity, pose)
         return motion if arrive.all() else motion[arrive]

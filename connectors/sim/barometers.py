@@ -119,7 +119,6 @@ class Barometers:
         self._late = np.zeros((len(DECADES), BAROMETERS))
         self._rest = offsets.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
         self._temperature = ROOM_TEMPERATURE + offsets.integers(-8, 8, BAROMETERS)
-        self._first: Reals | None = None  # (6,) first reading, repeated by stuck cells
 
     def read(self, t: Reals, tractions: Reals, aged: float) -> tuple[Counts, Counts, Flags]:
         """Read the cells at instants (k,) (s since the run began).
@@ -162,9 +161,5 @@ class Barometers:
             counts += p.noise * self._noise.standard_normal(counts.shape)
         if p.glitches:
             counts += self._disturbed(counts.shape, p.glitches * aged)
-        if faults.stuck:
-            first = self._first = counts[0].copy() if self._first is None else self._first
-            counts[:, faults.stuck] = first[list(faults.stuck)]
-        if faults.floored or faults.dead:
-            counts[:, faults.floored + faults.dead] = 0.0
+        counts[:, faults.dead] = 0.0
         return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)

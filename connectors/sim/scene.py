@@ -105,15 +105,13 @@ class PaperStrokes:
 class Timing:
     """Sampling and timestamps of a stream.
 
-    A sample taken at t (s) has the timestamp ``t + latency + wander + jitter + offset + drift * t``.
+    A sample taken at t (s) has the timestamp ``t + latency + wander + offset``.
     """
 
     rate: float  # Hz
     latency: float = 0.0  # s, mean time from the sample to its timestamp
     wander: float = 0.0  # s, standard deviation of the latency, which changes within seconds
-    jitter: float = 0.0  # s, standard deviation of the timestamps; their order is kept
     offset: float = 0.0  # s, clock offset
-    drift: float = 0.0  # s/s, clock rate error
     dropped: float = 0.0  # fraction of samples that are lost
 
 
@@ -122,8 +120,6 @@ class Faults:
     """Faults of the barometers, by cell."""
 
     dead: tuple[int, ...] = ()  # cells that do not respond
-    stuck: tuple[int, ...] = ()  # cells that repeat their first reading
-    floored: tuple[int, ...] = ()  # cells that read 0
     gain: tuple[float, ...] = ()  # (6,) factors of the response
     offset: tuple[float, ...] = ()  # (6,) counts
     drift: tuple[float, ...] = ()  # (6,) counts/s
@@ -287,7 +283,7 @@ class Sampler:
 
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
-        self._jitter, self._loss, self._slow = random.spawn(3)
+        _, self._loss, self._slow = random.spawn(3)
         self._kept = exp(-1 / timing.rate)  # part of a latency's deviation after a sample; 1/e after 1 s
         self._left = self._kept * self._slow.standard_normal(1)  # of the latest deviation
         self._taken = 0
@@ -301,12 +297,10 @@ class Sampler:
         """Take the next samples; return timestamps (k,) (ns since the run began) and which arrive (k,)."""
         t, timing = self.instants(samples), self.timing
         self._taken += samples
-        stamps = t + timing.latency + timing.offset + timing.drift * t
+        stamps = t + timing.latency + timing.offset
         arrive = np.ones(samples, np.bool_)
         if timing.wander:
             stamps += timing.wander * self._wandered(samples)
-        if timing.jitter:
-            stamps += timing.jitter * self._jitter.standard_normal(samples)
         if timing.dropped:
             arrive = self._loss.random(samples) >= timing.dropped
         time = np.maximum.accumulate(np.maximum(np.rint(stamps * s).astype(np.int64), self._latest))

@@ -11,14 +11,14 @@ from typing import Any, Final
 import numpy as np
 
 from connectors.sim.scene import Move, Scene, Timing, Vibration
-from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Batch, Episodes, Motion, Touch, Truth, s
+from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Batch, Episodes, Motion, Touch, Truth, ms, s
 from operators.checks import check_at_least
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Source
-from operators.sliding_motion import SlidingMotion
 
 SENSOR: Final = "TakkTile 2x3, simulated"
-SLIDING: Final = SlidingMotion.speed  # m/s, true sliding that counts as slip
+SLIDING: Final = 0.003  # m/s, true sliding that counts as slip; as in the paper's labels
+_SPAN: Final = 150 * ms  # ns; a slip has pauses of 50 to 100 ms, in which the contact sticks
 
 
 class SimulatedSource(Source[AnyBatch]):
@@ -32,7 +32,6 @@ class SimulatedSource(Source[AnyBatch]):
         fingers: Fingertips that the batches belong to.
         rate: Samples of a fingertip per second, Hz; None: not touch.
         stale_after: As in `Source`.
-        compile_physics: Compiles the physics; None: that of strokes.
     """
 
     def __init__(
@@ -45,11 +44,9 @@ class SimulatedSource(Source[AnyBatch]):
         fingers: tuple[int, ...] = (EVERY,),
         rate: float | None = None,
         stale_after: int | None = Source.stale_after,
-        compile_physics: Callable[[], object] | None = None,
     ) -> None:
         self._name, self._kind, self._rows, self._about = name, kind, rows, about
         self._fingers, self._rate, self.stale_after = fingers, rate, stale_after
-        self._compile_physics = compile_physics
 
     def __str__(self) -> str:
         return f"{self._name}()"
@@ -70,10 +67,10 @@ class SimulatedSource(Source[AnyBatch]):
         return None if self._rate is None else replace(TAKKTILE, rate=self._rate)
 
     async def prepare(self) -> None:
-        """Compile the physics, which takes seconds the first time and less than one afterwards."""
+        """Compile the physics of strokes, which takes seconds the first time and less than one afterwards."""
         from connectors.sim.finger import compile_physics
 
-        await asyncio.to_thread(self._compile_physics or compile_physics)
+        await asyncio.to_thread(compile_physics)
 
     def batches(self, clock: Clock) -> AsyncIterator[AnyBatch]:
         """Yield the rows."""
@@ -185,6 +182,6 @@ def true_slips(truth: Truth) -> list[tuple[int, int]]:
     at = truth.time[truth.sliding > SLIDING]  # (k,)
     if not len(at):
         return []
-    breaks = np.flatnonzero(np.diff(at) > SlidingMotion.span)
+    breaks = np.flatnonzero(np.diff(at) > _SPAN)
     starts, ends = at[np.r_[0, breaks + 1]], at[np.r_[breaks, -1]]
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -32,6 +32,14 @@ def plotted(batch: Touch | Motion | Scores) -> tuple[str, Reals]:
     return f"scores {finger}", batch.probability
 
 
+def join_rows(parts: Iterable[tuple[Times, NDArray[Any]]]) -> tuple[Times, NDArray[Any]]:
+    """Join the rows of batches in order of time; late rows have arrived after newer ones."""
+    times, values = zip(*parts, strict=True)
+    time = np.concatenate(times)
+    order = time.argsort(kind="stable")
+    return time[order], np.concatenate(values)[order]
+
+
 def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> dict[str, Json]:
     """Return rows as JSON: times in ms since `origin` (ns), values rounded to 3 decimals.
 

@@ -18,11 +18,9 @@ from contextlib import suppress
 from itertools import takewhile
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
-
 from connectors.events import Fault, encode, faults, finger_name, quality, slips
 from connectors.web.access import PAGE_PORT, http_url
-from connectors.web.curves import curve_json, event_json, faults_json, plotted, thin_curve
+from connectors.web.curves import curve_json, event_json, faults_json, join_rows, plotted, thin_curve
 from operators.batch import Faults, Motion, Reals, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.checks import check_between
 from operators.extras import software_version
@@ -80,7 +78,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         host: str = "127.0.0.1",
         *,
         threshold: float | None = None,
-        opened: Callable[[str], None] | None = None,
+        opened: Callable[[str], None] = lambda url: None,
     ) -> None:
         if port is not None:
             check_between("Page", "port", port, 0, 65535)
@@ -135,8 +133,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             return socket
 
         await self._server.open(*PAGE_FILES, web.get("/about.json", about), web.get("/live", live))
-        if self._opened:
-            self._opened(self._server.url)
+        self._opened(self.url)
 
     def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the next frame."""
@@ -261,8 +258,7 @@ def rows_json(rows: Iterable[Rows], origin: int) -> dict[str, Json]:
         curves[each.curve].append(each)
     found: dict[str, Json] = {}
     for name, parts in curves.items():
-        time = np.concatenate([each.time for each in parts])
-        values = np.concatenate([each.values for each in parts])
+        time, values = join_rows((each.time, each.values) for each in parts)
         begin, end = time.item(0), time.item(-1)
         thin = thin_curve(time, values, begin, end, 1 + (end - begin) // STEP)
         found[name] = curve_json(*thin, origin)

@@ -31,6 +31,7 @@ _SOURCE: Final[tuple[Column[SourceStatus], ...]] = (
 _SINK: Final[tuple[Column[SinkStatus], ...]] = (
     ("gauge", "up", "1 if the sink works, 0 if it fails", lambda each: not each.error),
     ("counter", "rows", "Rows written", lambda each: each.rows),
+    ("gauge", "connected", "1 if the receiver is reached and refuses nothing", lambda each: each.connected),
     ("gauge", "queued_batches", "Batches in the queue", lambda each: each.queued),
     ("gauge", "waiting_rows", "Rows that are not acknowledged", lambda each: each.waiting),
     ("gauge", "unstored_rows", "Rows that a kill would lose", lambda each: each.unstored),
@@ -55,6 +56,7 @@ class Metrics(Sink[Scores | Slips | Faults]):
     Args:
         port: Port to listen on; 0 for any free port.
         host: Address of this machine to listen on, 0.0.0.0 for all.
+        opened: Called with the URL of the metrics once they are served.
 
     Raises:
         ParameterError: if `port` is out of range.
@@ -62,9 +64,14 @@ class Metrics(Sink[Scores | Slips | Faults]):
 
     lossless = False
 
-    def __init__(self, port: int = METRICS_PORT, host: str = "127.0.0.1") -> None:
+    def __init__(
+        self,
+        port: int = METRICS_PORT,
+        host: str = "127.0.0.1",
+        opened: Callable[[str], None] = lambda url: None,
+    ) -> None:
         check_between("Metrics", "port", port, 0, 65535)
-        self._host, self._port = host, port
+        self._host, self._port, self._opened = host, port, opened
 
     @property
     def destination(self) -> str:
@@ -113,6 +120,7 @@ class Metrics(Sink[Scores | Slips | Faults]):
         token = None if is_loopback(self._host) else required_token("Metrics", self._host)
         self._server = WebServer("metrics", self._host, self._port, token)
         await self._server.open(web.get(PATH, metrics), web.get(HEALTH, healthy), web.get(READY, ready))
+        self._opened(self.url)
 
     def take(self, batch: Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the metrics."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from connectors.events import Fault, Slip, encode, faults, finger_name, quality, slips
 from connectors.sim.simulated_rig import true_slips
-from connectors.web.curves import GAP, curve_json, event_json, faults_json, plotted, thin_curve
+from connectors.web.curves import GAP, curve_json, event_json, faults_json, join_rows, plotted, thin_curve
 from connectors.web.web_server import PAGE_FILES, Handler
 from operators import Debounce
 from operators.batch import (
@@ -37,7 +37,7 @@ from operators.batch import (
     concat,
     ms,
 )
-from operators.errors import InputError, ParameterError
+from operators.errors import InputError
 from operators.ports import Json, Run, Sink
 from storage import HandLabels, LabelSpan, Session
 
@@ -121,9 +121,9 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
         return True
 
     async def close(self) -> None:
-        """Join the batches."""
+        """Join the batches in order of time."""
         for name, parts in self._arriving.items():
-            joined = np.concatenate([time for time, _ in parts]), np.concatenate([each for _, each in parts])
+            joined = join_rows(parts)
             if name.startswith("label "):
                 self.bands[name] = self._runs(*joined)
             else:
@@ -244,8 +244,6 @@ class SessionPage(Sink[Zeroed | Motion | Scores | Slips | Faults | Truth]):
                 )
                 for each in content["spans"]
             ]
-        except ParameterError:
-            raise
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             raise InputError("/labels", _LABELS_USAGE) from None
         return self._labels_json(self.session.write_hand_labels(spans, based_on=based_on))

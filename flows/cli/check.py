@@ -1,5 +1,6 @@
 """The command `slipflow check`."""
 
+import asyncio
 from dataclasses import replace
 
 import typer
@@ -11,8 +12,8 @@ from flows.cli.terminal import begin_log
 def check(target: Target, *, settings: Settings = None) -> None:
     """Find errors in a flow without running it, and print it.
 
-    Prints the graph, and the parameters with their values, and compiles the steps of operators, so that the
-    first run need not. Exits 2 if there are errors.
+    Prints the graph, and the parameters with their values, and compiles the operators and simulated sources,
+    so that the first run need not. Exits 2 if there are errors.
 
     Examples:
       slipflow check record --set delay=70ms
@@ -34,6 +35,8 @@ def check(target: Target, *, settings: Settings = None) -> None:
     if live:
         begin_log()
         CompiledFlow(flow)
+        for source in flow.sources().values():
+            asyncio.run(source.prepare())
     sources, sinks = (", ".join(node.name for node in nodes) for nodes in (flow.sources(), flow.sinks()))
     typer.echo(f"{flow.name}: OK (sources: {sources}; sinks: {sinks})")
     for name, each in declaration.parameters.items():

@@ -113,23 +113,18 @@ async def _collect(
 
 
 def _report(result: "Collector") -> None:
-    """Print the sessions with their rows, gaps and dropped batches, and set the exit code."""
-    gaps = dropped = 0
-    for run in result.runs:
-        missing = sum(len(source.gaps) for source in run.sources.values())
-        lost = sum(sink.dropped for sink in run.sinks.values() if sink.records)
-        notes = [f"{source.rows} {name}" for name, source in run.sources.items()]
-        notes += [f"gaps {missing}"] * bool(missing) + [f"dropped {lost}"] * bool(lost)
-        typer.echo(f"{run.session:40} {', '.join([*notes, *['ended early'] * bool(run.error)])}")
-        gaps, dropped = gaps + missing, dropped + lost
-    typer.echo(f"{result.strokes} strokes in {counted(len(result.runs), 'session')}")
+    """Print the summary of each session, and set the exit code: 1 if a session has a gap or lost rows."""
+    for summary in result.summaries:
+        typer.echo(summary.report())
+    typer.echo(f"{result.strokes} strokes in {counted(len(result.summaries), 'session')}")
     if result.interrupted:
         typer.echo("interrupted; the arm has stopped where it is", err=True)
         raise typer.Exit(130)
     if result.error:
         typer.echo(f"error: {result.error}; the arm has stopped where it is", err=True)
         raise typer.Exit(2)
-    if gaps or dropped:
+    gaps = [gap for each in result.summaries for source in each.sources.values() for gap in source.gaps]
+    if gaps or any(each.lost for each in result.summaries):
         raise typer.Exit(1)
 
 

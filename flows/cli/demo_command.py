@@ -9,7 +9,7 @@ import typer
 from flows.cli.live_view import add_page
 from flows.cli.options import NoBrowser, Recordings
 from flows.cli.run import execute, report_run
-from flows.cli.terminal import Format, begin_log
+from flows.cli.terminal import begin_log
 
 
 def demo(
@@ -38,16 +38,17 @@ def demo(
     from flows import demo as declared
     from flows.graph.quantity import parse_time
 
-    begin_log(Format.TEXT)
+    begin_log()
     limit = parse_time("demo", "--for", duration)  # ns
     flow = declared.demo(str(out), mqtt)
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)
-    done = asyncio.run(execute(flow, limit=limit))
-    typer.echo("\n".join(report(out / "sessions" / done.session)))
-    if mqtt:
-        typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
-    report_run(done, log=Format.TEXT, as_json=False)
+    done = asyncio.run(execute(flow, limit))
+    if not done.error:  # else it was stopped before it began: there is no session
+        typer.echo("\n".join(report(out / "sessions" / done.session)))
+        if mqtt:
+            typer.echo(f"events published to {mqtt}; to follow them: slipflow watch {mqtt}")
+    report_run(done, as_json=False)
 
 
 def report(folder: Path) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
-from flows.cli.terminal import command_line, note, prepare_report, progress_bar, write_report
+from flows.cli.terminal import command_line, note, progress_bar, write_report
 
 _TURN = 0.02  # s, CPU time of each turn of timing
 
@@ -67,6 +67,8 @@ def evaluate(
     from flows.learn.evaluation.evaluation_report import evaluation_report, size_text, stress_report
     from flows.learn.evaluation.evaluation_study import evaluate as run_evaluation
     from flows.learn.evaluation.stress_study import stress as run_stress
+    from flows.report.figures import missing_matplotlib
+    from flows.report.report_page import check_output_folder
     from flows.run.executor import workers
     from operators.errors import InputError
 
@@ -76,7 +78,9 @@ def evaluate(
         raise InputError("--train", "needs --hold-out: a detector is judged on groups that it did not see")
     if stress and (hold_out or chart or split != "test"):
         raise InputError("--stress", "judges simulated recordings: omit --split, --hold-out and --chart")
-    prepare_report(out)
+    check_output_folder(out)
+    if reason := missing_matplotlib():
+        note(f"the report will have no figures, which {reason}")
     with workers(jobs, cluster) as executor, progress_bar("evaluating") as update:
         if dataset is None:
             found = run_stress(names=method or [], executor=executor, progress=update)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
-from flows.cli.terminal import command_line, prepare_report, progress_bar, write_report
+from flows.cli.terminal import command_line, progress_bar, write_report
 
 
 def experiment(
@@ -50,7 +50,7 @@ def experiment(
     """Run a robot experiment of the paper in simulation.
 
     Detected slips change the grip force. Prints success next to that of the paper, false slips, causes of
-    failed trials, slides and holding forces. Writes tap.html or lift.html, .md, .json and figures.
+    failed trials, slides and holding forces. Writes tap.html or lift.html, .md and .json.
 
     Examples:
       slipflow experiment tap
@@ -59,12 +59,14 @@ def experiment(
     """
     from flows.lab.experiments.experiment_report import experiment_report
     from flows.lab.experiments.study import METHODS, Trials, parse_method, run_study
+    from flows.report.report_page import check_output_folder
     from flows.run.executor import workers
 
-    methods = [parse_method(text) for text in method or ()] or list(METHODS)
-    chosen = Trials(trials, seed, tuple(objects or Trials.objects))
-    prepare_report(out)
+    # a repeated method or object counts once, else its trials would count twice
+    methods = list(dict.fromkeys(map(parse_method, method or ()))) or list(METHODS)
+    chosen = Trials(trials, seed, tuple(dict.fromkeys(objects or Trials.objects)))
+    check_output_folder(out)
     with workers(jobs, cluster) as executor, progress_bar(name) as update:
         results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
-    report = experiment_report(name, results, methods, chosen, command_line())
+    report = experiment_report(name, results, chosen, command_line())
     write_report(report, out, name, as_json=as_json)

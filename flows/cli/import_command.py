@@ -2,11 +2,16 @@
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from flows.cli.terminal import note, progress_bar
+
+_LEFT_OUT: Final = {  # by the state of an import
+    "present": "; delete it there to import it again",
+    "differs": " with another map, group or split; delete it there to replace it",
+}
 
 
 def import_(
@@ -55,7 +60,7 @@ def import_(
     from connectors.files.column_map import ColumnMap
     from flows.lab.importing import import_files
     from flows.report.table import counted
-    from operators.errors import InputError
+    from operators.errors import SlipflowError
     from storage.toml_text import read_text
 
     stated = ColumnMap.parse(read_text(Path(columns[1:])) if columns.startswith("@") else columns)
@@ -63,19 +68,18 @@ def import_(
     with progress_bar("importing") as update:
         update(0, len(files), files[0].name)
         done = import_files(files, out, stated, group=group, split=split, dry_run=dry_run)
-        for number, (_, found) in enumerate(done, 1):
-            if isinstance(found, InputError):
-                failed += 1
-                text = f"error: {found}"
-            elif found.state == "present":
-                last = found.session
-                text = f"{found.session}: left out, the dataset has it; delete it there to import it again"
-            else:
-                last = found.session
-                text = found.report(short=found.interpretation() == columns_before)
-                columns_before = found.interpretation()
+        for number, (path, found) in enumerate(done, 1):
             update(min(number, len(files)), len(files))
-            typer.echo(text)
+            if isinstance(found, SlipflowError):
+                failed += 1
+                typer.echo(f"error: {found}" if str(path) in str(found) else f"error: {path}: {found}")
+                continue
+            last, left_out = found.session, found.state in _LEFT_OUT
+            if dry_run or not left_out:
+                typer.echo(found.report(short=found.interpretation() == columns_before))
+                columns_before = found.interpretation()
+            if left_out:
+                typer.echo(f"{found.session}: left out, the dataset has it{_LEFT_OUT[found.state]}")
     if failed:
         note(f"error: {failed} of {counted(len(files), 'file')} cannot be imported: repair and repeat")
         raise typer.Exit(2)

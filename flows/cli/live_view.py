@@ -1,4 +1,4 @@
-"""Sinks that the command line adds to a flow: live page, metrics, and a console of JSON lines."""
+"""Sinks that the command line adds to a flow: live page and metrics."""
 
 import os
 import sys
@@ -76,23 +76,8 @@ def add_metrics(flow: "Flow", listen: str) -> None:
     from operators import Faults, Scores, Slips
 
     host, port = parse_address("--metrics", listen)
-    metrics = Metrics(port, host)
-    note(f"metrics: {metrics.destination}/metrics")
+    metrics = Metrics(port, host, opened=lambda url: note(f"metrics: {url}"))
     flow.add("metrics", metrics, *first_streams(flow, Slips, Faults, Scores))
-
-
-def print_json(flow: "Flow") -> None:
-    """Let the consoles of a flow print JSON; if it has none, add one for slips and faults."""
-    from connectors import Console
-    from operators import Faults, Slips
-
-    consoles = [sink for sink in flow.sinks().values() if isinstance(sink, Console)]
-    for each in consoles:
-        each.format = "json"
-    if not consoles:
-        console = Console(format="json")
-        for node in first_streams(flow, Slips, Faults):
-            flow.add_sink(console, node)
 
 
 def announce_page(title: str, url: str, login_url: str, *, browse: bool) -> None:

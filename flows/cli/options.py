@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.terminal import Format
-
 if TYPE_CHECKING:
     from flows.graph import Flow
 
@@ -46,9 +44,6 @@ Listen = Annotated[
 ]
 NoBrowser = Annotated[
     bool, typer.Option("--no-browser", help="Only print the address of the page, open no browser.")
-]
-Log = Annotated[
-    Format, typer.Option("--log", help="Log as text, or as json: slips and failures as one object per line.")
 ]
 Recordings = Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")]
 ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]

@@ -11,27 +11,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.live_view import add_metrics, add_page, check_access, print_json
+from flows.cli.live_view import add_metrics, add_page, check_access
 from flows.cli.options import (
     AsJson,
     Cluster,
     Duration,
     Jobs,
     Listen,
-    Log,
     NoBrowser,
     Settings,
     Target,
     load_flow,
     parse_settings,
 )
-from flows.cli.terminal import Format, begin_log, logged, note, progress_bar
+from flows.cli.terminal import begin_log, note, progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
     from flows.graph import Flow
     from flows.run.replays import Replayed
-    from operators.ports import Recording, Run
+    from operators.ports import Run
 
 models = logging.getLogger("slipflow.models")
 
@@ -50,13 +49,6 @@ def run(
     ] = None,
     jobs: Jobs = None,
     cluster: Cluster = None,
-    pace: Annotated[
-        float | None,
-        typer.Option(
-            min=0.01,
-            help="Speed of a replay, times real time (default: full speed; 1 with --page, --metrics, --for).",
-        ),
-    ] = None,
     page: Annotated[
         bool, typer.Option("--page", help="Serve the live page and open it in a browser.")
     ] = False,
@@ -70,80 +62,69 @@ def run(
             " the bearer token, and HOST to 0.0.0.0.",
         ),
     ] = None,
-    log: Log = Format.TEXT,
     as_json: AsJson = False,
 ) -> None:
     """Run a flow live, or replay recordings through it.
 
     A live run ends with its sources, after --for, or at Ctrl-C. Recordings are replayed in parallel, each to
     a session of its name; a repeated command leaves out those that exist. Exits 1 if a source was down or
-    silent at the end, rows were lost, or one of several replays failed; the other replays continue.
+    silent at the end, most of its rows were late, a sink dropped rows, or one of several replays failed; the
+    other replays continue.
 
     Examples:
       slipflow run live --for 30s --page
       slipflow run record --set out=lab --set delay=70ms
       slipflow run relabel --replay recordings --jobs 4
       slipflow run relabel --replay recordings --cluster tcp://127.0.0.1:8786
-      slipflow run grip.py:gentle --replay trace.csv --pace 1
+      slipflow run grip.py:gentle --replay trace.csv
     """
     import asyncio
 
     from flows.graph.quantity import parse_time
-    from flows.run.replays import check_outputs, open_recording, recordings
+    from flows.graph.validation import validate
 
-    timed = {"--pace": pace, "--for": duration, "--page": page, "--listen": listen, "--metrics": metrics}
-    in_real_time = next((name for name, value in timed.items() if value), "")
-    if replay and not in_real_time:
-        if log is Format.JSON:
-            raise typer.BadParameter("--log json is for a run in real time: add --pace 1")
-        begin_log(log)
+    if replay:
+        live = {"--for": duration, "--page": page, "--listen": listen, "--metrics": metrics}
+        _refuse(live, "live runs: omit it (slipflow show shows a recording)")
+        begin_log()
         paths = [*replay, *(more or ())]
         replay_all(target, parse_settings(settings), paths, jobs=jobs, cluster=cluster, as_json=as_json)
         return
-    for name, value in {"--jobs": jobs, "--cluster": cluster, "a further recording": more}.items():
-        if value:
-            remedy = f"omit {in_real_time}" if replay else "add --replay PATH"
-            raise typer.BadParameter(f"{name} is for replays at full speed: {remedy}")
-    if pace and not replay:
-        raise typer.BadParameter("--pace is for replays: add --replay PATH")
+    replays = {"--jobs": jobs, "--cluster": cluster, "a further recording": more}
+    _refuse(replays, "replays: add --replay PATH")
     limit = None if duration is None else parse_time("run", "--for", duration)  # ns
     check_access("--listen", listen)
     check_access("--metrics", metrics)
-    begin_log(log)
+    begin_log()
     flow = load_flow(target, settings)
-    paths = recordings(replay or ())
-    if len(paths) > 1:
-        raise typer.BadParameter("a replay in real time has one recording: name one session of the dataset")
-    check_outputs(flow, paths)
-    recording = open_recording(paths[0], note) if paths else None
-    if log is Format.JSON:
-        print_json(flow)
+    validate(flow)
     if page or listen:
         add_page(flow, listen, browse=not no_browser)
     if metrics:
         add_metrics(flow, metrics)
-    with redirect_stdout(sys.stderr if as_json and log is Format.TEXT else sys.stdout):
-        done = asyncio.run(execute(flow, limit=limit, recording=recording, pace=pace or 1.0))
-    report_run(done, log=log, as_json=as_json)
+    with redirect_stdout(sys.stderr if as_json else sys.stdout):
+        done = asyncio.run(execute(flow, limit))
+    report_run(done, as_json=as_json)
 
 
-async def execute(
-    flow: "Flow", *, limit: int | None = None, recording: "Recording | None" = None, pace: float = 1.0
-) -> "Run":
-    """Run a flow for `limit` ns at most: live, or over a recording at `pace` times real time."""
+def _refuse(options: Mapping[str, object], reason: str) -> None:
+    """Raise an error if an option is given, by its name."""
+    for name, value in options.items():
+        if value:
+            raise typer.BadParameter(f"{name} is for {reason}")
+
+
+async def execute(flow: "Flow", limit: int | None = None) -> "Run":
+    """Run a flow live, for `limit` ns at most."""
     from datetime import UTC, datetime
 
-    from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
-    from flows.run.replay_runner import first_time, replayed
     from flows.run.supervision import signals_to
 
     log_models(flow)
-    clock = None if recording is None else LoopClock(first_time(recording), pace)
-    flow = flow if recording is None else replayed(flow, recording)
     session = f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
-    live = LiveRunner(flow, session, clock=clock, duration=limit)
-    with signals_to(live.stop), logged(live.run):  # the log announces a run that signals already end
+    live = LiveRunner(flow, session, duration=limit)
+    with signals_to(live.stop):
         return await live.execute()
 
 
@@ -157,18 +138,12 @@ def log_models(flow: "Flow") -> None:
             models.info("model %s", purpose)
 
 
-def report_run(run: "Run", *, log: Format, as_json: bool) -> None:
-    """Print the result of a run.
-
-    Exits 130 if it was interrupted, 1 if a source was down or silent at its end, or rows were lost.
-    """
+def report_run(run: "Run", *, as_json: bool) -> None:
+    """Print the result of a run; exit 130 if it was interrupted, 1 if it lost something."""
     from flows.run.run_summary import Summary
 
     summary = Summary.of(run)
-    if as_json:
-        typer.echo(json.dumps(summary.as_dict()))
-    elif log is Format.TEXT:  # a JSON log ends with the same data
-        typer.echo(summary.report())
+    typer.echo(json.dumps(summary.as_dict()) if as_json else summary.report())
     if run.error:
         raise typer.Exit(130)
     if summary.lost:

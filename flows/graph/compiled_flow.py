@@ -6,11 +6,12 @@ from typing import Any, TypeAlias, cast
 from flows.graph.flow import Flow
 from flows.graph.node import Node, location
 from flows.graph.validation import sink_fingertips, trace_fingertips, validate
-from operators.batch import BAROMETERS, EVERY, Batch, concat
+from operators.batch import BAROMETERS, EVERY, Batch, concat, ms
 from operators.errors import BatchError, InputError, OperatorError, SlipflowError
 from operators.operator import Join, Operator, fuses
 from operators.ports import Source
-from operators.segment import Segment, Stage, compiler
+from operators.score import Score
+from operators.segment import EARLIEST, Segment, Stage, compiler
 from operators.steps import RowType, Steps
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
@@ -56,6 +57,7 @@ class _Single:
     def __init__(self, node: Node, operator: SomeOperator, finger: int) -> None:
         self.nodes, self.entrances, self._operator = [node], node.inputs, operator
         self._finger, self._gives = finger, cast("type[Batch]", node.gives)
+        self._newest = EARLIEST  # ns, time of the last output row
         self._empty = [kind.empty() for kind in node.takes]
         self._keys = [(parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs]
 
@@ -80,7 +82,11 @@ class _Single:
             raise ValueError(
                 f"returned rows of fingertip {out.finger}, not {self._finger}: pass on finger=batch.finger"
             )
-        return [(self.nodes[0], out.check_order())]
+        first, before, self._newest = out.check_order().time.item(0), self._newest, out.time.item(-1)
+        if first < before:
+            reason = f"decreases by {(before - first) / ms:g} ms between two batches, must be in order"
+            raise BatchError(type(out).__name__, "time", f"{reason}: hold early rows back")
+        return [(self.nodes[0], out)]
 
 
 class CompiledFlow:
@@ -90,7 +96,7 @@ class CompiledFlow:
     >>> from flows.graph.testing import TestSink, TestSource
     >>> from operators import Debounce, Scores
     >>> flow = Flow("events")
-    >>> (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
+    >>> _ = (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
     >>> compiled = CompiledFlow(flow)
     >>> scores = Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))
     >>> [(node, slips)] = compiled.push({compiled.entries[0]: scores})
@@ -119,14 +125,7 @@ class CompiledFlow:
         self._pushers = dict[tuple[Entry, ...], Push]()
         self.fingertips = sink_fingertips(flow)
         self.sink_types = {
-            sink.destination: {
-                cast("type[Batch]", parent.gives): tuple(
-                    sorted(
-                        {each for same in node.inputs if same.gives is parent.gives for each in same.fingers}
-                    )
-                )
-                for parent in node.inputs
-            }
+            sink.destination: {cast("type[Batch]", each.gives): _fingers(node, each) for each in node.inputs}
             for node, sink in flow.sinks().items()
         }
 
@@ -221,11 +220,10 @@ class CompiledFlow:
                 deliveries.append((node, batch))
 
     def _failure(self, nodes: Sequence[Node], error: Exception) -> OperatorError:
-        node = min(nodes, key=lambda each: (not location(each.part, error), _is_tested(each)))
-        reason = str(error)
-        if not isinstance(error, SlipflowError):
-            reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
-        reason += "" if _is_tested(node) else location(node.part, error)
+        node = min(nodes, key=lambda each: (not location(_code(each), error), _is_tested(each)))
+        kind = "" if isinstance(error, SlipflowError) else f"{type(error).__name__}: "
+        reason = f"{kind}{error}".removesuffix(": ")
+        reason += "" if _is_tested(node) else location(_code(node), error)
         return OperatorError(self._flow, node.name, reason)
 
     def _compiled(self, flow: Flow) -> list[_Fused | _Single]:
@@ -290,6 +288,16 @@ class CompiledFlow:
         return units
 
 
+def _fingers(sink: Node, stream: Node) -> tuple[int, ...]:
+    """Return the fingertips of all streams of a sink that have the type of `stream`."""
+    return tuple(sorted({f for each in sink.inputs if each.gives is stream.gives for f in each.fingers}))
+
+
+def _code(node: Node) -> object:
+    """Return the operator of a node, or the detector of a `Score`."""
+    return node.part.detector if type(node.part) is Score else node.part
+
+
 def _is_tested(node: Node) -> bool:
-    """Return True for an operator of slipflow, whose tests check its output."""
-    return type(node.part).__module__.startswith("operators.")
+    """Return True for an operator or detector of slipflow, whose tests check its output."""
+    return type(_code(node)).__module__.startswith("operators.")

@@ -21,10 +21,10 @@ def describe(part: object) -> str:
         has_text, destination = type(part).__str__ is not object.__str__, getattr(part, "destination", "")
         return str(part) if has_text else f"{type(part).__name__}({destination})"
     shown: list[str] = []
-    for f in fields(part):
+    for f in (f for f in fields(part) if f.init and f.repr):
         value: Any = getattr(part, f.name)
         default = f.default_factory() if f.default_factory is not MISSING else f.default
-        if f.init and f.repr and (default is MISSING or value != default):
+        if default is MISSING or value != default:
             shown.append(_value(value) if default is MISSING else f"{f.name}={_value(value)}")
     return f"{type(part).__name__}({', '.join(shown)})"
 

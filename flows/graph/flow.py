@@ -5,7 +5,7 @@ Building a flow runs nothing. Runners execute it any number of times, each time 
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, Generic, Never, NoReturn, TypeVar
+from typing import Any, Final, Generic, Never, NoReturn, TypeVar, cast
 
 from flows.graph.drawing import text
 from flows.graph.node import FlowPart, Node
@@ -33,7 +33,7 @@ class Flow:
     >>> flow = Flow("events")
     >>> scores = flow.source(TestSource(Scores))
     >>> slips = scores | Debounce(consecutive=3)
-    >>> slips.to(TestSink())
+    >>> _ = slips.to(TestSink())
     >>> print(flow)
     flow events
       scores = TestSource(Scores)
@@ -65,7 +65,7 @@ class Flow:
         """Return a copy of the flow in which `choose` selects the part of each node."""
         copies = {node: Node(node.name, choose(node)) for node in self.nodes}
         for node, copy in copies.items():
-            copy.inputs += [copies.get(parent, parent) for parent in node.inputs]
+            copy.inputs += [copies[parent] for parent in node.inputs]
         flow = Flow(self.name)
         flow.nodes += copies.values()
         return flow
@@ -103,19 +103,27 @@ class Stream(Generic[B]):
         return Stream(self.flow, self.flow.add(type(operator).__name__, operator, self.node))
 
     def __and__(self, other: "Stream[C]") -> "Pair[B, C]":
-        """Pair this stream with another, for a join."""
+        """Pair this stream with another of the same flow, for a join."""
+        if not isinstance(cast("object", other), Stream):
+            raise self._no_stream(other, f"{self.node.name} & {{}}")
+        if other.flow is not self.flow:
+            reason = f"{other.node.name} belongs to flow {other.flow.name!r}: declare both in one flow"
+            raise FlowError(self.flow.name, f"{self.node.name} & {other.node.name}", reason)
         return Pair(self, other)
 
     def __rand__(self, other: Never) -> NoReturn:
         """Raise an error: ``stream | Zero() & other`` pairs the operator, not the stream."""
-        part: object = other
-        name = type(part).__name__
-        edge, hint = f"{name} & {self.node.name}", f"(stream | {name}()) & {self.node.name}"
-        raise FlowError(self.flow.name, edge, f"{name} is not a stream: write {hint}")
+        raise self._no_stream(other, f"{{}} & {self.node.name}")
 
-    def to(self, sink: Sink[B]) -> None:
-        """Send this stream to a sink; one sink may receive several streams."""
+    def _no_stream(self, part: object, pair: str) -> FlowError:
+        name = type(part).__name__
+        fix = pair.format(f"(stream | {name}())")
+        return FlowError(self.flow.name, pair.format(name), f"{name} is not a stream: write {fix}")
+
+    def to(self, sink: Sink[B]) -> "Stream[B]":
+        """Send this stream to a sink, and return it; one sink may receive several streams."""
         self.flow.add_sink(sink, self.node)
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,19 +145,14 @@ def _check_part(flow: Flow, kind: type, part: object, *inputs: Node) -> None:
     if isinstance(part, kind):
         return
     name = getattr(part, "__name__", type(part).__name__)
+    attributes: dict[str, object] = getattr(part, "__dict__", {})  # perhaps of a rig
     edge = " -> ".join(filter(None, [" & ".join(each.name for each in inputs), name]))
     reason = f"{name} is not of type {kind.__name__}: derive its class from {_USES[kind][0]}"
     if isinstance(part, type) and issubclass(part, tuple(_USES)):
         reason = f"{name} is a class: write {name}()"
     elif other := next((each for each in _USES if isinstance(part, each)), None):
         reason = f"{name} is of type {other.__name__}: write {_USES[other][1].format(name)}"
-    elif kind is Source and (found := _sources_of(part)):
+    elif kind is Source and (found := [n for n, each in attributes.items() if isinstance(each, Source)]):
         has = ", ".join(found)
         reason = f"{name} is not of type Source, but has {has}: write flow.source(rig.{found[0]})"
     raise FlowError(flow.name, edge, reason)
-
-
-def _sources_of(part: object) -> list[str]:
-    """Return the names of the attributes of an object that are sources, such as those of a rig."""
-    attributes: dict[str, object] = getattr(part, "__dict__", {})
-    return [name for name, value in attributes.items() if isinstance(value, Source)]

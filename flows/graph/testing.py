@@ -1,4 +1,4 @@
-"""Test doubles for flows, operators and connectors: source, sink, recording, and a loop in virtual time."""
+"""Testing of operators and flows: a check of cuts, source, sink, recording, and a loop in virtual time."""
 
 import asyncio
 import selectors
@@ -6,13 +6,28 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterat
 from concurrent.futures import Executor
 from typing import Any, Generic, TypeVar, TypeVarTuple, Unpack
 
-from operators.batch import EVERY, Batch, Touch, concat
+import numpy as np
+
+from operators.batch import EVERY, Batch, Touch, columns, concat
 from operators.fingertip import Fingertip
+from operators.operator import Operator, output_type
 from operators.ports import Clock, Description, Run, Sink, SomeBatch, Source
 
 T = TypeVar("T")
 B = TypeVar("B", bound=Batch)
 Arguments = TypeVarTuple("Arguments")
+
+
+def check_cuts(operator: Operator[Any, Any], batch: Batch) -> None:
+    """Assert that an operator's output is the same for a batch row by row, in pieces and at once."""
+    outputs = list[Batch]()
+    for rows in (1, 7, len(batch)):
+        step = operator.reset_copy()
+        pieces = [step.push(batch[start : start + rows]) for start in range(0, len(batch), rows)]
+        outputs.append(concat(output_type(type(operator)), [*pieces, step.flush()]))
+    for name in columns(type(outputs[-1])):
+        for cut in outputs[:-1]:
+            np.testing.assert_array_equal(getattr(cut, name), getattr(outputs[-1], name), name)
 
 
 class TestSource(Source[B], Generic[B]):

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from functools import cache
-from inspect import signature
+from inspect import iscoroutinefunction, signature
 from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
@@ -37,14 +37,14 @@ def validate(flow: Flow, *, fingertips: bool = True) -> None:
 
 
 def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
-    """Return all problems of a flow; types and destinations are checked only if the structure is valid."""
-    structure = _no_source, _foreign_nodes, _unconnected, _shared_parts, _shared_state, _lost_parameters
-    meaning = _wrong_types, _shared_destinations, _duplicate_streams
+    """Return all problems of a flow; the wiring is checked only if its operators and sinks are valid."""
+    parts = _wrong_operators, _wrong_sinks
+    wiring = _no_source, _shared_parts, _wrong_types, _unconnected, _shared_destinations, _duplicate_streams
 
     def found(checks: Iterable[Callable[[Flow], Iterator[Problem]]]) -> list[FlowError]:
         return [FlowError(flow.name, *problem) for check in checks for problem in check(flow)]
 
-    return found(structure) or found(meaning) + (trace_fingertips(flow)[1] if fingertips else [])
+    return found(parts) or found(wiring) + (trace_fingertips(flow)[1] if fingertips else [])
 
 
 def trace_fingertips(flow: Flow) -> tuple[dict[Node, Fingertip], list[FlowError]]:
@@ -98,17 +98,9 @@ def _no_source(flow: Flow) -> Iterator[Problem]:
         yield "no source", "add one with flow.source(...)"
 
 
-def _foreign_nodes(flow: Flow) -> Iterator[Problem]:
-    own = set(flow.nodes)
-    for node in flow.nodes:
-        for parent in node.inputs:
-            if parent not in own:
-                yield _edge(parent, node), f"{parent.name} belongs to another flow: declare it in this one"
-
-
 def _unconnected(flow: Flow) -> Iterator[Problem]:
     for node, takers in consumers(flow.nodes).items():
-        if not takers and not isinstance(node.part, Sink) and node in flow.nodes:
+        if not takers and not isinstance(node.part, Sink):
             kind = node.gives.__name__ if node.gives else "nothing"
             reason = f"its stream of {kind} is unconnected: connect it to a sink with .to(...)"
             yield f"{node.name} -> ?", reason
@@ -123,28 +115,39 @@ def _shared_parts(flow: Flow) -> Iterator[Problem]:
             yield _first_edge(node), reason
 
 
-def _shared_state(flow: Flow) -> Iterator[Problem]:
+def _wrong_operators(flow: Flow) -> Iterator[Problem]:
+    """Find parameters and state that a copy of an operator for a run would share or lack."""
     for node in flow.nodes:
-        if isinstance(node.part, Operator | Join):
-            for f in fields(node.part):
-                if f.init and isinstance(getattr(node.part, f.name), list | dict | set | np.ndarray):
-                    reason = f"{f.name} would be shared by all runs: use a tuple, or init=False for state"
-                    yield node.name, reason
-
-
-def _lost_parameters(flow: Flow) -> Iterator[Problem]:
-    """Find arguments that a copy of an operator for a run would not get."""
-    for node in flow.nodes:
-        if isinstance(node.part, Operator | Join) and type(node.part).reset_copy is AnyOperator.reset_copy:
-            kept = {f.name for f in fields(node.part) if f.init}
-            for lost in _parameters(type(node.part)) - kept:
-                reason = f"{lost} would be lost: make it a field of a @dataclass, which needs no __init__"
-                yield node.name, reason
+        if not isinstance(node.part, Operator | Join):
+            continue
+        parameters = [f.name for f in fields(node.part) if f.init]
+        for name in parameters:
+            if isinstance(getattr(node.part, name, None), list | dict | set | np.ndarray):
+                yield node.name, f"{name} would be shared by all runs: use a tuple, or init=False for state"
+        if not all(hasattr(node.part, f.name) for f in fields(AnyOperator)):
+            yield node.name, "its __init__ lacks super().__init__(): use a @dataclass, which needs neither"
+        elif type(node.part).reset_copy is AnyOperator.reset_copy:
+            for lost in _parameters(type(node.part)) - {*parameters}:
+                yield node.name, f"{lost} would be lost: make it a field of a @dataclass without __init__"
 
 
 @cache  # of each class: `signature` takes longer than all other checks
 def _parameters(kind: type[AnyOperator]) -> frozenset[str]:
     return frozenset(signature(kind).parameters)
+
+
+def _wrong_sinks(flow: Flow) -> Iterator[Problem]:
+    """Find methods and destinations of sinks that would fail in a run."""
+    for node, sink in flow.sinks().items():
+        edge = _first_edge(node)
+        if not all(isinstance(cast("object", kind), type) and issubclass(kind, Batch) for kind in node.takes):
+            yield edge, "lacks a batch type: annotate it, as in async def write(self, batch: Slips) -> None"
+        for name in ("open", "write", "close", "take"):
+            wanted = "def" if name == "take" else "async def"
+            if iscoroutinefunction(getattr(sink, name)) != (wanted == "async def"):
+                yield edge, f"{name} must be declared with {wanted}"
+        if not isinstance(cast("object", sink.destination), str):
+            yield edge, "destination must be a text: make it an attribute or a @property"
 
 
 def _wrong_types(flow: Flow) -> Iterator[Problem]:

@@ -19,16 +19,17 @@ from connectors.files.interpretation import Part, speeds_of
 from connectors.files.raw_table import listed
 from connectors.files.trace import interpreted
 from flows.graph import Flow
+from flows.learn.labelled_recordings import SPLITS
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Labelled, Motion, Touch
-from operators.errors import InputError, ParameterError
+from operators.errors import InputError, ParameterError, SlipflowError
 from operators.ports import Description
 from storage import Dataset
 from storage.description import read_session
-from storage.layout import SESSION, SESSIONS, may_exist, session_folder, session_folders
+from storage.layout import SESSIONS, session_folders
 
 _DEFAULT: Final = ColumnMap()
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
@@ -65,7 +66,8 @@ class TraceImport:
         trace: The trace.
         out: Folder of the dataset; created if absent.
         session: Name of the session.
-        state: ``written``, ``present`` if the dataset had it, or ``checked``: read but not written.
+        state: ``written``; ``present`` if the dataset had it, ``differs`` if it had it with another
+            description; or ``checked``: read but not written.
     """
 
     trace: Trace
@@ -120,14 +122,16 @@ class TraceImport:
             notes = [units[each] for each in [name.partition(".")[0]] if each in units]
             notes += ["recognised by name"] if name not in part.stated else []
             lines.append(f"  {name:9}{' '.join(columns)}" + (f"  ({', '.join(notes)})" if notes else ""))
-        if found.layout is not None:
-            lines.append(f"  layout   {layout_text(found.layout)}  (cells of each row, from the top)")
+        if part.fingertip is not None:
+            note = "cells of each row, from the top" if found.layout else "assumed; state layout=ROWSxCOLUMNS"
+            lines.append(f"  layout   {layout_text(part.fingertip.layout)}  ({note})")
         if found.range is not None:
             low, high = found.range
             way = "rise" if low < high else "fall"
-            lines.append(f"  range    {low:g} to {high:g}  (readings {way} as the pressure rises)")
-        elif found.unit == "count":
-            lines.append("  range    unknown: detectors assume 1023 counts; state range=LOW:HIGH")
+            lines.append(f"  range    {low:.9g} to {high:.9g}  (readings {way} as the pressure rises)")
+        else:
+            assumed = "1023 counts, falling" if found.unit == "count" else "the direction of the training"
+            lines.append(f"  range    unknown: detectors assume {assumed}; state range=LOW:HIGH")
         if part.unused:
             lines.append(f"  not used {listed(part.unused)}")
         return lines
@@ -135,12 +139,13 @@ class TraceImport:
     def report(self, *, short: bool = False) -> str:
         """Return the interpretation as text; `short`: without the columns."""
         part, columns = self.trace.part, self.trace.part.columns
-        rate = f"{len(part.touch)} rows, {part.seconds:.1f} s, {columns.rate or 0.0:.1f} Hz"
+        rows = "1 row" if len(part.touch) == 1 else f"{len(part.touch)} rows"
+        rate = f"{rows}, {part.seconds:.1f} s, {columns.rate or 0.0:.1f} Hz"
         notes = f" ({', '.join(part.notes)})" if part.notes else ""
         unit = "counts" if columns.unit == "count" else columns.unit
         lowest, highest = part.extent
         lines = [f"{self.trace.name}: {rate}{notes}", *(() if short else self.interpretation())]
-        lines.append(f"  readings from {lowest:g} to {highest:g} {unit}")
+        lines.append(f"  readings from {lowest:.9g} to {highest:.9g} {unit}")
         if (part.resolution, unit) != (1, "counts"):
             lines.append(f"  stored in steps of {part.resolution:g} {columns.unit}")
         if len(speeds := speeds_of(part.motion)):  # (n,) m/s
@@ -157,9 +162,15 @@ class TraceImport:
             lines.append("  no labels and no motion: no samples")
         lines += [f"  warning: {each}" for each in part.warnings]
         about = self.trace.describe()
-        group = f", group {about['group']}" if "group" in about else ""
+        stated = "".join(f", {name} {about[name]}" for name in ("group", "split") if name in about)
         fingers = " and ".join(map(str, self.trace.fingers(Touch)))
-        return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{group}"])
+        return "\n".join([*lines, f"session {self.session} of {self.out}, finger {fingers}{stated}"])
+
+    def source(self) -> dict[str, Any]:
+        """Return what session.json states of the touch: the description and the fingertip of the trace."""
+        tip = self.trace.part.fingertip
+        about: dict[str, Any] = json.loads(json.dumps(self.trace.describe()))
+        return about if tip is None else {**about, "fingertip": tip.describe()}
 
 
 def import_frame(
@@ -190,6 +201,7 @@ def import_frame(
     stated = columns if isinstance(columns, ColumnMap) else ColumnMap.parse(columns)
     about = {**(about or {}), **({} if group is None else {"group": group})}
     found = TraceImport(Trace(frame, stated, name=session, about=about), Path(out), session)
+    _check_rate(found.trace.part)
     found.write()
     return found
 
@@ -202,12 +214,12 @@ def import_files(
     group: str = "",
     split: bool = False,
     dry_run: bool = False,
-) -> Iterator[tuple[Path, TraceImport | InputError]]:
-    """Import CSV and Parquet files one by one; sessions that the dataset has already are left out.
+) -> Iterator[tuple[Path, TraceImport | SlipflowError]]:
+    """Import CSV and Parquet files one by one; those that the dataset has already are left out.
 
-    A file that cannot be imported yields its error and does not stop the others. Files with a unit get the
-    resolution of the dataset or of the first of them, so that a detector can be trained on all. An episode is
-    a session.
+    A file that cannot be imported yields its error and does not stop the others. Files get the resolution of
+    the dataset or of the first of them, so that a detector can be trained on all. An episode is a session.
+    The split of a file is the name of its folder, if that is train, validation or test.
 
     Args:
         paths: The files.
@@ -219,65 +231,66 @@ def import_files(
         dry_run: Check the files and write nothing.
 
     Raises:
-        InputError: if the only file cannot be imported, a file has no group, or two have the same name.
+        SlipflowError: if the only file cannot be imported.
+        InputError: if a file has no group, or two have the same name.
         ParameterError: on an invalid pattern, or a file as dataset.
-        EndpointError: if the dataset cannot be written.
     """
     if out.is_file():
         raise ParameterError("import", "OUT", str(out), "a folder: the last argument is the dataset to write")
     names = _session_names(paths)
-    groups = [_group_of(path, group) for path in paths]
-    steps = _resolutions(out)
-    for path, name, surface in zip(paths, names, groups, strict=True):
+    abouts = [{**_group_of(path, group), **_split_of(path)} for path in paths]
+    sources, steps = _sessions(out)
+    for path, name, about in zip(paths, names, abouts, strict=True):
         try:
             parts = _parts(path, columns, steps, split=split)
             for number, part in enumerate(parts, 1):
-                trace = Trace(part, name=str(path), about=surface)
-                found = TraceImport(trace, out, f"{name}-{number}" if len(parts) > 1 else name)
-                if _is_present(out, found.session, part.sha256):
-                    found.state = "present"
+                ending = f"-{number}" if len(parts) > 1 else ""
+                found = TraceImport(Trace(part, name=str(path), about=about), out, f"{name}{ending}")
+                same = [each for each, source in sources.items() if source.get("sha256") == part.sha256]
+                if present := next((each for each in same if each.endswith(ending)), None):
+                    found.session = present
+                    alike = {**found.source(), "trace": ""} == {**sources[present], "trace": ""}
+                    found.state = "present" if alike else "differs"
+                elif found.session in sources:
+                    reason = f"already has a session {found.session!r} of another file: rename the file"
+                    raise InputError(str(out), reason)
                 elif not dry_run:
                     found.write()
+                sources[found.session] = found.source()
                 yield path, found
-        except InputError as error:
+        except SlipflowError as error:
             if len(paths) == 1:
                 raise
             yield path, error
 
 
 def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bool) -> list[Part]:
-    """Return the parts of a file; a unit other than counts gets the resolution in `steps`, if it is there."""
+    """Return the parts of a file; their unit gets the resolution in `steps`, if it is there."""
     if path.is_dir():
         raise InputError(str(path), f"is a folder: give {path}/*.csv")
     found = interpreted(path, columns, split=split)
+    _check_rate(found[0])
     unit, resolution = found[0].columns.unit, found[0].resolution
-    if columns.resolution is None and unit != "count" and steps.setdefault(unit, resolution) != resolution:
+    if columns.resolution is None and steps.setdefault(unit, resolution) != resolution:
         found = interpreted(path, replace(columns, resolution=steps[unit]), split=split)
     return found
 
 
-def _resolutions(out: Path) -> dict[str, float]:
-    """Return the resolution of a dataset's touch by its unit."""
+def _check_rate(part: Part) -> None:
+    """Require that the rate of a recording is known."""
+    if part.fingertip is None:
+        raise InputError(part.file, "has no two times, which tell the rate; state rate=... (rows per second)")
+
+
+def _sessions(out: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
+    """Return what the sessions of a dataset state of their touch, by name, and its resolution by unit."""
+    sources, steps = dict[str, dict[str, Any]](), dict[str, float]()
     for folder in session_folders(out) if (out / SESSIONS).is_dir() else ():
-        fingertips: Any = read_session(folder).get("fingertips")
-        if tip := fingertips and fingertips.get("touch"):
-            return {str(tip["unit"]): float(tip["resolution"])}
-    return {}
-
-
-def _is_present(out: Path, session: str, sha256: str) -> bool:
-    """Return True if a dataset has a session of the same file.
-
-    Raises:
-        InputError: if it has a session of that name of another file.
-    """
-    folder = session_folder(out, session)
-    if not may_exist(folder / SESSION):
-        return False
-    about = read_session(folder)
-    if f'"sha256": "{sha256}"' not in json.dumps(about.get("sources")):
-        raise InputError(str(out), f"already has a session {session!r} of another file: rename the file")
-    return True
+        about: Any = read_session(folder)
+        sources[folder.name] = (about.get("sources") or {}).get("touch") or {}
+        if tip := (about.get("fingertips") or {}).get("touch"):
+            steps.setdefault(str(tip["unit"]), float(tip["resolution"]))
+    return sources, steps
 
 
 def _session_names(paths: Sequence[Path]) -> list[str]:
@@ -290,6 +303,11 @@ def _session_names(paths: Sequence[Path]) -> list[str]:
         if (other := seen.setdefault(names[-1].casefold(), path)) is not path:
             raise InputError(str(path), f"has the same session name as {other}: {names[-1]}; rename one")
     return names
+
+
+def _split_of(path: Path) -> Description:
+    """Return the split that the folder of a file states as an entry of its description."""
+    return {"split": path.parent.name} if path.parent.name in SPLITS else {}
 
 
 def _group_of(path: Path, pattern: str) -> Description:

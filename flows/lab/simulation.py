@@ -24,13 +24,13 @@ from connectors.sim.scene import PaperStrokes, Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.graph import Flow
 from flows.graph.testing import TestRecording, TestSource
-from flows.learn.labelled_recordings import TURNS, scene_seed
+from flows.learn.labelled_recordings import TURNS, scene_seed, sliding_motion
 from flows.record import declare_recording
 from flows.run.executor import map_tasks
 from flows.run.replay_runner import ReplayRunner
 from flows.run.session_output import new_session, remove_partial
-from operators import Align, Label, SlidingMotion, Zero, ms
-from operators.batch import Batch, Episodes, Touch, Truth, concat, s
+from operators import Align, Label, Zero, ms
+from operators.batch import Batch, Episodes, Motion, Touch, Truth, concat, s
 from operators.checks import check_at_least, check_choice
 from operators.fingertip import TAKKTILE
 from storage import Dataset
@@ -155,7 +155,8 @@ async def _run(root: Path, plan: str, seed: int, planned: PlannedRecording) -> N
     flow, dataset = Flow("simulate"), Dataset(root, part_span=_PART_SPAN, host="simulated")
     sources: dict[str, dict[str, Any]]
     if planned.scene is None:
-        streams = _shifted(simulate_grasp(seed, planned.seed), planned.start)
+        touch, truth = simulate_grasp(seed, planned.seed)
+        streams = _shifted((touch, truth, sliding_motion(truth)), planned.start)
         _declare_grasp(flow, dataset)
         fingertip, sources = TAKKTILE, {"touch": {"sensor": "TakkTile 2x3, simulated"}}
     else:
@@ -189,7 +190,7 @@ def _declare_grasp(flow: Flow, dataset: Dataset) -> None:
     """Declare the recording of a grasp, labelled by the true sliding: no arm moves the fingertip over it."""
     touch = flow.source(TestSource(Touch, fingers=(0,)))
     truth = flow.source(TestSource(Truth, fingers=(0,)))
-    sliding = truth | SlidingMotion()
+    sliding = flow.source(TestSource(Motion, fingers=(0,)), "sliding")
     samples = (touch | Zero()) & sliding | Align(within=20 * ms) | Label(speed=SLIDING)
     touch.to(dataset)
     truth.to(dataset)

@@ -14,7 +14,7 @@ from scipy.special import expit, gammainccinv, ndtri, stdtrit
 from flows.learn.evaluation.folds import repeated
 from flows.learn.event_metrics import EventMetrics, TrueSlips, debounce_settings
 from flows.learn.labelled_recordings import LabelledRecording, load
-from flows.learn.training.trained_model import learned_from, provenance
+from flows.learn.training.trained_model import learned, provenance
 from flows.report.table import counted
 from operators import Debounce
 from operators.batch import Reals
@@ -76,12 +76,12 @@ def try_settings(recordings: Sequence[LabelledRecording], probabilities: Sequenc
     The fingertips of one session are one recording: their alarms have common causes. A single session is cut
     into ten pieces.
     """
-    pieces = _PIECES if len({each.name for each in recordings}) == 1 else 1
-    parts = dict[tuple[str, int], tuple[list[Reals], list[TrueSlips]]]()
+    pieces = _PIECES if len({each.session for each in recordings}) == 1 else 1
+    parts = dict[tuple[tuple[str, str], int], tuple[list[Reals], list[TrueSlips]]]()
     for recording, probability in zip(recordings, probabilities, strict=True):
         edges = np.linspace(0, len(recording), pieces + 1).astype(int).tolist()
         for number, rows in enumerate(starmap(slice, pairwise(edges))):
-            values, slips = parts.setdefault((recording.name, number), ([], []))
+            values, slips = parts.setdefault((recording.session, number), ([], []))
             values.append(probability[rows])
             slips.append(TrueSlips.labelled(recording.piece(rows)))
     rules = tuple(map(recordings[0].sampling.rule, PATH))
@@ -268,8 +268,7 @@ def calibrate_model(
     if out is None and path != source and path.exists():
         raise InputError(str(path), "exists: calibrate it, or give another file with -o")
     card, weights = load_card(source), files.read(source, LIMIT)
-    used = [(each, _unseen(model, card, each, log)) for each in paths]
-    recordings = [recording for _, found in used for recording in found]
+    recordings = _unseen(model, card, paths, log)
     if not recordings:
         raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
     if twice := repeated(recordings, [f"recording {number}" for number in range(1, len(recordings) + 1)]):
@@ -277,7 +276,7 @@ def calibrate_model(
     log(f"scoring {counted(len(recordings), 'recording')}")
     trials = try_settings(recordings, [one.probabilities(detector) for one in recordings])
     found = calibrated(trials, rate, confidence)
-    entry = _entry(found, [provenance(*each) for each in used])
+    entry = _entry(found, provenance(recordings))
     entries = {float(each["false_alarms_per_min"]): each for each in (*card.get(ALARMS, ()), entry)}
     card |= {
         "file": path.name,
@@ -291,17 +290,14 @@ def calibrate_model(
 
 
 def _unseen(
-    model: str, card: Mapping[str, Any], path: Path, log: Callable[[str], object]
+    model: str, card: Mapping[str, Any], paths: Sequence[Path], log: Callable[[str], object]
 ) -> list[LabelledRecording]:
-    """Read recordings; of a dataset that the model has learned from, only those of its test split."""
-    log(f"reading {path}")
-    recordings = load(path)
-    if not learned_from(card, path):
-        return recordings
-    kept = [recording for recording in recordings if recording.split == "test"]
-    left_out = counted(len(recordings) - len(kept), "recording")
-    log(f"left out {left_out} of {path}: {model} has learned from them")
-    return kept
+    """Read the recordings that a model has not learned from."""
+    log(f"reading {', '.join(map(str, paths))}")
+    recordings = load(*paths)
+    if known := learned(card, recordings):
+        log(f"left out {counted(len(known), 'recording')}: {model} has learned from them")
+    return [each for each in recordings if each not in known]
 
 
 def _entry(found: Calibrated, data: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

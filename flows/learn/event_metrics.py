@@ -37,7 +37,9 @@ class Onsets:
 
 
 def match_onsets(onsets: Times, slips: Times | Sequence[tuple[int, int]], *, before: int = BEFORE) -> Onsets:
-    """Match each slip with the first onset from `before` its start to 150 ms after its end.
+    """Match each slip with its first onset from `before` its start to 150 ms after its end.
+
+    An onset detects one slip, the earliest that it may belong to.
 
     Args:
         onsets: (n,) times of onsets, ns, increasing.
@@ -46,6 +48,8 @@ def match_onsets(onsets: Times, slips: Times | Sequence[tuple[int, int]], *, bef
 
     >>> match_onsets(np.array([30 * ms, 900 * ms]), [(0, 200 * ms), (400 * ms, 500 * ms)])
     Onsets(delays=array([30000000]), missed=1, false=1)
+    >>> match_onsets(np.array([370 * ms]), [(0, 300 * ms), (400 * ms, 500 * ms)])
+    Onsets(delays=array([370000000]), missed=1, false=0)
     """
     starts, ends = np.asarray(slips, np.int64).reshape(-1, 2).T  # (k,) each
     first, past = onsets.searchsorted(starts - before), onsets.searchsorted(ends + AFTER, "right")
@@ -54,7 +58,13 @@ def match_onsets(onsets: Times, slips: Times | Sequence[tuple[int, int]], *, bef
     np.add.at(nesting, first[found], 1)
     np.add.at(nesting, past[found], -1)
     false = int((nesting.cumsum()[:-1] == 0).sum())
-    return Onsets(onsets[first[found]] - starts[found], int((~found).sum()), false)
+    free, delays = 0, list[int]()  # the onsets before `free` belong to earlier slips
+    for begin, end, start in zip(first.tolist(), past.tolist(), starts.tolist(), strict=True):
+        onset = max(begin, free)
+        if onset < end:
+            free = onset + 1
+            delays.append(int(onsets[onset]) - start)
+    return Onsets(np.array(delays, np.int64), len(starts) - len(delays), false)
 
 
 def runs(flags: Flags) -> NDArray[np.intp]:

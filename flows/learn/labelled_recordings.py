@@ -1,7 +1,9 @@
 """Labelled recordings: counts and labels of one fingertip, which detectors are trained and evaluated on."""
 
+import hashlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 from typing import Final, Self
 
@@ -13,7 +15,7 @@ from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import SLIDING, episode
 from flows.report.table import counted
-from operators import Align, Debounce, Label, Score, SlidingMotion, Zero, ms, s
+from operators import Align, Debounce, Label, Score, Zero, ms, s
 from operators.batch import (
     EVERY,
     MOTIONS,
@@ -37,6 +39,7 @@ from operators.batch import (
 from operators.detectors import Detector
 from operators.errors import FingertipError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
+from operators.operator import LateRowFilter
 from operators.score import forward_fill
 from storage import HandLabels, Session
 from storage.layout import session_folders
@@ -47,6 +50,10 @@ TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 WARM_UP: Final = 99  # samples; the paper's windows have 100
+_DIGITS: Final = 12  # of a sha256: enough to tell millions of recordings apart
+_SPAN: Final = 150 * ms  # ns; a slip has pauses of 50 to 100 ms, in which the contact sticks
+_REST: Final = 250 * ms  # ns, over which a contact at rest has hardly slid
+_GAP: Final = 50 * ms  # ns, longest time between two rows; nothing slides in a longer one
 _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written for
 
 
@@ -121,6 +128,16 @@ class LabelledRecording:
 
     def __len__(self) -> int:
         return len(self.label)
+
+    @property
+    def session(self) -> tuple[str, str]:
+        """Dataset and session, which the recordings of several fingertips share."""
+        return self.dataset, self.name
+
+    @property
+    def content(self) -> str:
+        """Start of the sha256 of the counts, which a copy under another name shares."""
+        return hashlib.sha256(self.counts.tobytes()).hexdigest()[:_DIGITS]
 
     @property
     def sampling(self) -> Sampling:
@@ -213,25 +230,36 @@ def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledReco
     )
 
 
-def load(dataset: Path) -> list[LabelledRecording]:
-    """Read every fingertip of a session, or of all of a dataset, that has samples or labels by hand.
+def load(*datasets: Path) -> list[LabelledRecording]:
+    """Read every fingertip of sessions, or of all of datasets, that has samples or labels by hand.
 
     A label by hand replaces the label by arm speed. A session without samples, as without an arm, is read
-    from its touch, with the labels by hand only. If no session has a split, as in recordings made by hand,
-    sessions are assigned in the order of their names: seven of ten to train, one to validation, two to test.
+    from its touch, with the labels by hand only. Sessions of datasets in which none has a split, as in
+    recordings made by hand, are assigned in the order given, in datasets in that of their names: seven of ten
+    to train, one to validation, two to test.
 
     Args:
-        dataset: Folder of the dataset, or of one of its sessions.
+        datasets: Folders of datasets, or of their sessions.
 
     Raises:
-        InputError: if the dataset does not exist, is damaged or has no labelled samples.
+        InputError: if a dataset does not exist, is damaged or has no labelled samples.
     """
+    turns, found = cycle(TURNS), list[LabelledRecording]()
+    for dataset in datasets:
+        recordings = _read(dataset)
+        if not any(each.split for each in recordings):
+            splits = dict(zip([folder.name for folder in session_folders(dataset)], turns, strict=False))
+            recordings = [replace(each, split=splits[each.name]) for each in recordings]
+        found += recordings
+    return found
+
+
+def _read(dataset: Path) -> list[LabelledRecording]:
     make = "make one with `slipflow simulate` or `slipflow run record`"
     if not dataset.is_dir():
         raise InputError(str(dataset), f"there is no such folder; {make}")
-    folders = session_folders(dataset)
     recordings = list[LabelledRecording]()
-    for session in map(Session.open, folders):
+    for session in map(Session.open, session_folders(dataset)):
         hand = session.hand_labels()
         marked = {span.finger for span in hand.spans}
         if marked:
@@ -240,9 +268,6 @@ def load(dataset: Path) -> list[LabelledRecording]:
             recordings.append(replace(_of_session(session, finger, hand), dataset=str(dataset)))
     if not recordings:
         raise InputError(str(dataset), f"has no labels; {make}, or label by hand with `slipflow show`")
-    if not any(recording.split for recording in recordings):
-        order = {folder.name: number for number, folder in enumerate(folders)}
-        return [replace(each, split=TURNS[order[each.name] % len(TURNS)]) for each in recordings]
     return recordings
 
 
@@ -337,5 +362,29 @@ def _labelled(zeroed: Zeroed, motion: Motion) -> Labelled:
 
 def _sliding(zeroed: Zeroed, truth: Truth) -> Codes:
     """Return the label of each sample by the true sliding at its time; (n,)."""
-    sliding = SlidingMotion()
-    return _labelled(zeroed, concat(Motion, [sliding.push(truth), sliding.flush()])).label
+    return _labelled(zeroed, sliding_motion(truth)).label
+
+
+def sliding_motion(truth: Truth) -> Motion:
+    """Return the true sliding as motion, by which `Align` and `Label` label samples.
+
+    The velocity's first component is the mean sliding speed of the contact over the last 150 ms, the others
+    are 0, and the pose is unknown. So stick-slip is one slip, and all evidence for a label lies in the past.
+    Between slip and rest the speed is NaN, so that the label is unknown: the mean over 150 ms is at most
+    `SLIDING`, but the mean over 250 ms is above a third of it. Late rows are omitted.
+
+    >>> truth = Truth.rows(np.arange(17) * 10 * ms, 0.03, 1.0, 0.0)
+    >>> sliding_motion(truth).velocity[[0, 1, 2, 15, 16], 0].round(3)
+    array([0.   ,   nan, 0.004, 0.03 , 0.03 ])
+    """
+    truth = LateRowFilter().filter(truth)
+    time = truth.time
+    elapsed = np.diff(time, prepend=time[:1])  # (n,) ns
+    travel = np.cumsum(np.where(elapsed <= _GAP, truth.sliding * elapsed / 1e9, 0.0))  # (n,) m
+    speed, slow = (  # (n,) m/s
+        (travel - travel[np.maximum(time.searchsorted(time - span, "right") - 1, 0)]) / (span / 1e9)
+        for span in (_SPAN, _REST)
+    )
+    velocity = np.zeros((len(time), 6))
+    velocity[:, 0] = np.where((speed <= SLIDING) & (slow > SLIDING / 3), np.nan, speed)
+    return Motion(time, time, velocity, np.full_like(velocity, np.nan), finger=truth.finger)

@@ -13,7 +13,6 @@ Axes: TypeAlias = Any
 INK: Final = "#22272e"
 SOFT: Final = "#5b6672"  # of text
 FAINT: Final = "#9aa4b0"  # of lines
-SHADE: Final = "#f3d9b1"  # background of slip
 GROUND: Final = "#ffffff"
 MAIN: Final = "#0b6e99"
 SECOND: Final = "#d1495b"

@@ -9,31 +9,27 @@ STEP = 10 * ms  # ns; least change of the host clock's offset that counts as a s
 
 
 class LoopClock:
-    """Clock of the running event loop: monotonic, so steps of the host's clock do not affect time stamps.
+    """Clock of the running event loop: monotonic, so steps of the host's clock do not affect time stamps."""
 
-    A paced replay starts it at the recording's first stamp, possibly faster or slower than real time.
-    """
-
-    def __init__(self, start: int | None = None, pace: float = 1.0) -> None:
-        """Start at `start` (ns; default: the host's time) and run at `pace` times real time."""
+    def __init__(self, start: int | None = None) -> None:
+        """Start at `start` (ns; default: the host's time)."""
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         self._start = time.time_ns() if start is None else start
-        self._ahead = _host_ahead() if start is None else None
-        self._pace = pace
+        self._ahead = _host_ahead()
 
     @property
-    def host_offset(self) -> int | None:
-        """Offset of the host's clock from this one, ns, due to steps since the start; None in a replay."""
-        return None if self._ahead is None else _host_ahead() - self._ahead
+    def host_offset(self) -> int:
+        """Offset of the host's clock from this one, ns, due to steps since the start."""
+        return _host_ahead() - self._ahead
 
     def now(self) -> int:
         """Return the current time, ns since 1970-01-01 UTC."""
-        return self._start + round((self._loop.time() - self._began) * self._pace * s)
+        return self._start + round((self._loop.time() - self._began) * s)
 
     async def sleep_until(self, time: int) -> None:
         """Wait until `time` (ns); return at once if it has passed."""
-        wait = (time - self.now()) / s / self._pace
+        wait = (time - self.now()) / s
         if wait > 0:
             await asyncio.sleep(wait)
 

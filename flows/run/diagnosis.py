@@ -11,7 +11,7 @@ from pathlib import Path
 from struct import unpack_from
 from typing import Final, TypeAlias
 
-from flows.run.log_events import reason_of
+from flows.run.failures import reason_of
 from operators.errors import EndpointError, InputError
 from operators.extras import EXTRAS, install_command, missing_packages, require_extra, software_version
 from operators.ports import Clock, Endpoint, Finding

@@ -2,6 +2,7 @@
 
 import asyncio
 import gc
+import logging
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final
 
@@ -9,18 +10,21 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery
 from flows.graph.node import Node, check_extras, consumers
 from flows.run.clocks import STEP, LoopClock
-from flows.run.log_events import contained, reason_of, warn
+from flows.run.failures import contained, reason_of
 from flows.run.replay_runner import close_sinks, new_run
 from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.supervision import ALIVE, READY, STOPPING, notify_systemd
 from operators.batch import Batch, ms, s
+from operators.errors import OperatorError
 from operators.ports import Clock, ClockStep, Run, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
 REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
 YIELD_EVERY: Final = 16  # rows; a source that never waits yields to the event loop after as many
 CANCEL_LIMIT: Final = 5.0  # s; a source that has not ended so long after its cancellation is left alone
+
+log = logging.getLogger("slipflow")
 LAGGING: Final = 50 * ms  # ns; a source whose newest row is older is catching up, as after a host stall
 PASSES: Final = 8  # passes of the event loop that a source catching up waits for older rows of the others
 
@@ -29,11 +33,12 @@ class LiveRunner:
     """One live run of a flow.
 
     A source that fails is restarted with a back-off, and its gap is recorded. A source that delivers nothing
-    is reported as stale. A sink that fails is retried with the same batch and never blocks the others. While
-    a lossless sink is slow, the sources wait; other sinks drop their oldest batch. A sink that is stuck
-    counts as failing. Rows for which a failing sink has no room are counted as dropped. Steps of the host's
-    clock are recorded; they do not affect time stamps. The run starts no thread and takes time only from its
-    clock and the event loop. Meanwhile garbage collections ignore older objects (`gc.freeze`).
+    is reported as stale. A sink that fails is retried with the same batch and never blocks the others. A
+    mistake in the code of a part ends the run. While a lossless sink is slow, the sources wait; other sinks
+    drop their oldest batch. A sink that is stuck counts as failing. Rows for which a failing sink has no room
+    are counted as dropped. Steps of the host's clock are recorded; they do not affect time stamps. The run
+    starts no thread and takes time only from its clock and the event loop. Meanwhile garbage collections
+    ignore older objects (`gc.freeze`).
 
     Args:
         flow: Flow to run.
@@ -83,8 +88,8 @@ class LiveRunner:
         """Run until all sources end, the duration is over, or `stop` is called.
 
         Raises:
-            SlipflowError: if a sink cannot be opened, an operator fails or a source breaks its contract;
-                earlier output is committed.
+            SlipflowError: if a sink cannot be opened, an operator fails, a source breaks its contract or a
+                sink has a mistake in its code; earlier output is committed.
         """
         prepared = await _unless(self._stop, self._prepare())
         self.run.start = self.clock.now()
@@ -113,7 +118,8 @@ class LiveRunner:
     async def _open_sinks(self) -> None:
         opened: list[SinkQueue] = []
         try:
-            for queue in self._queues.values():
+            # recorders last: else a sink that refuses would leave an empty session
+            for queue in sorted(self._queues.values(), key=lambda each: each.sink.records):
                 with contained():
                     await queue.sink.open(self.run)
                 opened.append(queue)
@@ -148,6 +154,9 @@ class LiveRunner:
                 reader.end()
         for error in errors:  # of an operator, a source's contract, or a task of this run
             raise error
+        for queue in self._queues.values():
+            if queue.mistake:
+                raise OperatorError(self.run.flow, queue.name, queue.status.error) from queue.mistake
 
     async def _end_sinks(self, writers: Sequence[asyncio.Task[None]]) -> None:
         """Complete the queues, and wait until all rows are written and all sinks are closed."""
@@ -161,8 +170,8 @@ class LiveRunner:
                 if not waiting:
                     break
                 late = [q for q, w in zip(self._queues.values(), writers, strict=True) if w in waiting]
-                text = f"waiting for {'; '.join(q.backlog for q in late)}; a second signal drops them"
-                warn("sinks_awaited", text, sinks=[q.name for q in late])
+                waited = "; ".join(q.backlog for q in late)
+                log.warning("waiting for %s; a second signal drops them", waited)
         finally:
             for error in await _cancelled(writers):
                 raise error
@@ -241,17 +250,17 @@ class LiveRunner:
                 queue.observe()
             if not self._pending:  # else the sources wait for a sink
                 for reader in self._readers.values():
-                    reader.check_silence(CHECK_INTERVAL)
+                    reader.check(CHECK_INTERVAL)
             if not any(source.stale for source in self.run.sources.values()):
                 notify_systemd(ALIVE)
 
     def _check_host_clock(self) -> None:
-        offset = self.clock.host_offset if isinstance(self.clock, LoopClock) else None
+        offset = self.clock.host_offset if isinstance(self.clock, LoopClock) else 0
         known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
-        if offset is not None and abs(offset - known) >= STEP:
+        if abs(offset - known) >= STEP:
             self.run.clock_steps.append(ClockStep(self.clock.now(), offset))
-            step = f"the host's clock stepped by {(offset - known) / s:+.3f} s"
-            warn("clock_set", f"{step}; time stamps are not affected", offset_ns=offset)
+            step = (offset - known) / s
+            log.warning("the host's clock stepped by %+.3f s; time stamps are not affected", step)
 
 
 async def _unless(stop: asyncio.Event, work: Coroutine[Any, Any, None]) -> bool:

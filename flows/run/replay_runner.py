@@ -1,6 +1,8 @@
-"""Execution of a flow over a recording: the same graph at full speed, or paced like a live run."""
+"""Execution of a flow over a recording: the same graph as in a live run, at full speed."""
 
 import asyncio
+import hashlib
+import logging
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
@@ -14,23 +16,25 @@ from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import FlowPart, Node, check_extras, consumers
 from flows.run.clocks import EventClock
-from flows.run.log_events import contained, reason_of, warn
-from operators.batch import ANNOTATIONS, Batch, Faults, Labelled, Motion, Scores, Slips, Touch
+from flows.run.failures import contained, reason_of
+from operators.batch import ANNOTATIONS, Batch
+from operators.detectors.weights import ForOneFingertip
 from operators.errors import FlowError, InputError
 from operators.operator import LateRowFilter
 from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
+from operators.score import Score
+
+log = logging.getLogger("slipflow")
 
 
-def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
+def replayed(flow: Flow, recording: Recording) -> Flow:
     """Return a copy of a flow that reads its sources from a recording.
 
-    A source reads the recorded fingertips that it declares, or all if no other source has its type. `paced`
-    keeps the time offsets between the streams, for `LiveRunner`; it reads the start of each stream.
+    A source reads the recorded fingertips that it declares, or all if no other source has its type.
 
     Raises:
         InputError: if the recording lacks the stream of a source.
     """
-    origin = first_time(recording) if paced else None
     kinds = [source.kind for source in flow.sources().values()]
 
     def recorded(node: Node) -> FlowPart:
@@ -44,7 +48,7 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
         if not fingers and kind not in ANNOTATIONS:
             reason = f"has no {kind.__name__.lower()} stream, which source {node.name!r} needs"
             raise InputError(recording.name, f"{reason} (flow {flow.name!r})")
-        return Replay(recording, kind, fingers, origin=origin)
+        return Replay(recording, kind, fingers)
 
     return flow.replaced(recorded)
 
@@ -60,6 +64,31 @@ def check_sinks_of_replay(flow: Flow) -> None:
         raise FlowError(flow.name, ", ".join(found), reason)
 
 
+def declaration(flow: Flow) -> list[str]:
+    """Return the definition of each stream, and a checksum of each model, one line each.
+
+    A definition only names the model, whose weights another training may have replaced.
+    """
+    lines = streams(flow.nodes)
+    for node in flow.nodes:
+        if isinstance(node.part, Score) and isinstance(model := node.part.detector, ForOneFingertip):
+            checksum = hashlib.sha256(b"".join(_numbers(model))).hexdigest()
+            lines.append(f"{model.model or model.name} = sha256 {checksum}")
+    return lines
+
+
+def _numbers(part: object) -> Iterator[bytes]:
+    """Yield all numbers of a model: arrays, parameters and fingertip."""
+    if isinstance(part, np.ndarray | np.generic | int | float):
+        yield np.asarray(part).tobytes()
+    elif isinstance(part, list | tuple):
+        for each in part:
+            yield from _numbers(each)
+    else:
+        for each in getattr(part, "__dict__", {}).values():
+            yield from _numbers(each)
+
+
 def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:
     """Return the state of a run that begins now, without the status of its sources and sinks."""
     recording = next((each.recording for each in flow.sources().values() if each.recording is not None), None)
@@ -72,7 +101,7 @@ def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, l
         clock.now(),
         live=live,
         recording=recording,
-        declaration=tuple(streams(flow.nodes)),
+        declaration=tuple(declaration(flow)),
         describe={node.name: node.describe() for node in flow.sources()},
         sink_types=compiled.sink_types,
         fingertips=compiled.fingertips,
@@ -92,14 +121,14 @@ class ReplayRunner:
     """
 
     def __init__(self, flow: Flow, recording: Recording, session: str, *, rows: int = 1000) -> None:
-        self._flow = replayed(flow, recording, paced=False)
+        self._flow = replayed(flow, recording)
         self.compiled = CompiledFlow(self._flow)
         check_extras(self._flow.sinks())
         self._consumers = consumers(self._flow.nodes)
         self._recording, self._rows = recording, rows
         self._clock = EventClock(0)
         self.run = new_run(session, self._flow, self.compiled, self._clock, live=False)
-        self.run.declaration = tuple(streams(flow.nodes))  # as in a live run
+        self.run.declaration = tuple(declaration(flow))  # as in a live run
         self.run.sources = {node.name: SourceStatus() for node in self._flow.sources()}
         self.run.sinks = {
             node.name: SinkStatus(records=sink.records) for node, sink in self._flow.sinks().items()
@@ -172,8 +201,7 @@ async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> No
         except Exception as error:  # noqa: BLE001 - the other sinks must be closed too
             errors.append(error)
             if failed or len(errors) > 1:
-                name, reason = sink.destination, reason_of(error)
-                warn("sink_failed", f"{name} failed: {reason}", sink=name, reason=reason)
+                log.warning("%s failed: %s", sink.destination, reason_of(error))
     if errors and not failed:
         raise errors[0]
 
@@ -203,21 +231,17 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
         yield slices
 
 
-def first_time(recording: Recording, flow: Flow | None = None) -> int:
-    """Return the first stamp of a recording, ns; given a flow that replays it, of the streams that it reads.
+def first_time(flow: Flow, recording: Recording) -> int:
+    """Return the first stamp (ns) of the streams that a flow, made by `replayed`, reads from a recording.
 
     Raises:
         InputError: if there is no row.
     """
-    kinds: tuple[type[Batch], ...] = Touch, Motion, Labelled, Scores, Slips, Faults, *ANNOTATIONS
-    read = [(kind, recording.fingers(kind)) for kind in kinds]
-    if flow is not None:
-        read = [(source.kind, source.fingers) for source in flow.sources().values()]
     times = (
         int(batch.time[0])
-        for kind, fingers in read
-        for finger in fingers
-        for batch in islice(recording.read(kind, finger, 1), 1)
+        for source in flow.sources().values()
+        for finger in source.fingers
+        for batch in islice(recording.read(source.kind, finger, 1), 1)
     )
     if (first := min(times, default=None)) is None:
         raise InputError(recording.name, "is empty: it has no rows to replay")

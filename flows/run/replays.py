@@ -24,13 +24,12 @@ from typing import Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.drawing import streams
 from flows.graph.loading import SHIPPED, load, loaded_modules
 from flows.graph.node import Node
 from flows.graph.validation import validate
 from flows.run.executor import LocalProcesses, map_tasks
-from flows.run.log_events import reason_of
-from flows.run.replay_runner import ReplayRunner, check_sinks_of_replay, first_time, replayed
+from flows.run.failures import reason_of
+from flows.run.replay_runner import ReplayRunner, check_sinks_of_replay, declaration, first_time, replayed
 from flows.run.run_summary import Summary
 from flows.run.session_output import new_session, remove_partial
 from operators.errors import FlowError, InputError, SlipflowError
@@ -157,7 +156,7 @@ class Replays:
         paths, names = [*map(str, self.recordings)], [*map(session_of, self.recordings)]
         if isinstance(executor, LocalProcesses) and len(paths) > 1:  # compile once, where it is logged
             with suppress(SlipflowError, OSError):  # the replay of this recording reports it
-                CompiledFlow(replayed(self.flow, open_recording(self.recordings[0], log.debug), paced=False))
+                CompiledFlow(replayed(self.flow, open_recording(self.recordings[0], log.debug)))
         with ExitStack() as stack:
             for root in self._roots:
                 stack.callback(remove_partial, root, names)
@@ -175,9 +174,9 @@ class Replays:
         written = [folder for folder in folders if (folder / SESSION).exists()]
         for folder in written:
             about, recording = Session.open(folder).about, open_recording(path, log.warning)
-            start = first_time(recording, replayed(self.flow, recording, paced=False))
-            if (about["start_ns"], about["declaration"]) != (start, streams(self.flow.nodes)):
-                reason = "is of another recording or flow: write to another dataset, or remove it"
+            start = first_time(replayed(self.flow, recording), recording)
+            if (about["start_ns"], about["declaration"]) != (start, declaration(self.flow)):
+                reason = "is of another recording, flow or detector: write to another dataset, or remove it"
                 raise InputError(str(folder), reason)
         return bool(folders) and written == folders
 
@@ -246,16 +245,14 @@ def session_of(recording: Path) -> str:
 def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
     """Check that a flow is valid, takes recordings, and does not record into a dataset that it replays.
 
-    The fingertips of its sources are checked for a live run only: a replay has those of its recordings.
+    The fingertips of its sources do not matter: a replay has those of its recordings.
 
     Raises:
-        FlowError: if the flow is wired wrongly, or has a sink for live runs only and there are recordings.
+        FlowError: if the flow is wired wrongly, or has a sink for live runs only.
         InputError: if a recording is in the dataset of a sink.
     """
-    paths = list(paths)
-    validate(flow, fingertips=not paths)
-    if paths:
-        check_sinks_of_replay(flow)
+    validate(flow, fingertips=False)
+    check_sinks_of_replay(flow)
     written = {*_roots(flow).values()}
     for path in paths:
         if written & set(path.resolve().parents):

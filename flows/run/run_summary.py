@@ -1,6 +1,5 @@
 """Summary of a run, as text and as JSON."""
 
-import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Self
@@ -28,16 +27,8 @@ class Summary:
 
     @property
     def lost(self) -> bool:
-        """True if the run ended early, a source was down or silent at the end, or a sink dropped rows."""
+        """True if the run ended early, or `losses` names a loss."""
         return bool(self.error)
-
-    @property
-    def level(self) -> int:
-        """Level of `logging` that fits the worst loss: a warning if only sources lacked rows for a time."""
-        if self.lost:
-            return logging.ERROR
-        lacking = any(source.lost or source.gaps for source in self.sources.values())
-        return logging.WARNING if lacking else logging.INFO
 
     def as_dict(self) -> dict[str, Any]:
         """Return all fields, for JSON."""
@@ -48,7 +39,8 @@ class Summary:
         lines = [f"{self.session}: {self.seconds:.1f} s" + (f"; {self.error}" if self.error else "")]
         for name, source in self.sources.items():
             gaps = f"{len(source.gaps)} {'gap' if len(source.gaps) == 1 else 'gaps'}"
-            lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
+            missing = f"{source.missing} missing, " if source.missing else ""
+            lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {missing}{gaps}")
         for name, sink in self.sinks.items():
             waiting = f", {sink.waiting} not acknowledged (in the outbox)" if sink.waiting else ""
             lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{waiting}")
@@ -56,10 +48,12 @@ class Summary:
 
 
 def losses(run: Run) -> Iterator[str]:
-    """Yield what a run lost: its sources that were down or silent at the end, and rows that sinks dropped."""
+    """Yield what a run lost: sources that failed at the end or had mostly late rows, and dropped rows."""
     for name, source in run.sources.items():
         if source.error:
             yield f"{name}: {source.error}"
+        if source.late > source.rows / 2:
+            yield f"{name}: {source.late:,} of {source.rows:,} rows were late, so operators ignored them"
     for name, sink in run.sinks.items():
         if sink.dropped:
             yield f"{name} dropped rows ({sink.dropped:,})" + (f": {sink.error}" if sink.error else "")

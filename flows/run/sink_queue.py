@@ -1,13 +1,15 @@
 """Bounded queue of a sink in a live run, with the task that empties it and its retries."""
 
 import asyncio
+import logging
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from math import inf
 from typing import Any, Final
 
-from flows.run.log_events import contained, reason_of, warn
+from flows.graph.node import location
+from flows.run.failures import MISTAKES, contained, reason_of
 from operators.batch import Batch
 from operators.errors import EndpointError, OutputClosedError
 from operators.ports import BackOff, Sink, SinkStatus
@@ -16,6 +18,8 @@ LAST_ATTEMPTS: Final = 5.0  # s; a failing sink is retried for this time after t
 STUCK: Final = 10.0  # s; a sink whose write takes longer while the sources wait counts as failing
 GRACE: Final = 2.0  # s; an abandoned sink may end its write and close for this time
 
+log = logging.getLogger("slipflow")
+
 
 class SinkQueue:
     """Queue of a sink, and the task that empties it.
@@ -23,13 +27,14 @@ class SinkQueue:
     A batch that the sink takes at once is not queued, unless others wait before it. A failed write is
     retried with the same batch. While a lossless sink is slow, the sources wait for room; while it fails or
     is stuck, new batches without room are dropped and counted. Other sinks never make sources wait: their
-    oldest batch is dropped. When the sink raises `OutputClosedError`, its further batches are dropped, and
-    `on_closed` is called.
+    oldest batch is dropped. When the sink raises `OutputClosedError` or one of `MISTAKES`, its further
+    batches are dropped, and `on_closed` is called.
     """
 
     def __init__(self, name: str, sink: Sink[Any], on_closed: Callable[[], object] = lambda: None) -> None:
         self.name, self.sink, self._on_closed = name, sink, on_closed
         self.status = SinkStatus(records=sink.records)
+        self.mistake: Exception | None = None  # in the code of the sink; `status.error` has its place
         self._waiting: deque[Batch] = deque()
         self._idle = True  # nothing is queued or being written
         self._more, self._room = asyncio.Event(), asyncio.Event()
@@ -74,8 +79,8 @@ class SinkQueue:
                     await self._room.wait()
 
     def observe(self) -> None:
-        """Copy the sink's numbers of unacknowledged and unstored rows to the status."""
-        self.status.waiting = self.sink.waiting
+        """Copy the sink's connection and numbers of unacknowledged and unstored rows to the status."""
+        self.status.waiting, self.status.connected = self.sink.waiting, self.sink.connected
         self.status.unstored = 0 if self._task and self._task.done() else self.sink.pending
 
     def start(self) -> asyncio.Task[None]:
@@ -170,14 +175,14 @@ class SinkQueue:
         if self.status.error:
             dropped = self.status.dropped - self._dropped_before
             lost = f"; {dropped} rows were dropped" if dropped else ""
-            warn("sink_restored", f"{self.name} works again{lost}", sink=self.name, dropped=dropped)
+            log.info("%s works again%s", self.name, lost)
             self.status.error = ""
         self.status.rows += batch.time.size
 
     def _drop(self, batch: Batch) -> None:
         """Count the rows of a dropped batch; log it once per failure."""
-        if self.status.error and self.status.dropped == self._dropped_before:
-            warn("sink_drops", f"{self.name} drops rows until it works again", sink=self.name)
+        if self.status.error and not self._abandoned.is_set() and self.status.dropped == self._dropped_before:
+            log.warning("%s drops rows until it works again", self.name)
         self.status.dropped += len(batch)
 
     def _drop_waiting(self) -> None:
@@ -196,13 +201,16 @@ class SinkQueue:
         return stuck
 
     def _failed(self, error: Exception) -> None:
-        if isinstance(error, OutputClosedError):
+        if isinstance(error, (OutputClosedError, *MISTAKES)):
             self._abandoned.set()
             self._on_closed()
+        if isinstance(error, OutputClosedError):
             return
         reason = reason_of(error)
-        if not self.status.error:
-            warn("sink_failed", f"{self.name} failed: {reason}", sink=self.name, reason=reason)
+        if isinstance(error, MISTAKES):
+            self.mistake, reason = error, reason + location(self.sink, error)
+        if not self.status.error and (self._end.is_set() or not self.mistake):  # else the run raises it
+            log.warning("%s failed: %s", self.name, reason)
             self._dropped_before = self.status.dropped
         self.status.error = reason
         self.status.failures += 1

@@ -1,32 +1,26 @@
 """Reading of a source in a live run: restarts after failures, gaps, and silence."""
 
 import asyncio
+import logging
 from collections import defaultdict
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable
-from dataclasses import asdict
 from math import inf
 from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
 
 from flows.graph.node import location
-from flows.run.log_events import contained, reason_of, warn
+from flows.run.failures import MISTAKES, contained, reason_of
 from operators.batch import Batch, Times, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
 from operators.operator import LateRowFilter
 from operators.ports import BackOff, Gap, Run, Source, SourceStatus
 
 Take: TypeAlias = Callable[[Batch], Awaitable[bool] | None]
-MISTAKES: Final = (  # of the source's code: a retry would not help
-    ArithmeticError,
-    AssertionError,
-    AttributeError,
-    ImportError,
-    LookupError,
-    NameError,
-    TypeError,
-    ValueError,
-)
+AHEAD: Final = 60 * s  # ns; rows further ahead of the run's clock have the time of another clock
+BEHIND: Final = 3600 * s  # ns; so have rows that are older than the start of the run by more than this
+
+log = logging.getLogger("slipflow")
 
 
 class _TakeError(Exception):
@@ -55,7 +49,7 @@ class SourceReader:
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._counted, self._silent = 0, 0.0  # rows at the last check, and s without rows since then
-        self._ended = False
+        self._ended = self._refused = self._warned = False
 
     async def read(self, take: Take) -> None:
         """Pass the batches of the source on until it ends.
@@ -85,12 +79,16 @@ class SourceReader:
             with contained():
                 await self._pass_on(stream, take, retry)
         except _TakeError as failed:
+            self._refused = True
             error = cast("Exception", failed.__cause__)
             raise error from error.__cause__
-        except MISTAKES as error:
-            self.status.error = reason_of(error) + location(self._source, error)
-            raise OperatorError(self._run.flow, self.name, self.status.error) from error
         except Exception as error:
+            if (task := asyncio.current_task()) and task.cancelling():  # it replaced the cancellation
+                log.warning("%s failed to close: %s", self.name, reason_of(error))
+                raise asyncio.CancelledError from error
+            if isinstance(error, MISTAKES):
+                self.status.error = reason_of(error) + location(self._source, error)
+                raise OperatorError(self._run.flow, self.name, self.status.error) from error
             if isinstance(error, SlipflowError) and not isinstance(error, EndpointError):
                 self.status.error = str(error)
                 raise  # it would fail again
@@ -98,8 +96,16 @@ class SourceReader:
             return False
         finally:
             if isinstance(stream, AsyncGenerator):  # release the device before it is opened again
-                await stream.aclose()
+                await self._close(stream)
         return True
+
+    async def _close(self, stream: AsyncGenerator[Batch]) -> None:
+        """Close a stream; an error is only logged, because all rows have been passed on."""
+        try:
+            with contained():
+                await stream.aclose()
+        except Exception as error:  # noqa: BLE001 - any error of the source's code
+            log.warning("%s failed to close: %s", self.name, reason_of(error))
 
     async def _pass_on(self, stream: AsyncIterator[Batch], take: Take, retry: BackOff) -> None:
         async for batch in stream:
@@ -107,8 +113,8 @@ class SourceReader:
                 await asyncio.sleep(0)  # else a source without rows could block the run
                 continue
             if self._gap_start:
-                gap = asdict(self._end_gap())
-                warn("source_restarted", f"{self.name} works again", source=self.name, gap=gap)
+                self._end_gap()
+                log.info("%s works again", self.name)
                 retry.reset()
             try:
                 later = take(batch)
@@ -117,11 +123,12 @@ class SourceReader:
             except Exception as error:
                 raise _TakeError from error
 
-    def check_silence(self, waited: float) -> None:
-        """Mark the source as stale if it was silent for too long; call this every `waited` seconds.
+    def check(self, waited: float) -> None:
+        """Check the times of the rows, and whether the source is silent; call this every `waited` seconds.
 
         The checks are counted, not the time, so that a stall of the host does not count as silence.
         """
+        self._check_times()
         limit, status = self._source.stale_after, self.status
         if limit is None or status.error or self._ended:
             return
@@ -132,11 +139,23 @@ class SourceReader:
 
     def end(self) -> None:
         """End the current gap at the end of the run; a source that never delivered a row has failed."""
+        self._check_times()
         status = self.status
-        if not status.rows and not status.error and self._source.stale_after is not None:
+        if not (status.rows or status.error or self._refused) and self._source.stale_after is not None:
             self._is_silent("never delivered a row")
         if self._gap_start:
             self._end_gap()
+
+    def _check_times(self) -> None:
+        """Warn once if the source stamps its rows in another clock; those of a recording may be old."""
+        ahead = self.status.newest - self._run.clock.now()  # ns
+        plausible = ahead <= AHEAD and self.status.newest >= self._run.start - BEHIND
+        if plausible or self._warned or not self.status.rows or self._source.recording is not None:
+            return
+        self._warned = True
+        distance = f"{abs(ahead) / s:,.0f} s {'in the future' if ahead > 0 else 'ago'}"
+        text = "%s delivered rows of %s: time must be ns of the run's clock"
+        log.warning(text, self.name, distance)
 
     def _checked(self, batch: object) -> Batch:
         if not isinstance(batch, self._kind):
@@ -161,14 +180,12 @@ class SourceReader:
 
     def _failed(self, reason: str) -> None:
         if self.status.stale or not self.status.error:
-            text = f"{self.name} failed, retrying: {reason}"
-            warn("source_failed", text, source=self.name, reason=reason)
+            log.warning("%s failed, retrying: %s", self.name, reason)
         self.status.failures += 1
         self._begin_gap(reason, stale=False)
 
     def _is_silent(self, reason: str) -> None:
-        text = f"{self.name} {reason}: check that it is connected and switched on"
-        warn("source_stale", text, source=self.name, reason=reason)
+        log.warning("%s %s: check that it is connected and switched on", self.name, reason)
         self._begin_gap(reason, stale=True)
 
     def _begin_gap(self, reason: str, *, stale: bool) -> None:

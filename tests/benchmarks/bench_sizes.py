@@ -1,7 +1,7 @@
 """Speed against accuracy of `tcn` by its size, on simulated strokes, real recordings and random held objects.
 
-Trains the sizes that the folder lacks, with the recipe of the shipped network, then judges all of them. Real
-recordings and the trace judge only: no setting may be chosen by them.
+Trains the sizes that the folder lacks, with the recipe of the shipped network `tcn` (24 filters, 2 s), then
+judges all of them. Real recordings and the trace judge only: no setting may be chosen by them.
 """
 
 import time
@@ -33,17 +33,22 @@ from storage import load_detector
 from tests.benchmarks.machine import print_head, take_turns
 from tests.scene.tune_experiments import SEED, successes
 
-FILTERS: Final = (4, 8, 16, 24, 32, 48)
+LONG, SHORT = (1, 2, 4, 8), (1, 2, 4)  # dilations whose window is 2 s and 1 s
+SIZES: Final = {
+    "tcn": Recipe(),
+    **{f"tcn_{filters}": Recipe(filters=filters, dilations=LONG) for filters in (4, 8, 16, 32, 48)},
+    **{f"tcn_{filters}_1s": Recipe(filters=filters, dilations=SHORT) for filters in (8, 16, 24, 48)},
+}
 ROWS, TURNS = 2000, 15  # of one fingertip
 COST: Final = "us/sample"
 STATISTICS: Final = {**SHARES, **SAMPLES}
 
 
-def trained(filters: int, folder: Path, data: Sequence[Path]) -> Path:
+def trained(name: str, folder: Path, data: Sequence[Path]) -> Path:
     """Return the model file of a size; train it if it is missing."""
-    path = folder / f"tcn_{filters}.safetensors"
+    path = folder / f"{name}.safetensors"
     if not path.exists():
-        train(data, path, Recipe(filters=filters))
+        train(data, path, SIZES[name])
     return path
 
 
@@ -93,16 +98,16 @@ def held_objects(models: Sequence[Path], trials: int, executor: Executor) -> lis
 
 
 def chart(table: Table) -> Figure:
-    """Draw each measure over the cost."""
+    """Draw each measure over the cost: windows of 2 s filled, of 1 s hollow."""
     heads = [name for name in table.head[1:] if name != COST]
     figure, axes = grid(-(-len(heads) // 4), 4, (WIDTH, 2.4 * -(-len(heads) // 4)))
     for axis, head in zip(axes, heads, strict=False):
         for row in table.rows:
             values: Any = dict(zip(table.head, row, strict=True))
-            colour = MAIN if values["network"] == "tcn_24" else FAINT
-            axis.plot(values[COST], values[head], "o", color=colour)
-            axis.annotate(values["network"].removeprefix("tcn_"), (values[COST], values[head]), (4, 2),
-                          textcoords="offset points", fontsize=8)  # fmt: skip
+            size = SIZES[values["network"]]
+            colour, at = MAIN if values["network"] == "tcn" else FAINT, (values[COST], values[head])
+            axis.plot(*at, "o", color=colour, fillstyle="full" if size.dilations == LONG else "none")
+            axis.annotate(str(size.filters), at, (4, 2), textcoords="offset points", fontsize=8)
         axis.set(title=head, xlabel="us per sample")
         axis.grid(visible=True)
     for axis in axes[len(heads) :]:
@@ -112,7 +117,7 @@ def chart(table: Table) -> Figure:
 
 def judged(given: Namespace, executor: Executor) -> Table:
     """Train what is missing, and return the table of all sizes."""
-    jobs = [executor.submit(trained, size, given.folder, given.train) for size in FILTERS]
+    jobs = [executor.submit(trained, size, given.folder, given.train) for size in SIZES]
     models = [job.result() for job in jobs]
     costs = take_turns({model.stem: live_cost(load_detector(str(model))) for model in models}, TURNS)
     paper = shares(given.paper, "test", models, "accuracy %")
@@ -141,7 +146,7 @@ def judged(given: Namespace, executor: Executor) -> Table:
 def main() -> None:
     """Print the table and draw the chart."""
     options = ArgumentParser(prog="python -m tests.benchmarks.bench_sizes", description=__doc__)
-    options.add_argument("folder", type=Path, help="folder of the models, tcn_FILTERS.safetensors")
+    options.add_argument("folder", type=Path, help="folder of the models: tcn, tcn_FILTERS, tcn_FILTERS_1s")
     options.add_argument("--train", type=Path, nargs="+", default=[], help="datasets to train on")
     for name, what in {
         "paper": "dataset of the paper's plan",

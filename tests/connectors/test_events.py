@@ -180,6 +180,18 @@ def test_a_sequence_of_any_kind_becomes_an_array() -> None:
     assert encode({"\udcff": np.float64(1), "p": [float("nan")]}) == b'{"?":1.0,"p":[null]}'
 
 
+def test_numbers_and_arrays_of_numpy_are_written_as_those_of_python() -> None:
+    document: Any = {
+        "gain": np.float32(2.5),
+        "on": np.bool_(True),
+        "cells": np.arange(3, dtype=np.int16),
+        "map": np.array([[1.5, np.nan]], np.float32),
+    }
+    written = b'{"gain":2.5,"on":true,"cells":[0,1,2],"map":[[1.5,null]]}'
+    assert encode(document) == written
+    assert encode({**document, "\udcff": 1}) == written[:-1] + b',"?":1}'  # which is not UTF-8
+
+
 # --- documents of any kind ---
 
 

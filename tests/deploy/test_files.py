@@ -22,7 +22,7 @@ from flows.graph.loading import load
 from flows.graph.validation import problems
 from flows.run.live_runner import CHECK_INTERVAL
 from storage.files import lock
-from tests.deploy.shipped import DEPLOY, LEFT_OUT
+from tests.deploy.shipped import DEPLOY, LEFT_OUT, PAGE
 
 COMPOSE = ("compose.yaml", "compose.fingertip.yaml", "compose.tls.yaml", "dask/compose.yaml")
 KUBERNETES = "dask/kubernetes.yaml"
@@ -33,13 +33,17 @@ STEPS = [
 ]
 UNIT = (DEPLOY / "systemd" / "slipflow.service").read_text()
 TLS = (DEPLOY / "systemd" / "tls.conf").read_text()
-PAGE = (DEPLOY.parent / "docs" / "how-to" / "deploy.md").read_text()
 EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
+
+
+def without_tags(name: str) -> str:
+    """Return a file without the tag of Compose, which other parsers of YAML reject."""
+    return (DEPLOY / name).read_text().replace(" !override", "")
 
 
 def read_all(name: str) -> list[Any]:
     parser: Any = YAML(typ="safe")
-    return list(parser.load_all(DEPLOY / name))
+    return list(parser.load_all(without_tags(name)))
 
 
 def read(name: str) -> Any:
@@ -61,8 +65,10 @@ def accepts(settings: dict[str, str]) -> bool:
 
 
 @pytest.mark.parametrize("name", COMPOSE)
-def test_a_compose_file_satisfies_the_schema_of_the_specification(name: str) -> None:
-    code, output = run_module("check_jsonschema", "--builtin-schema", "vendor.compose-spec", DEPLOY / name)
+def test_a_compose_file_satisfies_the_schema_of_the_specification(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "compose.yaml"
+    file.write_text(without_tags(name))
+    code, output = run_module("check_jsonschema", "--builtin-schema", "vendor.compose-spec", file)
     assert code == 0, output
 
 
@@ -115,7 +121,7 @@ def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
     values["broker"] = re.sub(r"\$\{\w+:-(.*)\}", r"\1", values["broker"])  # without the variable
     assert accepts(values)
     assert accepts({})
-    assert {"--metrics=0.0.0.0:9464", "--log=json"} <= {*settings}
+    assert {"--metrics=0.0.0.0:9464"} <= {*settings}
 
 
 def test_containers_mount_only_shipped_files_and_secrets() -> None:
@@ -133,6 +139,35 @@ def test_containers_mount_only_shipped_files_and_secrets() -> None:
         CA: "/run/secrets/ca",
         CERTIFICATE: "/run/secrets/certificate",
     }
+
+
+def test_with_tls_the_port_without_it_is_not_published() -> None:
+    ports = re.findall(r"ports: !override .*\n +- (.*?) #", (DEPLOY / "compose.tls.yaml").read_text())
+    assert ports == ['"8883:8883"']
+
+
+def test_the_broker_of_the_page_is_for_this_machine_until_it_has_tls(tmp_path: Path) -> None:
+    first, second = re.findall(r"sed (?:-i )?('s.*?'|-e '/\^listener.*'d}')", PAGE)[:2]
+    shipped = (DEPLOY / "mosquitto" / "mosquitto.conf").read_text()
+    listeners = list[list[str]]()
+    for expression in (first, second):
+        words = ["sed", *shlex.split(expression)]
+        shipped = subprocess.run(
+            words, input=shipped, cwd=DEPLOY.parent, capture_output=True, text=True, check=True
+        ).stdout
+        listeners.append([line for line in shipped.splitlines() if line.startswith("listener")])
+    assert listeners == [["listener 1883 127.0.0.1"], ["listener 8883"]]
+
+
+def test_git_ignores_each_secret_that_the_page_writes() -> None:
+    written = {
+        *re.findall(r"(?<![\w/])(?!/)[\w/]*(?:certificates/[\w.*]+|\w+\.(?:password|env))(?=\s)", PAGE)
+    }
+    assert {"deploy/certificates/broker.*", "reader.password", "deploy/metrics.env"} <= written
+    done = subprocess.run(
+        ["git", "check-ignore", *written], cwd=DEPLOY.parent, capture_output=True, text=True, check=False
+    )
+    assert written - {*done.stdout.split()} == set()
 
 
 def test_images_of_others_are_pinned_by_digest() -> None:
@@ -155,7 +190,7 @@ def test_the_image_has_hashed_wheels_and_runs_unprivileged() -> None:
     last = STEPS[max(n for n, step in enumerate(STEPS) if step.startswith("FROM")) :]
     assert not [step for step in last if re.search(r"\b(pip|apt|apt-get|gcc|curl)\b", step)]
     assert "USER 10001:10001" in last
-    assert 'CMD ["run", "/opt/slipflow/fingertip.py", "--metrics=9464", "--log=json"]' in last
+    assert 'CMD ["run", "/opt/slipflow/fingertip.py", "--metrics=9464"]' in last
     [volumes] = [json.loads(step.removeprefix("VOLUME")) for step in last if step.startswith("VOLUME")]
     kept = re.findall(r"(?:XDG_STATE_HOME|NUMBA_CACHE_DIR)=(/\w+)", " ".join(last))
     assert {*kept} <= {*volumes}
@@ -191,7 +226,7 @@ def test_the_service_is_locked_down_restarted_and_watched(tmp_path: Path) -> Non
     [exposure] = re.findall(r"exposure level for slipflow.service: ([\d.]+)", output)
     assert float(exposure) <= EXPOSURE
     assert {"Type=notify", "Restart=always", "StartLimitIntervalSec=0"} <= {*UNIT.splitlines()}
-    assert re.search(r"^ExecStart=.* --metrics 9464 --log json \$SETTINGS$", UNIT, re.MULTILINE)
+    assert re.search(r"^ExecStart=.* --metrics 9464 \$SETTINGS$", UNIT, re.MULTILINE)
     [watchdog] = re.findall(r"^WatchdogSec=(\d+)$", UNIT, re.MULTILINE)
     assert int(watchdog) >= 3 * (CHECK_INTERVAL + 5)  # a busy host delays the messages
     assert "\nSupplementaryGroups=i2c\n" in UNIT  # from this package only

@@ -21,7 +21,7 @@ from operators.batch import s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import fault, scored, served, slip
-from tests.deploy.shipped import DEPLOY
+from tests.deploy.shipped import DEPLOY, PAGE
 
 RULES = DEPLOY / "prometheus" / "alerts.yml"
 SCRAPES = DEPLOY / "prometheus" / "prometheus.yml"
@@ -38,7 +38,7 @@ def leaves(data: Any, path: str = "") -> set[tuple[str, str]]:
 
 def samples(run: Run) -> dict[str, set[str]]:
     """Return the labels of each sample name that a run serves."""
-    run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus(waiting=0)
+    run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus(waiting=0, connected=True)
     run.clock_steps.append(ClockStep(s, s))
     now = run.clock.now()
     batches = slip(now, 1), scored(now, 1.0), fault(now, 3, FaultKind.STUCK)
@@ -79,6 +79,11 @@ def promtool(*words: str | Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_an_installation_of_the_rules_keeps_the_token_of_a_machine() -> None:
+    [pattern] = re.findall(r"-t /etc/prometheus deploy/prometheus/(\S+)", PAGE)
+    assert {path.name for path in SCRAPES.parent.glob(pattern)} == {RULES.name, SCRAPES.name}
+
+
 def test_promtool_loads_the_configuration_as_shipped() -> None:
     promtool("check", "config", SCRAPES)  # with the rules and the file of the token
 
@@ -93,8 +98,11 @@ def test_prometheus_scrapes_the_port_that_compose_publishes_and_systemd_serves()
     assert (SCRAPES.parent / job["authorization"]["credentials_file"]).read_text() == ""
 
 
-def test_events_that_wait_and_late_rows_of_frequent_sources_raise_alerts(tmp_path: Path) -> None:
+def test_a_missing_broker_waiting_events_and_late_rows_of_frequent_sources_raise_alerts(
+    tmp_path: Path,
+) -> None:
     values = {("waiting_rows", "mqtt"): 3, ("unstored_rows", "mqtt"): 1, ("unstored_rows", "dataset"): 4}
+    values |= {("connected", "mqtt"): 0, ("connected", "other"): 1}
     series = {
         f'slipflow_sink_{name}{{sink="{sink}", instance="i"}}': f"{count}x60"
         for (name, sink), count in values.items()
@@ -104,7 +112,9 @@ def test_events_that_wait_and_late_rows_of_frequent_sources_raise_alerts(tmp_pat
             series[f'slipflow_source_{metric}{{source="{source}", instance="i"}}'] = value
     waits, late = "3 events for mqtt on i are not acknowledged", "rows of touch on i are 5s old"
     unstored = "1 events for mqtt on i are neither stored nor sent"
+    missing = "mqtt on i has no broker that accepts all its messages"
     alerts = (
+        ("SlipflowBrokerMissing", {"sink": "mqtt", "severity": "warning"}, missing),
         ("SlipflowEventsWait", {"sink": "mqtt", "severity": "warning"}, waits),
         ("SlipflowEventsUnstored", {"sink": "mqtt", "severity": "critical"}, unstored),
         ("SlipflowRowsLate", {"source": "touch", "severity": "warning"}, late),

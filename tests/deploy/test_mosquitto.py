@@ -13,7 +13,7 @@ import pytest
 
 from connectors import Consumer, Mqtt
 from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker
-from connectors.mqtt.broker_link import connect
+from connectors.mqtt.broker_link import RefusedError, connect
 from operators.errors import EndpointError, InputError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
@@ -105,7 +105,7 @@ async def test_other_topics_and_clients_without_a_password_are_refused(shipped: 
             await send(shipped, user, topic)
     for name, password in (None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret"):
         login(name, password)
-        with pytest.raises(EndpointError, match="cannot connect"):
+        with pytest.raises(RefusedError, match="cannot connect"):
             await connect(Broker.parse(shipped.url), "stranger")
 
 
@@ -133,9 +133,78 @@ async def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBrok
     await link.disconnect()
 
 
-def make_certificates(folder: Path) -> None:
-    script = DEPLOY / "mosquitto" / "make_certificates"
-    subprocess.run([script, folder, "127.0.0.1", "fingertip"], check=True)
+SCRIPT = DEPLOY / "mosquitto" / "make_certificates"
+needs_openssl = pytest.mark.skipif(
+    not shutil.which("openssl"), reason="openssl is missing: apt-get install openssl"
+)
+
+
+def make_certificates(folder: Path, *words: str, days: int = 825) -> tuple[int, list[str]]:
+    """Return the exit status and output of the shipped script, whose certificates last for other `days`."""
+    text = SCRIPT.read_text()
+    assert "-days 825" in text
+    script = text.replace("-days 825", f"-days {days}")
+    done = subprocess.run(
+        ["sh", "-c", script, SCRIPT, folder, *words], capture_output=True, text=True, check=False
+    )
+    return done.returncode, (done.stdout + done.stderr).splitlines()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@needs_openssl
+def test_certificates_are_made_once_and_a_later_call_adds_a_user(tmp_path: Path) -> None:
+    host = f"{'a' * 63}.example"  # longer than the subject of a certificate may be
+    broker, purpose = "created broker.key broker.crt", f"broker.crt is for {host}"
+    made = ["created ca.key ca.crt", broker, purpose, "created one.pem"]
+    assert make_certificates(tmp_path, host, "one") == (0, made)
+    before = contents(tmp_path)
+    kept = ["kept ca.crt", "kept broker.crt", purpose, "kept one.pem", "created two.pem"]
+    assert make_certificates(tmp_path, host, "one", "two") == (0, kept)
+    after = contents(tmp_path)
+    assert after.keys() - before.keys() == {"two.pem"}
+    assert {name for name, data in before.items() if after[name] != data} == {"ca.srl"}
+    (tmp_path / "broker.crt").unlink()  # to renew it
+    assert make_certificates(tmp_path, host) == (0, ["kept ca.crt", broker, purpose])
+    words = ["openssl", "verify", "-CAfile", "ca.crt", "-verify_hostname", host, "broker.crt"]
+    subprocess.run(words, cwd=tmp_path, check=True, capture_output=True)
+
+
+@needs_openssl
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (("broker", "ca"), "a USER cannot be ca or broker"),
+        (("broker", "broker"), "a USER cannot be ca or broker"),
+        (("broker", "../ca"), "'../ca': use letters"),
+        (("broker", ""), "'': use letters"),
+        (("mqtts://broker",), "'mqtts://broker': use letters"),
+        (("other",), "broker.crt is not for other"),
+        (("10.0.0.1",), "broker.crt is not for 10.0.0.1"),
+        (("broker", "x" * 65), "maxsize=64"),
+    ],
+)
+def test_a_wrong_name_or_host_is_an_error_and_changes_nothing(
+    tmp_path: Path, words: tuple[str, ...], why: str
+) -> None:
+    assert make_certificates(tmp_path, "broker", "one")[0] == 0
+    before = contents(tmp_path)
+    status, output = make_certificates(tmp_path, *words)
+    assert status
+    assert [line for line in output if why in line]
+    assert contents(tmp_path) == before
+
+
+@needs_openssl
+def test_a_failure_leaves_no_incomplete_file_and_a_repeat_completes_the_rest(tmp_path: Path) -> None:
+    status, output = make_certificates(tmp_path, "999.1.1.1", "one")
+    assert status
+    assert "bad ip address" in "".join(output)
+    assert contents(tmp_path).keys() == {"ca.crt", "ca.key"}
+    assert make_certificates(tmp_path, "10.0.0.1", "one")[0] == 0
+    assert {"broker.crt", "broker.key", "one.pem"} <= contents(tmp_path).keys()
 
 
 def strict(cafile: str | None) -> ssl.SSLContext:
@@ -146,12 +215,14 @@ def strict(cafile: str | None) -> ssl.SSLContext:
     return context
 
 
+@needs_openssl
 async def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its_authority(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ssl, "create_default_context", strict)
     for folder in (tmp_path, tmp_path / "other"):
-        make_certificates(folder)
+        make_certificates(folder, "127.0.0.1", "fingertip")
+    make_certificates(tmp_path, "127.0.0.1", "expired", days=-1)
     monkeypatch.setenv(CA, str(tmp_path / "ca.crt"))
     text = (DEPLOY / "mosquitto" / "tls.conf").read_text().replace("/mosquitto/config", str(tmp_path))
     _, *tls = [line for line in text.splitlines() if not line.startswith("#")]  # without its listener
@@ -163,16 +234,36 @@ async def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its
 
     with TestBroker(tmp_path, *tls, *settings(tmp_path)) as broker:
         url = broker.url.replace("mqtt:", "mqtts:")
-        with pytest.raises(EndpointError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
+        with pytest.raises(RefusedError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
             await meet()
-        monkeypatch.setenv(CERTIFICATE, str(tmp_path / "other" / "fingertip.pem"))
-        with pytest.raises(EndpointError, match="cannot connect"):
-            await meet()
+        for name, why in (
+            ("other/fingertip.pem", r"check that the CA of the broker signed the client certificate {}$"),
+            ("expired.pem", r"renew the client certificate {}, which expired on \w+ +\d+ .* 20\d\d GMT$"),
+        ):
+            monkeypatch.setenv(CERTIFICATE, str(tmp_path / name))
+            with pytest.raises(RefusedError, match=why.format(tmp_path / name)):
+                await meet()
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
         await meet()
     monkeypatch.setenv(CERTIFICATE, "/missing.pem")
-    with pytest.raises(InputError, match=rf"cannot use the client certificate and its key \({CERTIFICATE}\)"):
+    missing = (
+        rf"^/missing.pem: cannot read the client certificate \({CERTIFICATE}\): No such file or directory$"
+    )
+    with pytest.raises(InputError, match=missing):
         Broker.parse(url).tls()
     monkeypatch.setenv(CERTIFICATE, str(tmp_path / "broker.crt"))
     with pytest.raises(InputError, match=r"no private key .*: cat client.crt client.key > client.pem"):
         Broker.parse(url).tls()
+
+
+@needs_openssl
+async def test_an_expired_certificate_of_the_broker_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_certificates(tmp_path, "127.0.0.1", days=-1)
+    monkeypatch.setenv(CA, str(tmp_path / "ca.crt"))
+    files = [f"certfile {tmp_path}/broker.crt", f"keyfile {tmp_path}/broker.key"]
+    with TestBroker(tmp_path, "allow_anonymous true", *files) as broker:
+        why = "certificate has expired; renew the broker's certificate, or set the clock of this machine$"
+        with pytest.raises(RefusedError, match=why):
+            await connect(Broker.parse(broker.url.replace("mqtt:", "mqtts:")), "test")

@@ -176,7 +176,6 @@ class EmulatedI2cBus:
 
     Attributes:
         fingertips: Fingertips by row.
-        busy: Addresses that a kernel driver owns (errno 16).
         away: The adapter has been taken away.
         lost, generation: Errno of connections that were opened before, and how often it was taken away.
         quick: The adapter sends messages without data, as SMBus's quick command is; others refuse (errno 95).
@@ -195,7 +194,6 @@ class EmulatedI2cBus:
         served = {0: 0} if rows is None else rows
         self.fingertips = {row: Fingertip(row, finger, skin, conversion) for row, finger in served.items()}
         self.quick, self.speed, self._now = True, cast("float | None", None), now
-        self.busy = set[int]()
         self.away, self.lost = False, errno.ENODEV
         self.generation = self.transfers = 0
         self._faults: list[Fault] = []
@@ -363,8 +361,6 @@ class _Device:
         if self._generations[descriptor] != self._bus.generation:
             raise os_error(self._bus.lost)
         if request == _SLAVE and isinstance(argument, int):
-            if argument in self._bus.busy:
-                raise os_error(errno.EBUSY)
             self._addresses[descriptor] = argument
         elif request == _FUNCTIONS and not isinstance(argument, int):
             quick = 0 if self._bus.quick else _EMULATED_QUICK

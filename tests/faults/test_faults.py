@@ -3,7 +3,6 @@
 import asyncio
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -13,7 +12,7 @@ from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.sender import Sender
 from storage import Dataset
 from tests.faults.planted_bugs import PLANTED
-from tests.faults.schedule import KINDS, LOST_PAGES, RARE, Schedule, draw, shrink
+from tests.faults.schedule import KINDS, LOST_PAGES, RARE, Schedule, draw
 from tests.faults.search import command, violations
 from tests.faults.world import simulate
 
@@ -91,25 +90,3 @@ def test_a_task_of_a_sink_that_dies_is_found_without_any_fault(
     outcome = simulate(Schedule(0, ()), lambda stack: stack.enter_context(patch.object(owner, method, die)))
     assert any("a background task of the rig died" in each for each in outcome.violations)
     assert not any("killed" in each for each in outcome.violations)
-
-
-def test_a_run_that_never_ends_is_stuck_and_not_killed() -> None:
-    async def wait(self: Dataset) -> None:
-        await asyncio.Event().wait()
-
-    outcome = simulate(
-        Schedule(0, ()), lambda stack: stack.enter_context(patch.object(Dataset, "close", wait))
-    )
-    assert "run-0: did not end" in outcome.violations
-
-
-def test_a_schedule_is_shrunk_to_the_faults_that_matter() -> None:
-    name = "unsent events are deleted"
-    seed = next(seed for seed in range(100) if len(draw(seed).faults) > 3 and violations(draw(seed), name))
-    schedule = draw(seed)
-    fewest = shrink(schedule, lambda fewer: bool(violations(fewer, name)))
-    assert len(fewest.faults) < len(schedule.faults)
-    assert violations(fewest, name)
-    for index in range(len(fewest.faults)):
-        fewer = replace(fewest, faults=fewest.faults[:index] + fewest.faults[index + 1 :])
-        assert not violations(fewer, name), "each remaining fault is needed"

@@ -40,7 +40,6 @@ def every_value(folder: Path) -> Numbers:
     found = evaluate(dataset, names=METHODS, speed=1e-4)
     return {
         "evaluate": evaluated(found, dataset),
-        "chart": charted(found),
         "hold_out": held_out(dataset),
         "stress": stressed(),
         "tap": tried("tap"),
@@ -118,12 +117,6 @@ def sums(results: pl.DataFrame) -> dict[str, float]:
 
 def values(results: pl.DataFrame, statistics: Mapping[str, Statistic]) -> dict[str, float]:
     return dict(estimates(results, statistics, draws=0).select("statistic", "value").rows())
-
-
-def charted(found: Evaluation) -> Numbers:
-    """Return the accuracy and events of two points of the chart, without their speed."""
-    assert found.speeds["value"].is_finite().all()
-    return {name: against_targets(found.results.filter(method=name)) for name in ("tcn", "psd")}
 
 
 def held_out(dataset: Path) -> Numbers:

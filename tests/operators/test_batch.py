@@ -87,6 +87,13 @@ def test_packed_rows_keep_all_columns_bit_for_bit(kind: type[Batch], cells: int)
     same(concat(kind, [packed[:2], batch[2:]]), batch)  # one of each form
 
 
+def test_a_source_may_yield_no_rows_and_the_same_value_for_all_cells() -> None:
+    nothing = Touch.rows([], [], [], [])
+    assert (len(nothing.check()), nothing.cells) == (0, 6)
+    assert Touch.rows([], np.zeros((0, 9)), 0, True).cells == 9
+    assert Touch.rows([1, 2], 500, np.zeros((2, 9)), True).check().counts.tolist() == [[500] * 9] * 2
+
+
 def test_columns_and_slices_of_packed_rows_are_views() -> None:
     batch = new_batch(Labelled)
     packed = Labelled.unpack(batch.packed)

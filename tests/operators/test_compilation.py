@@ -2,9 +2,10 @@ import math
 import os
 import subprocess
 import sys
+from enum import IntEnum
 from errno import ENOSPC
 from pathlib import Path
-from types import FunctionType
+from types import FunctionType, ModuleType
 from typing import Any, cast
 from unittest.mock import Mock
 
@@ -13,11 +14,25 @@ import pytest
 from numba.core import caching
 from numba.core.registry import CPUDispatcher
 
-from operators import Align, Debounce, Motion, Sample, Scores, Touch, Zero, compilation, ms, steps
+from operators import (
+    Align,
+    Debounce,
+    Motion,
+    Operator,
+    Sample,
+    Scores,
+    Touch,
+    Zero,
+    Zeroed,
+    compilation,
+    ms,
+    steps,
+)  # fmt: skip
 from operators.batch import packed_type
 from operators.compilation import compile_function, compile_program
 from operators.errors import InputError
 from operators.program import bind
+from operators.steps import Record, RowType, Steps
 
 
 def test_a_function_is_compiled_where_no_cache_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,6 +86,20 @@ def test_code_that_other_processes_compiled_for_other_types_is_not_mixed_up(tmp_
     assert _run(script, "5", "3").stdout.split() == ["17700.0", "10620.0"]
 
 
+def test_a_module_of_compiled_code_may_be_renamed(tmp_path: Path) -> None:
+    script = tmp_path / "run.py"
+    script.write_text(
+        "import importlib, sys, numpy as np\nfrom operators.compilation import compile_program\n"
+        "step, rows = importlib.import_module(sys.argv[1]).step, np.zeros(1, [('x', float)])\n"
+        "def run(rows): return step(rows[0])\nprint(compile_program(run, [rows], {})(rows))\n"
+    )
+    before = tmp_path / "before.py"
+    before.write_text("def step(row): return row.x + 4.125\n")
+    assert _run(script, "before").stdout == "4.125\n"
+    before.rename(tmp_path / "after.py")
+    assert _run(script, "after").stdout == "4.125\n"
+
+
 def _function(text: str, **scope: object) -> FunctionType:
     defined: dict[str, Any] = scope
     exec(text, defined)  # noqa: S102 - ours
@@ -87,6 +116,20 @@ def _helper(text: str, **scope: object) -> FunctionType:
 
 def _compiled(text: str, **scope: object) -> FunctionType:
     return compile_function()(_helper(text, **scope))
+
+
+def _reads(text: str, **scope: object) -> FunctionType:
+    return _function(f"def run(rows):\n    return {text} * rows[0].x", **scope)
+
+
+def _module(**values: object) -> ModuleType:
+    made = ModuleType("consts")
+    vars(made).update(values)
+    return made
+
+
+def _levels(**values: int) -> Any:
+    return cast("Any", IntEnum)("Level", values)
 
 
 @pytest.mark.parametrize(
@@ -107,8 +150,26 @@ def _compiled(text: str, **scope: object) -> FunctionType:
             _function(_HELPED, help=_compiled("inner(x)", inner=_compiled("x + 3"))),
             _function(_HELPED, help=_compiled("inner(x)", inner=_compiled("x + 4"))),
         ),
+        (_reads("consts.GAIN", consts=_module(GAIN=2.0)), _reads("consts.GAIN", consts=_module(GAIN=3.0))),
+        (
+            _reads("a.b.GAIN", a=_module(b=_module(GAIN=2.0))),
+            _reads("a.b.GAIN", a=_module(b=_module(GAIN=3.0))),
+        ),
+        (
+            _reads("a.help(1.0)", a=_module(help=_compiled("x + b.GAIN", b=_module(GAIN=2.0)))),
+            _reads("a.help(1.0)", a=_module(help=_compiled("x + b.GAIN", b=_module(GAIN=3.0)))),
+        ),
+        (_reads("Level.UP.value", Level=_levels(UP=2)), _reads("Level.UP.value", Level=_levels(UP=3))),
+        (
+            _reads("TABLES[0][1000]", TABLES=(np.arange(2000.0), 1)),
+            _reads("TABLES[0][1000]", TABLES=(np.where(np.arange(2000) == 1000, 7.0, np.arange(2000)), 1)),
+        ),
+        (_reads("T.shape[0]", T=np.ones((2, 3))), _reads("T.shape[0]", T=np.ones((3, 2)))),
     ],
-    ids=["constant", "column", "builtin", "helper", "table", "helper of a compiled helper"],
+    ids=[
+        *("constant", "column", "builtin", "helper", "table", "helper of a compiled helper"),
+        *("module", "module of a module", "helper of a module", "enum", "table of tables", "shape"),
+    ],
 )
 def test_a_change_of_what_a_program_reads_gives_another_program(
     before: FunctionType, after: FunctionType
@@ -165,3 +226,26 @@ def test_rows_of_which_neither_type_begins_with_the_other_are_not_copied() -> No
     rows = np.zeros(1, [("sample", packed_type(Sample)), ("other", packed_type(Motion))])
     with pytest.raises(InputError, match=r"cannot copy: .*'matched'\] does not begin with the columns"):
         compile_program(run, [rows], {})
+
+
+def stored(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    """Store each sample behind the one before, without an end."""
+    state.newest[state.stored] = row.time
+    state.stored += 1
+    return False
+
+
+class Stored(Operator[Zeroed, Scores]):
+    """Operator with room for four samples."""
+
+    def steps(self, *given: RowType) -> Steps:
+        """The step, and what lies behind the room."""
+        return Steps(step=stored, state={"newest": np.zeros(4, np.int64), "stored": 0, "behind": 7})
+
+
+def test_an_index_out_of_range_in_a_step_of_a_user_is_an_error_and_touches_no_other_memory() -> None:
+    counts = np.zeros((9, 6), np.int16)
+    samples = Zeroed(np.arange(9), counts, counts, counts == 0)
+    Stored().push(samples[:4])
+    with pytest.raises(IndexError):
+        Stored().push(samples)

@@ -34,10 +34,8 @@ from operators import (
     Sample,
     Score,
     Scores,
-    SlidingMotion,
     StepGrip,
     Touch,
-    Truth,
     Window,
     Zero,
     Zeroed,
@@ -135,11 +133,6 @@ def _scores(rng: np.random.Generator, rows: int) -> Scores:
     return Scores(_times(rng, rows, 10 * ms), level - rng.random(rows) / 20, finger=_FINGER)
 
 
-def _truth(rng: np.random.Generator, rows: int) -> Truth:
-    sliding = _held(rng, (0.0, 0.003, 0.05), (rows, 1), 6)[:, 0] * rng.random(rows)
-    return Truth(_times(rng, rows, 10 * ms), sliding, np.ones(rows), np.zeros((rows, 3)), finger=_FINGER)
-
-
 # --- the table: a new operator or join needs a line here -------------------------------------------------
 
 
@@ -190,6 +183,7 @@ CASES: Final = [
     Case(Resample(), (_touch(Touch),)),
     Case(Resample(rate=17, gap=300 * ms), (_touch(Touch),)),
     Case(Resample(rate=333.3, gap=25 * ms), (_touch(Touch),)),
+    Case(Resample(rate=50), (_labelled,)),
     Case(Window(length=7, hop=3), (_touch(Touch),)),
     Case(Window(length=3, hop=10), (_touch(Zeroed),)),
     Case(Score(_Spread(), hop=2), (_touch(Zeroed),)),
@@ -202,11 +196,9 @@ CASES: Final = [
     Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
     Case(Grip(), (_scores,)),
     Case(Grip(max_force=0.7, settle=0, latency=50 * ms, release_rate=5.0), (_scores,)),
-    Case(SlidingMotion(), (_truth,)),
-    Case(SlidingMotion(speed=0.001, span=40 * ms), (_truth,)),
     Case(StepGrip(settle=50 * ms), (_scores,)),
     Case(Health(), (_touch(Touch),)),
-    Case(Health(dead_after=30 * ms, stuck_after=50 * ms, drift=3), (_touch(Zeroed),)),
+    Case(Health(dead_after=30 * ms, stuck_after=50 * ms), (_touch(Zeroed),)),
     Case(Health(dead_after=30 * ms, stuck_after=50 * ms, clear_after=40 * ms), (_touch(Touch),)),
 ]
 

@@ -29,6 +29,7 @@ from operators.errors import os_error_reason
     ids=lambda error: type(error).__name__,
 )
 def test_an_error_can_be_pickled_with_its_attributes(error: SlipflowError) -> None:
+    error.add_note("while it ran")
     again = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own
     assert type(again) is type(error)
     assert str(again) == str(error)

@@ -106,6 +106,6 @@ def test_the_rate_is_that_of_the_rows_over_the_time(
     time = (np.arange(size) * (s / rate)).astype(np.int64)
     time[size // 2 :] += 500 * s * pause
     packed = np.repeat(time[np.cumsum([0, *packets[:-1]])], packets)  # rows of a USB packet share a time
-    for stamps in (time // step * step, packed):
+    for stamps in (time // step * step, packed, packed[::-1]):
         found = rows_per_second(stamps)
         assert found == pytest.approx(rate, rel=20 / size + 4 * step * rate / s / size)

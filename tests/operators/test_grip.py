@@ -73,6 +73,18 @@ def test_a_gap_in_the_scores_is_no_time_of_slip() -> None:
     assert not len(_pushed(grip, [1.0], since=500))
 
 
+@pytest.mark.parametrize("period", [10 * ms, 60 * ms, 100 * ms, 500 * ms])
+@pytest.mark.parametrize("kind", [Grip, StepGrip])
+def test_at_any_rate_of_decisions_a_slip_raises_the_force_to_its_limit_but_a_gap_does_not(
+    kind: type[GripController], period: int
+) -> None:
+    grip, time = kind(max_force=2.0), np.arange(100) * period
+    assert grip.push(Scores(time, np.ones(100))).force[-1] == 2.0
+    grip.max_force = 10.0
+    resumed = time[-1] + max(4 * period, 51 * ms) + np.arange(2) * period
+    assert grip.push(Scores(resumed, np.ones(2))).time.tolist() == [resumed[1]]
+
+
 def test_the_papers_rule_adds_a_step_for_each_registered_slip_and_never_takes_one_back() -> None:
     grip = StepGrip(force=1.0, step=0.5, settle=0, rate=1e3)
     force = _pushed(grip, [0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, *[0.0] * 300]).force

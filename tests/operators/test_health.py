@@ -1,7 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from operators import FaultKind, Faults, Health, Touch, Zeroed, concat, ms, s
+from operators import TAKKTILE, FaultKind, Faults, Health, Touch, Zeroed, concat, ms, s
 from operators.batch import Counts, Flags
 
 Change = tuple[float, int, FaultKind, bool]  # s, barometer, kind, begins
@@ -15,10 +17,15 @@ def _touch(seconds: float, level: float = 600, seed: int = 0) -> tuple[Counts, F
 
 
 def _changes(
-    counts: Counts, valid: Flags, health: Health | None = None, kind: type[Touch] = Touch, pause: int = 0
+    counts: Counts,
+    valid: Flags,
+    health: Health | None = None,
+    kind: type[Touch] = Touch,
+    pause: int = 0,
+    period: int = 10 * ms,
 ) -> list[Change]:
-    """Return the faults of rows 10 ms apart, with a pause after the first second."""
-    time = np.arange(len(counts)) * 10 * ms
+    """Return the faults of rows a period apart, with a pause after 100 rows."""
+    time = np.arange(len(counts)) * period
     time[100:] += pause
     health = Health() if health is None else health
     batch = kind(time, counts, counts, valid, finger=8)
@@ -80,31 +87,6 @@ def test_a_fault_that_comes_again_before_it_is_cleared_has_not_ended() -> None:
     assert _changes(counts, valid, Health(clear_after=500 * ms)) == saturated
 
 
-def test_a_cell_whose_quiet_seconds_move_off_the_first_one_drifts_until_they_are_back() -> None:
-    counts, valid = _touch(8)
-    counts[200:400, 0] += 31
-    counts[400:500, 0] += 29
-    drifting = [(3.0, 0, FaultKind.DRIFTING, True), (5.0, 0, FaultKind.DRIFTING, False)]
-    assert _changes(counts, valid) == drifting
-    assert _changes(counts, valid, kind=Zeroed) == drifting
-
-
-def test_seconds_count_from_the_first_row() -> None:
-    counts, valid = _touch(8)
-    counts[250:, 0] += 31
-    time = np.arange(len(counts)) * 10 * ms + 370 * ms
-    found = Health().push(Touch(time, counts, counts, valid))
-    assert (found.time / s).tolist() == [4.37]
-    assert found.kind.tolist() == [FaultKind.DRIFTING]
-
-
-def test_a_still_cell_beside_loaded_ones_does_not_drift() -> None:
-    counts, valid = _touch(8)
-    counts[200:, 0] -= 40
-    counts[200:, 1] += np.rint(-200 + 5 * np.sin(np.arange(600))).astype(np.int16)
-    assert _changes(counts, valid) == []
-
-
 def test_a_pause_of_the_stream_is_no_evidence() -> None:
     counts, valid = _touch(2)
     counts[99:101, 0] = 650
@@ -114,3 +96,19 @@ def test_a_pause_of_the_stream_is_no_evidence() -> None:
         (61.02, 1, FaultKind.SATURATED, True),
         (61.04, 1, FaultKind.SATURATED, False),
     ]
+
+
+def test_a_load_that_stays_constant_after_an_unloaded_second_is_no_fault() -> None:
+    counts, valid = _touch(8)
+    counts[200:] -= 40
+    assert _changes(counts, valid) == []
+    assert _changes(counts, valid, kind=Zeroed) == []
+
+
+@pytest.mark.parametrize("rate", [1000, 100, 20, 10, 4])
+def test_a_cell_of_a_fingertip_of_any_rate_is_dead_half_a_second_after_its_last_answer(rate: int) -> None:
+    period = s // rate
+    counts, valid = _touch(4 * rate / 100)
+    valid[rate + 1 :, 3] = False  # the last answer comes after one second
+    health = Health(stuck_after=60 * s).for_fingertip(replace(TAKKTILE, rate=float(rate)))
+    assert _changes(counts, valid, health, period=period) == [(1.5, 3, FaultKind.DEAD, True)]

@@ -18,7 +18,6 @@ from operators import (
     Pool,
     Resample,
     Score,
-    SlidingMotion,
     StepGrip,
     Window,
     Zero,
@@ -40,7 +39,6 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         *({"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"limit": nan}, {"rotation": -0.1}, {"within": -1})
     ],
     MaskLifted: [{"contact_pose": BASE, "margin": -0.001}],
-    SlidingMotion: [{"speed": -0.1}, {"span": 0}, {"rest": 1}],
     Resample: [{"rate": 0}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
     Pool: [{"gain": 0.0}, {"gain": inf}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
     Window: [{"length": 0}, {"hop": 0}],
@@ -51,7 +49,7 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         *({"consecutive": 0}, {"release": 0}, {"minimum": -1}),
     ],
     Health: [
-        *({"dead_after": 0}, {"stuck_after": 0}, {"saturated_after": 0}, {"drift": 0}),
+        *({"dead_after": 0}, {"stuck_after": 0}, {"saturated_after": 0}, {"pause": 0}),
         *({"floor": 9, "ceiling": 9}, {"clear_after": -1}),
     ],
     DeviceClock: [{"window": 59}, {"window": 0}, {"jump": -1}],

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from operators import Resample, Touch, Zeroed, ms, s
+from operators import Labelled, Operator, Pool, Resample, Sample, Touch, Zeroed, ms, s
 from operators.batch import Counts, Flags, Times
 from operators.fingertip import TAKKTILE
+from tests.storage.made import new_batch
 
 
 def touch(time: Times, counts: Counts, valid: Flags | None = None) -> Touch:
@@ -56,9 +57,15 @@ def test_a_cell_is_valid_if_lines_cover_half_of_the_period() -> None:
     assert found.counts.tolist() == [[7, 7]] * 10
 
 
-def test_zeroed_input_stays_zeroed_and_the_fingertip_has_the_new_rate() -> None:
-    raw = wave(100.0, 1.0)
-    zeroed = Zeroed(raw.time, raw.counts, raw.temperature, raw.valid, finger=1)
-    made = Resample(rate=50).push(zeroed)
-    assert (type(made), made.finger) == (Zeroed, 1)
+@pytest.mark.parametrize("operator", [Pool(((0, 1), (2,))), Resample(rate=50)])
+@pytest.mark.parametrize("kind", [Touch, Zeroed, Sample, Labelled])
+def test_touch_stays_raw_or_zeroed_and_no_label_or_motion_is_made_up(
+    operator: Operator[Touch, Touch], kind: type[Touch]
+) -> None:
+    made = operator.reset_copy().push(new_batch(kind, 20, finger=1))
+    assert type(made) is (Touch if kind is Touch else Zeroed)
+    assert (len(made) > 5, made.finger) == (True, 1)
+
+
+def test_the_fingertip_has_the_new_rate() -> None:
     assert Resample(rate=50).output_fingertip(TAKKTILE).rate == 50

@@ -1,10 +1,12 @@
+import re
 from dataclasses import dataclass, field
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from operators import ParameterError, Score, Zeroed, ms
+from operators import BatchError, ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
 from operators.detectors import Detector
 from operators.fingertip import TAKKTILE, Fingertip
@@ -38,10 +40,47 @@ def test_there_is_a_score_for_each_full_window_at_the_time_of_its_newest_sample(
     assert scores.finger == 6
 
 
-def test_the_name_of_a_detector_is_an_error_that_says_how_to_load_it() -> None:
-    name: Any = "tcn"
-    with pytest.raises(ParameterError, match=r"detector is 'tcn'.*: write Score\(load_detector\('tcn'\)\)$"):
-        Score(name)
+@pytest.mark.parametrize(
+    "detector",
+    ["tcn", _Keeper, SimpleNamespace(length=2), SimpleNamespace(score=abs), _Keeper(length=cast("int", 2.0))],
+    ids=["name", "class", "no score", "no length", "fraction"],
+)
+def test_what_is_no_detector_is_refused_with_what_to_write(detector: Any) -> None:
+    must_be = r"must be an object with name, length \(whole samples\) and score: .* load_detector\('tcn'\)$"
+    with pytest.raises(ParameterError, match=f"^Score: detector is .*, {must_be}"):
+        Score(detector)
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (None, "returned NoneType, must return an array of floats of shape (2,)"),
+        (0.5, "returned float, must return an array of floats"),
+        ([0.5, 0.5], "returned list, must return an array of floats"),
+        (np.array([0, 1]), "returned int64 of shape (2,), must return an array of floats"),
+        (np.array([0.5]), "returned float64 of shape (1,), must return an array of floats of shape (2,)"),
+        (np.full((2, 1), 0.5), "returned float64 of shape (2, 1), must return an array of floats of shape"),
+        (np.array([0.5, 17.98]), "returned 17.98, must return numbers from 0 to 1, or NaN"),
+        (np.array([np.nan, -0.1]), "returned -0.1, must return numbers from 0 to 1, or NaN"),
+        (np.array([np.inf, 0.5]), "returned inf, must return numbers from 0 to 1, or NaN"),
+    ],
+)
+def test_a_wrong_result_is_an_error_that_names_the_detector(returned: Any, message: str) -> None:
+    class Wrong(_Keeper):
+        def score(self, windows: Counts | Reals) -> Reals:
+            return cast("Reals", returned)
+
+    with pytest.raises(BatchError, match=re.escape(f"Scores.probability: Wrong.score {message}")):
+        Score(Wrong()).push(_touch(rows=3))
+
+
+def test_scores_may_be_unknown_and_of_any_precision() -> None:
+    class Single(_Keeper):
+        def score(self, windows: Counts | Reals) -> Reals:
+            return cast("Reals", np.array([0.0, 1.0, np.nan], np.float32))
+
+    scores = Score(Single()).push(_touch(rows=4)).check()
+    assert str(scores.probability) == "[ 0.  1. nan]"
 
 
 def test_hop_scores_every_so_many_samples() -> None:

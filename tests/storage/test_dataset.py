@@ -7,8 +7,9 @@ from collections.abc import Callable, Coroutine, Generator, Iterable
 from contextlib import contextmanager
 from pathlib import Path
 from shutil import copytree
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import polars as pl
 import pytest
 from hypothesis import given, settings
@@ -35,7 +36,16 @@ from operators.ports import ClockStep, Gap, Json, SinkStatus, SourceStatus
 from storage import Dataset, Session, files, verify
 from storage.description import describe_dataset, read_dataset
 from tests.storage.disk_steps import each_kind, observed, steps_of
-from tests.storage.made import STREAMS, new_batch, new_run, rows, run_sink, session_names, side_by_side
+from tests.storage.made import (
+    STREAMS,
+    contents,
+    new_batch,
+    new_run,
+    rows,
+    run_sink,
+    session_names,
+    side_by_side,
+)
 from tests.waiting import until
 
 
@@ -114,6 +124,41 @@ async def test_the_description_is_written_first_and_completed_last(tmp_path: Pat
     assert about["streams"]["rig"] == {"rows": 5, "late": 2, "gaps": [gap]}
     assert about["sinks"]["mqtt"] == {"rows": 5, "dropped": 1, "failures": 3, "records": False}
     assert about["clock_steps"] == [{"time": 7, "offset": -3_600_000_000_000}]
+
+
+def test_a_fingertip_numbered_by_numpy_is_recorded(tmp_path: Path) -> None:
+    one, row = np.int64(1), np.arange(1)
+    made = Slips(row, row.astype(np.int8), row, row / 8, finger=cast("int", one))
+    listed = Slips.rows([1], 1, 1, 0.5, finger=cast("int", one))
+    run_sink(Dataset(tmp_path), new_run(), [made, listed])
+    assert Session.open(tmp_path).frame("slips")["finger"].to_list() == [1, 1]
+    assert verify(tmp_path).findings == ()
+
+
+@pytest.mark.parametrize("name", [".nfs0001", "000000 (copy).wal", "notes.txt"])
+async def test_a_file_of_others_in_the_journal_stays_and_hinders_nothing(tmp_path: Path, name: str) -> None:
+    dataset, folder = Dataset(tmp_path), tmp_path / "sessions/one"
+    await dataset.open(new_run())
+    await dataset.write(new_batch(Touch, 20))
+    (folder / "journal" / name).write_text("mine")
+    killed = copytree(folder, tmp_path / "killed")
+    await dataset.close()
+    for each in (folder, killed):
+        assert len(Session.open(each).frame("touch")) == 20
+        assert contents(each / "journal") == {name: b"mine"}
+        assert (
+            verify(each)
+            .findings[-1]
+            .text.endswith(f"{name}: is not read: its name is not that of a part or segment")
+        )
+    assert Session.open(folder).about["complete"] is True
+    assert verify(folder).code == 0
+
+
+def test_a_dataset_may_be_a_whole_disk(tmp_path: Path) -> None:
+    (tmp_path / "lost+found").mkdir()
+    run_sink(Dataset(tmp_path), new_run(), [new_batch(Touch)])
+    assert len(Session.open(tmp_path).frame("touch")) == 5
 
 
 async def test_a_batch_without_a_table_is_refused_and_not_stored(tmp_path: Path) -> None:

@@ -2,17 +2,19 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators.batch import Slips, Touch
+from operators.batch import Slips, Touch, concat, packed_type
 from operators.errors import InputError
+from operators.fingertip import CELL_LIMIT
 from storage import journal
-from storage.append_log import AppendLog, LogReader
-from storage.journal import Journal, NumberedRows, check_segment, decode
+from storage.append_log import LIMIT, AppendLog, LogReader
+from storage.journal import Buffer, Journal, NumberedRows, check_segment, decode
 from storage.layout import SEGMENTS, numbered_files
-from tests.storage.made import new_batch
+from tests.storage.made import new_batch, same
 
 
 @pytest.fixture
@@ -51,6 +53,26 @@ def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete_and
         written.rotate([slips])
         assert list(numbered_files(tmp_path, SEGMENTS)) == [number, number + 1]
     assert found(tmp_path) == [("Slips", 0, 2), ("Touch", 6, 1), ("Touch", 7, 1), ("Slips", 0, 2)]
+
+
+def test_a_batch_that_a_buffer_cannot_take_changes_nothing_in_it() -> None:
+    buffer, good = Buffer(Slips), new_batch(Slips, 2, finger=1)
+    buffer.add(good)
+    with pytest.raises(OverflowError):
+        buffer.add(new_batch(Slips, 3, finger=2**15))
+    buffer.add(good)
+    assert [(each.first, each.batch.finger, len(each.batch)) for each in buffer.numbered()] == [(0, 1, 4)]
+
+
+def test_a_batch_of_more_than_64_mib_is_appended_in_several_records(written: Journal, tmp_path: Path) -> None:
+    rows = LIMIT // packed_type(Touch, CELL_LIMIT).itemsize + 1
+    batch = Touch.zeros(rows, CELL_LIMIT)
+    batch.time[:] = np.arange(rows)
+    written.append(NumberedRows(7, batch))
+    [(number, path)] = numbered_files(tmp_path, SEGMENTS).items()
+    found = [decode(record.data, str(path)) for record in LogReader(path).records()]
+    assert (number, [each.first for each in found]) == (0, [7, 7 + len(found[0].batch)])
+    same(concat(Touch, [each.batch for each in found]), batch)
 
 
 @given(records=st.lists(st.binary(max_size=80)), identity=st.none() | st.binary())

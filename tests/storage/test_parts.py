@@ -11,10 +11,10 @@ from typing import Any, cast
 import pyarrow as pa
 import pytest
 
-from operators.batch import EVERY, Episodes, Touch
+from operators.batch import EVERY, Episodes, Touch, packed_type
 from operators.errors import BatchError, EndpointError, InputError
 from storage import arrow, parts
-from storage.layout import EPISODES, TOUCH, row_size
+from storage.layout import EPISODES, TOUCH
 from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
 from storage.schema import from_arrow, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
@@ -56,7 +56,7 @@ def test_a_part_that_unpacks_to_too_much_is_refused_unread(
     rows: pa.Table, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     part = write(tmp_path, rows)
-    monkeypatch.setattr(parts, "UNPACKED_LIMIT", len(rows) * row_size(Touch, 6) - 1)
+    monkeypatch.setattr(parts, "UNPACKED_LIMIT", len(rows) * packed_type(Touch).itemsize - 1)
     monkeypatch.delattr(arrow.pq.ParquetFile, "read")
     with pytest.raises(InputError, match="unpacks to more than 0 MiB"):
         read_part(tmp_path, part)

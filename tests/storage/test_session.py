@@ -28,7 +28,7 @@ from operators.ports import Recording
 from storage import Session, files
 from storage.layout import TABLE_OF
 from storage.parts import read_manifest, read_part, write_manifest, write_part
-from tests.storage.made import flip, new_batch, new_episodes, new_run, rows, side_by_side, write
+from tests.storage.made import new_batch, new_episodes, new_run, rows, side_by_side, write
 
 KINDS: list[type[Batch]] = [Motion, Labelled, Slips, Faults, Episodes, Truth]
 
@@ -130,17 +130,6 @@ def test_a_dataset_of_several_sessions_lists_them(dataset: Path) -> None:
         Session.open(dataset)
 
 
-def test_a_folder_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "empty/sessions").mkdir(parents=True)
-    for name, complaint in (
-        ("missing", "missing: there is no such folder"),
-        ("", r"is not a session \(no session\.json\) and not a dataset"),
-        ("empty", "empty: has no session"),
-    ):
-        with pytest.raises(InputError, match=complaint):
-            Session.open(tmp_path / name)
-
-
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
@@ -152,14 +141,6 @@ def test_a_damaged_description_is_reported(folder: Path, text: str, complaint: s
     (folder / "session.json").write_text(text)
     with pytest.raises(InputError, match=rf"session\.json: {complaint}"):
         Session.open(folder)
-
-
-def test_a_damaged_part_is_reported_wherever_it_is_read(folder: Path) -> None:
-    flip(folder / "touch/part-000001.parquet", 300)
-    session = Session.open(folder)
-    for read in (lambda: session.fingers(Touch), lambda: session.frame("touch")):
-        with pytest.raises(InputError, match=r"part-000001\.parquet: is damaged"):
-            read()
 
 
 def test_parts_without_a_batch_type_or_with_another_are_reported(folder: Path) -> None:

@@ -113,7 +113,7 @@ def test_files_that_do_not_belong_to_the_session_are_reported(dataset: Path) -> 
     (folder / "motion/part-000001.parquet.tmp").write_bytes(b"half")
     found = verify(folder)
     assert [each.weight for each in found.findings] == ["repairable", "note", "note"]
-    assert "(copy).parquet: is not read: its name is not that of a part" in found.findings[-1].text
+    assert "(copy).parquet: is not read: its name is not that of a part or segment" in found.findings[-1].text
 
 
 def test_what_may_not_be_read_is_lost_and_the_check_goes_on(

@@ -20,6 +20,7 @@ from operators.rotation import rotation_difference
 RADIUS: Final = Scene().radius  # m, of curved surfaces, as in the simulated rig
 MIN_RADIUS: Final = 0.001  # m
 MAX_RADIUS: Final = 1.0  # m; a flatter surface is a plane
+MAX_POSE: Final = 10.0  # m and rad, of each coordinate; no arm exceeds it
 STEEPEST: Final = math.radians(45)  # slope at the end of a stroke
 _FLAT: Final = 1e-6  # rad, slope below which a path is straight
 _SPACING: Final = 0.002  # m, between the points along an arc
@@ -32,7 +33,7 @@ class Surface:
     In its pose the fingertip just touches the middle of the surface, its highest point.
 
     Raises:
-        ParameterError: on an unknown shape, or a radius out of range.
+        ParameterError: on an unknown shape, or a radius or pose out of range.
     """
 
     shape: Curvature = "plane"  # cylinder_x and cylinder_y: axis along the fingertip's x or y
@@ -42,6 +43,8 @@ class Surface:
     def __post_init__(self) -> None:
         check_choice("Surface", "shape", self.shape, get_args(Curvature))
         check_between("Surface", "radius", self.radius, MIN_RADIUS, MAX_RADIUS, unit="m")
+        for each in self.pose or ():
+            check_between("Surface", "pose", each, -MAX_POSE, MAX_POSE)
 
     @property
     def middle(self) -> Pose:

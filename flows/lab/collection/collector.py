@@ -20,6 +20,7 @@ from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.arm_path import Line, Step, Turn
 from flows.lab.collection.stroke_plan import PlannedPath, Stroke, StrokeSeries
 from flows.run.live_runner import LiveRunner
+from flows.run.run_summary import Summary
 from flows.run.supervision import signals_to
 from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, Zero, ms, s
 from operators.batch import Episodes, Reals
@@ -106,7 +107,7 @@ class Collector(Source[Episodes]):
 
     Attributes:
         strokes: Number of completed strokes.
-        runs: Run of each series so far.
+        summaries: Summary of the session of each series so far.
         error: Reason why the arm was stopped; empty if it was not.
         interrupted: True after `interrupt`.
     """
@@ -124,7 +125,7 @@ class Collector(Source[Episodes]):
         log: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.path, self.arm, self.touch, self.clock = path, arm, touch, clock
-        self.strokes, self.runs, self.error, self.interrupted = 0, list[Run](), "", False
+        self.strokes, self.summaries, self.error, self.interrupted = 0, list[Summary](), "", False
         self._motion, self._out, self._log = motion, out, log
         self._episodes = asyncio.Queue[Episodes]()
         self._series = path.series[0]  # current one
@@ -168,7 +169,7 @@ class Collector(Source[Episodes]):
                 async with self.arm:
                     await self._record_all()
             except EndpointError as stopped:
-                if not self.arm.fault or not (self.runs or self.interrupted):
+                if not self.arm.fault or not (self.summaries or self.interrupted):
                     raise
                 self.error = str(stopped)
 
@@ -204,7 +205,6 @@ class Collector(Source[Episodes]):
         monitor = ContactMonitor()
         # signals are handled by the collection, which stops the arm first
         runner = self._runner = LiveRunner(self._declare(monitor), name, clock=self.clock)
-        self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
         driving = asyncio.create_task(self._drive(monitor))
         try:
@@ -220,6 +220,7 @@ class Collector(Source[Episodes]):
             runner.stop()
             recorded = await asyncio.gather(running, return_exceptions=True)
             self._runner = None
+            self.summaries.append(Summary.of(runner.run))
         if isinstance(recorded[0], Exception):
             raise recorded[0]
         await driving

@@ -9,7 +9,7 @@ orientation, so a slope requires a compliant finger.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Annotated, Final, TypeAlias
@@ -19,19 +19,33 @@ import numpy as np
 from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_state import Bounds, Pose, offset_pose
 from flows.graph.quantity import Duration, Force, Length, Speed
-from flows.lab.collection.arm_path import Extent, Line, Step, Surface, Turn
+from flows.lab.collection.arm_path import MAX_POSE, Extent, Line, Step, Surface, Turn
 from flows.learn.labelled_recordings import TURNS
-from operators.checks import check_above, check_at_least, check_between
+from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Json
 
 Seconds: TypeAlias = Annotated[float, "s"]
 
-MAX_DEPTH: Final = 0.006  # m, deepest press; a fingertip yields by a few mm
 MAX_SPEED: Final = 0.3  # m/s; above it `Label` gives no label
-MIN_SENSOR_TIMEOUT: Final = 0.05  # s; a fingertip is sampled every 10 ms
-MIN_WATCHDOG: Final = 0.1  # Hz
 _DIRECTIONS: Final = 8
+_RANGES: Final = {  # lowest and highest value of each setting and limit, and its unit
+    "depth": (0, 0.006, "m"),  # a fingertip yields by a few mm
+    "slide_time": (0.01, 60, "s"),
+    "rotation_time": (0.01, 60, "s"),
+    "rotation_speed": (0.01, 3, "rad/s"),
+    "rotation_acceleration": (0.01, 5, "rad/s2"),
+    "rest": (0, 60, "s"),
+    "baseline": (0.01, 600, "s"),
+    "clearance": (0.0001, 0.5, "m"),
+    "travel_speed": (0.0001, 1, "m/s"),
+    "press_speed": (0.0001, MAX_SPEED, "m/s"),
+    "acceleration": (0.01, 5, "m/s2"),
+    "force": (1, 250, "N"),
+    "margin": (0.0001, 0.1, "m"),
+    "sensor_timeout": (0.05, 5, "s"),  # a fingertip is sampled every 10 ms
+    "watchdog": (0.1, 10, "Hz"),  # the arm gets a command every 50 ms
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +69,7 @@ class PathSettings:
     acceleration: float = 0.5  # m/s2
 
     def __post_init__(self) -> None:
-        for name in self.__slots__:
-            if name not in ("rest", "depth"):
-                check_above("PathSettings", name, getattr(self, name), 0)
-        check_at_least("PathSettings", "rest", self.rest, 0, "s")
-        check_between("PathSettings", "depth", self.depth, 0, MAX_DEPTH, unit="m")
+        _check_ranges(self, self.__slots__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,10 +88,15 @@ class Limits:
     require_contact: bool = True
 
     def __post_init__(self) -> None:
-        check_above("Limits", "force", self.force, 0, "N")
-        check_above("Limits", "margin", self.margin, 0, "m")
-        check_at_least("Limits", "sensor_timeout", self.sensor_timeout, MIN_SENSOR_TIMEOUT, "s")
-        check_at_least("Limits", "watchdog", self.watchdog, MIN_WATCHDOG, "Hz")
+        _check_ranges(self, ("force", "margin", "sensor_timeout", "watchdog"))
+        for edge in self.workspace or ():
+            check_between("Limits", "workspace", edge, -MAX_POSE, MAX_POSE, unit="m")
+
+
+def _check_ranges(settings: PathSettings | Limits, names: Iterable[str]) -> None:
+    for name in names:
+        low, high, unit = _RANGES[name]
+        check_between(type(settings).__name__, name, getattr(settings, name), low, high, unit=unit)
 
 
 @dataclass(frozen=True, slots=True)

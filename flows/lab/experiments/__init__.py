@@ -1,1 +1,1 @@
-"""The paper's robot experiments in the simulated scene, closed loop: tap, lift and grasp training."""
+"""The paper's robot experiments in the simulated scene, closed loop: tap and lift."""

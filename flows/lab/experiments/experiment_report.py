@@ -1,18 +1,14 @@
 """Reports of the tap and lift experiments: success, the paper's success, false slips and breaking points."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Final
 
 import polars as pl
 
-from connectors.sim.simulated_rig import SLIDING
-from flows.lab.experiments.study import EXPERIMENTS, NOMINAL, Method, Trials
-from flows.lab.experiments.tap_and_lift import BLOWS, LIFT, SIZES
-from flows.lab.experiments.trial import BASELINE, PHASES, RANDOM, Conditions, Trial
-from flows.learn.event_metrics import runs
-from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid
+from flows.lab.experiments.study import NOMINAL, Trials
+from flows.lab.experiments.tap_and_lift import SIZES
+from flows.lab.experiments.trial import PHASES, RANDOM
 from flows.report.report_page import Report, Section
 from flows.report.results import Statistic, estimate_table, estimates, median, rate, share
 from flows.report.table import Table, Value
@@ -27,7 +23,6 @@ PAPER: Final[Mapping[str, Mapping[str, int]]] = {
     "metal_can": {"tap": 90, "lift": 95},
 }
 TITLES: Final = {"tap": "Mallet tap", "lift": "Object lift"}
-EXAMPLE: Final = "ball"  # object of the figure: one of the two hardest in the paper's lift
 _SIDES: Final = ("method", "objects")  # the six and the random objects side by side
 _REAL: Final = "paper, real objects"
 GOOD: Final = ("registered", "held")  # endings of a success
@@ -67,15 +62,12 @@ _TEXT: Final = (
 )
 
 
-def experiment_report(
-    experiment: str, results: pl.DataFrame, methods: Sequence[Method], trials: Trials, command: str
-) -> Report:
+def experiment_report(experiment: str, results: pl.DataFrame, trials: Trials, command: str) -> Report:
     """Report the results of an experiment.
 
     Args:
         experiment: ``tap`` or ``lift``.
         results: Long table that `run_study` returned.
-        methods: Methods of the study; the figure shows the first one.
         trials: Trials of the study.
         command: Command line that ran it.
     """
@@ -90,13 +82,11 @@ def experiment_report(
         row: list[Value] = [_REAL, "six", *(mean if head == BY_PAPER else None for head in table.head[2:])]
         table = replace(table, rows=[*table.rows, row])
     events = estimate_table(estimates(nominal, EVENTS, by=_SIDES, draws=0), {}, index=_SIDES)
-    figure = partial(trial_figure, experiment, methods[0], trials)
     sections = [
         Section(experiment, "Success and false slips", _NOTES, [table]),
         Section("events", "Events by phase", _EVENTS_NOTE, [events]),
         Section("objects", "Success by object, %", "", _objects(experiment, nominal, trials)),
         Section("failures", "Trials by ending", "", [_endings(nominal)], folded=True),
-        Section("trial", "An example trial", "", draw=figure, folded=True),
     ]
     if len(results) > len(nominal):
         sections.append(_breaking_points(results))
@@ -116,7 +106,7 @@ def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> list[Tab
 
 
 def _endings(nominal: pl.DataFrame) -> Table:
-    """Return the number of failed trials of each method by ending."""
+    """Return the number of trials of each method by ending, successes first."""
     endings = nominal.filter(pl.col("metric").str.starts_with("ending "))
     endings = endings.with_columns(pl.col("metric").str.strip_prefix("ending "))
     counts = endings.group_by(*_SIDES, "metric", maintain_order=True).agg(pl.col("value").sum().cast(int))
@@ -139,38 +129,3 @@ def _breaking_points(results: pl.DataFrame) -> Section:
         "delay of the gripper in s; sample rate in Hz."
     )
     return Section("stress", "Where each method breaks", note, tables, folded=True)
-
-
-def trial_figure(experiment: str, method: Method, trials: Trials) -> Figure:
-    """Draw the first trial of a method with the ball, or else with the first object."""
-    name = EXAMPLE if EXAMPLE in trials.objects else trials.objects[0]
-    trial, setup = Trial.draw(name, trials.seed, Conditions()), method.load()
-    [(trace, outcome)] = EXPERIMENTS[experiment](trial, [setup])
-    least = trial.least_force
-    figure, axes = grid(5, 1, (9, 8), sharex=True)
-    force, counts, probability, slide, height = axes
-    t = trace.t
-    force.plot(t, trace.force, color=MAIN, label="normal force")
-    force.axhline(least, color=SECOND, linestyle="--", linewidth=0.9, label="least that holds")
-    top = 1.3 * max(float(trace.force.max()), least)  # leaves room for the legend
-    force.set(ylabel="N", ylim=(0, top), title=f"{method}: {name.replace('_', ' ')}, {outcome.ending}")
-    force.legend(loc="upper left", ncols=2)
-    for cell, color in enumerate(CELLS):
-        counts.plot(t, trace.counts[:, cell], color=color, linewidth=0.8)
-    counts.set(ylabel="counts", title="Barometers")
-    probability.plot(t, trace.probability, color=INK)
-    probability.axhline(setup[1].threshold, color=FAINT, linestyle="--", linewidth=0.9)
-    probability.set(ylabel="", ylim=(0, 1), title="Probability of slip (shaded: the object slides)")
-    slide.plot(t, 1000 * trace.slide, color=MAIN)
-    slide.set(ylabel="mm", title="Slide along the pad")
-    height.plot(t, 1000 * trace.hand, color=FAINT, label="gripper")
-    height.plot(t, 1000 * trace.height, color=MAIN, label="object")
-    height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
-    height.legend(loc="upper left")
-    events = BLOWS if experiment == "tap" else (LIFT.start,)
-    for axis in axes:
-        for first, end in runs(trace.speed > SLIDING).tolist():
-            axis.axvspan(t[max(first - 1, 0)], t[end - 1], color=SHADE, linewidth=0)
-        for event in events:
-            axis.axvline(event, color=FAINT, linewidth=0.8)
-    return figure

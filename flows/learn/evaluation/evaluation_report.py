@@ -68,7 +68,9 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
         sections.append(_groups(of))
     if not of.speeds.is_empty():
         sections.append(_speed(of))
-    sections += [_samples(of), _events(of)]
+    sections.append(_samples(of))
+    if of.results["fold"].n_unique() <= 1:  # else a method may have another debounce in each fold
+        sections.append(_events(of))
     if not of.label.is_empty():
         sections.append(_sliding(of))
     sections += _motions(of)

@@ -1,6 +1,5 @@
 """`slipflow evaluate`: detectors compared on recordings that none of them was fitted to."""
 
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -23,8 +22,9 @@ from flows.learn.evaluation.methods import (
 from flows.learn.event_metrics import DECISION, PAUSE
 from flows.learn.labelled_recordings import LabelledRecording, common_fingertip, hand_label_summary, load
 from flows.learn.measures import SHARES, judged
-from flows.learn.training.trained_model import learned_from
+from flows.learn.training.trained_model import learned
 from flows.report.results import estimates, joined
+from flows.report.table import counted
 from flows.run.executor import map_tasks, one_thread
 from operators import Debounce
 from operators.batch import SLIP, UNKNOWN, Reals
@@ -32,7 +32,6 @@ from operators.errors import InputError, SlipflowError
 
 LABEL: Final = "the label"  # as a method, against true sliding
 DEFAULT: Final = "tcn"
-_LEARNED: Final = ("train", "validation")  # splits that training uses
 
 Progress: TypeAlias = Callable[[int, int], object]  # tasks done, all tasks
 
@@ -87,7 +86,7 @@ def evaluate(
         FingertipError: if the recordings have different fingertips.
     """
     trained = trained_methods(names)
-    recordings = _distinct(load(dataset))
+    recordings = load(dataset)
     common_fingertip(recordings)
     if hold_out:
         folds = group_folds(recordings, hold_out, str(dataset))
@@ -103,9 +102,9 @@ def evaluate(
     notes = repeated(recordings, [getattr(each, parts) for each in recordings]) if split != EVERY else []
     tasks = [(each, fold) for each in candidates for fold in folds]
     found = judge_all(subject, tasks, executor=executor, progress=progress)
-    if any(each.split in _LEARNED for each in chosen):
-        learned = [each.name for each in found.methods.values() if learned_from(each.card, dataset)]
-        notes += [f"{name} was trained on this dataset" for name in learned]
+    for each in found.methods.values():
+        if known := learned(each.card, chosen):
+            notes.append(f"{each.name} has learned from {counted(len(known), 'recording')} of these")
     notes += filter(None, [hand_label_summary(chosen)])
     if speed:
         detectors = {name: method.detector for name, method in found.methods.items()}
@@ -175,16 +174,6 @@ def method_results(
     return joined(
         judged(each, each.probabilities(method.detector), method.debounce, **key) for each in recordings
     )
-
-
-def _distinct(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording]:
-    """Return the recordings with names of their own: fingertips of a session have the same name."""
-    seen, found = Counter[str](), list[LabelledRecording]()
-    for each in recordings:
-        seen[each.name] += 1
-        number = seen[each.name]
-        found.append(each if number == 1 else replace(each, name=f"{each.name}, fingertip {number}"))
-    return found
 
 
 def _label_results(recording: LabelledRecording) -> pl.DataFrame:

@@ -1,6 +1,5 @@
 """Folds: which recordings detectors are judged on, and which they may learn from."""
 
-import hashlib
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -10,7 +9,7 @@ from operators.batch import SLIP, STATIC
 from operators.errors import InputError
 
 EVERY: Final = "all"  # splits, or groups one after the other
-_TURN: Final = 5  # every fifth recording of a fold's training validates
+_TURN: Final = 5  # every fifth session of a fold's training validates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,36 +71,34 @@ def repeated(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> l
     """Return a line for each recording that appears in two parts, such as splits, of a dataset."""
     first, lines = dict[str, tuple[str, str]](), list[str]()
     for recording, part in zip(recordings, parts, strict=True):
-        name, other = first.setdefault(_content(recording), (recording.name, part))
+        name, other = first.setdefault(recording.content, (recording.name, part))
         if other != part:
             lines.append(f"{recording.name} ({part}) is the same recording as {name} ({other})")
     return lines
 
 
 def _group_fold(recordings: Sequence[LabelledRecording], group: str) -> Fold:
-    """Hold out a group; every fifth of the others validates, those with slip counted first.
+    """Hold out a group; every fifth session of the others validates, those with slip counted first.
 
     If fewer than five have slip, all train and validate, as none can be spared.
     """
     judged = [each for each in recordings if each.group == group]
     others = _others(recordings, judged)
-    ordered = sorted(others, key=lambda each: not each.slip.any())
-    if not all(each.slip.any() for each in ordered[:_TURN]) or len(ordered) < _TURN:
+    slipping = {each.session for each in others if each.slip.any()}
+    if len(slipping) < _TURN:
         return Fold(group, others, others, judged)
-    train = [each for place, each in enumerate(ordered) if place % _TURN != _TURN // 2]
-    return Fold(group, train, ordered[_TURN // 2 :: _TURN], judged)
+    others.sort(key=lambda each: each.session not in slipping)
+    validating = {*[*dict.fromkeys(each.session for each in others)][_TURN // 2 :: _TURN]}
+    train = [each for each in others if each.session not in validating]
+    return Fold(group, train, [each for each in others if each.session in validating], judged)
 
 
 def _others(
     recordings: Sequence[LabelledRecording], judged: Sequence[LabelledRecording]
 ) -> list[LabelledRecording]:
     """Return the recordings that are not judged, under any name."""
-    known = {_content(each) for each in judged}
-    return [each for each in recordings if _content(each) not in known]
-
-
-def _content(recording: LabelledRecording) -> str:
-    return hashlib.sha256(recording.counts.tobytes()).hexdigest()
+    known = {each.content for each in judged}
+    return [each for each in recordings if each.content not in known]
 
 
 def _check_classes(recordings: Sequence[LabelledRecording], source: str, where: str) -> None:

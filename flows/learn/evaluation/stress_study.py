@@ -1,8 +1,8 @@
 """`slipflow evaluate --stress`: every detector along every stress field of the simulation.
 
 All conditions are simulated with the same seed, so that recordings differ only by the stress. Detectors are
-compared with the label by arm speed, and with the true sliding of the contact: a stress of the motion stream
-changes the label alone.
+compared with the label by arm speed, and with the true sliding of the contact: a wrong clock changes the
+label alone.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -138,8 +138,8 @@ def _every_cell(fault: str) -> Change:
     return lambda scene, value: _changed(scene, "faults", **{fault: (value,) * BAROMETERS})
 
 
-def _first_cells(fault: str) -> Change:
-    return lambda scene, value: _changed(scene, "faults", **{fault: tuple(range(int(value)))})
+def _dead(scene: Scene, value: float) -> Scene:
+    return _changed(scene, "faults", dead=tuple(range(int(value))))
 
 
 def _friction(scene: Scene, value: float) -> Scene:
@@ -164,35 +164,16 @@ def _scaled(scene: Scene, force: float = 1.0, speed: float = 1.0) -> Scene:
     return _changed(scene, "plan", force=force * plan.force, speed=plan.speed and speed * plan.speed)
 
 
-def _stream(stream: str) -> dict[str, StressField]:
-    """Return the fields of a stream: jitter and loss of samples, offset and rate error of its clock."""
-    off, fast = f"{stream} clock off", f"{stream} clock fast"
-    return {
-        f"{stream}_jitter": StressField(
-            _value(stream, "jitter"), (0, 0.001, 0.002, 0.005, 0.01), f"{stream} jitter", "ms", 1e3
-        ),
-        f"{stream}_dropped": StressField(
-            _value(stream, "dropped"), (0, 0.05, 0.1, 0.2, 0.4), f"{stream} lost", "%", 100
-        ),
-        f"{stream}_clock_offset": StressField(
-            _value(stream, "offset"), (0, 0.05, 0.1, -0.05, -0.1), off, "ms", 1e3
-        ),
-        f"{stream}_clock_rate": StressField(
-            _value(stream, "drift"), (0, 1e-3, 3e-3, 1e-2), fast, "ms/s", 1e3
-        ),
-    }
-
-
 FIELDS: Final[Mapping[str, StressField]] = {
     "noise": StressField(_value("parameters", "noise"), (0.6, 3.5, 7, 14, 28), "noise", "counts"),
     "gain": StressField(_every_cell("gain"), (1, 1.5, 2.5, 0.5, 0.25, 0.1), "gain"),
     "offset": StressField(_every_cell("offset"), (0, 200, 400, -200, -400), "offset", "counts"),
     "drift": StressField(_every_cell("drift"), (0, 2, 6, 20, -2, -6, -20), "drift", "counts/s"),
-    "dead": StressField(_first_cells("dead"), (0, 1, 2, 3, 4), "dead cells"),
-    "stuck": StressField(_first_cells("stuck"), (0, 1, 2, 3, 4), "stuck cells"),
-    "floored": StressField(_first_cells("floored"), (0, 1, 2, 3, 4), "floored cells"),
-    **_stream("touch"),
-    **_stream("motion"),
+    "dead": StressField(_dead, (0, 1, 2, 3, 4), "dead cells"),
+    "lost": StressField(_value("touch", "dropped"), (0, 0.05, 0.1, 0.2, 0.4), "touch lost", "%", 100),
+    "clock": StressField(
+        _value("touch", "offset"), (0, 0.05, 0.1, -0.05, -0.1), "touch clock off", "ms", 1e3
+    ),
     "vibration": StressField(_vibration, (0, 1.5e-4, 3e-4, 4.5e-4, 9e-4), "more vibration", "mm", 1e3),
     "friction": StressField(_friction, (1, 0.7, 0.5, 0.3, 0.15), "friction", "x"),
     "stick_slip": StressField(_stick_slip, (1, 0.75, 0.5, 0.25, 0), "stick-slip", "x"),

@@ -79,8 +79,8 @@ class _DenseTask(TrainingTask):
         self.steps, self.check_every = recipe.steps, max(recipe.steps // recipe.checks, 1)
         self._recipe, self._device = recipe, training_device()
         self._warm_up = max(WARM_UP, recipe.receptive_field - 1)  # samples
-        train = [with_past(each, max(self._warm_up, recipe.crop - len(each))) for each in train]
-        validation = [with_past(each, self._warm_up) for each in validation]
+        train = [with_past(each, max(self._warm_up, recipe.crop - len(each))) for each in train if len(each)]
+        validation = [with_past(each, self._warm_up) for each in validation if len(each)]
         self._crops = Crops(train, recipe.crop, self._device)
         label = self._crops.label
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())

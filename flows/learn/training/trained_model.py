@@ -1,10 +1,10 @@
 """Trained models on disk: weights and a card with their origin and performance."""
 
 import hashlib
-import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -16,7 +16,6 @@ from flows.report.results import estimates, joined
 from operators import Debounce
 from operators.detectors import Detector
 from storage import save_weights
-from storage.layout import MANIFEST, SESSIONS
 from storage.models import save_card
 
 _SCORES: Final = {"accuracy": SHARES["accuracy %"], "balanced": BALANCED["balanced %"], "f1": SHARES["F1 %"]}
@@ -46,75 +45,66 @@ class Model:
 
     def report(self) -> str:
         """Return the scores as text."""
-        scores: Mapping[str, Mapping[str, float]] = self.card["scores"]
+        scores: Mapping[str, Mapping[str, float | None]] = self.card["scores"]
         lines = [f"wrote {self.path} and its card"]
         for part, each in scores.items():
             interval = ""
             if "balanced_low" in each:
-                interval = f" ({each['balanced_low']:.1f} to {each['balanced_high']:.1f} over recordings)"
-            shown = f"accuracy {each['accuracy']:.2f} %, balanced {each['balanced']:.2f} %{interval}"
-            lines.append(f"{part}: {shown}")
-        if "before" in scores and not scores["after"]["balanced"] > scores["before"]["balanced"]:
+                interval = f" ({each['balanced_low']:.1f} to {each['balanced_high']:.1f} over sessions)"
+            known = [(name, each[name]) for name in ("accuracy", "balanced") if each[name] is not None]
+            shown = ", ".join(f"{name} {value:.2f} %" for name, value in known)
+            lines.append(f"{part}: {shown}{interval}")
+        before, after = (scores.get(part, {}).get("balanced") for part in ("before", "after"))
+        if before is not None and after is not None and after <= before:
             lines.append("it is NOT better than the model that it was trained from: keep that one")
         return "\n".join(lines)
 
 
-def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) -> dict[str, float]:
+def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) -> dict[str, float | None]:
     """Return accuracy, balanced accuracy and F1 of a detector on the labelled samples, %.
 
-    ``balanced_low`` and ``balanced_high`` are the 95 % interval over recordings, of which three are needed.
+    None: a class is missing.
+    ``balanced_low`` and ``balanced_high`` are the 95 % interval over sessions, of which three are needed.
     """
     results = [
         judged(
-            replace(each, name=str(number), strokes=None),
+            replace(each, name=" ".join(each.session), strokes=None),
             each.probabilities(detector),
             Debounce(),
             method="",
         )
-        for number, each in enumerate(recordings)
+        for each in recordings
     ]
-    found = dict[str, float]()
+    found = dict[str, float | None]()
     for row in estimates(joined(results), _SCORES).iter_rows(named=True):
-        found[row["statistic"]] = math.nan if row["value"] is None else row["value"]
+        found[row["statistic"]] = row["value"]
         if row["statistic"] == "balanced" and row["low"] is not None:
             found |= {"balanced_low": row["low"], "balanced_high": row["high"]}
     return found
 
 
-def dataset_digest(dataset: Path) -> str:
-    """Return the sha256 of a dataset, or of one of its sessions, for the card of a model.
-
-    It is that of the sessions' manifests, which contain the sha256 of every part.
-    """
-    digest, folder = hashlib.sha256(), dataset.resolve()
-    for manifest in sorted([*folder.glob(MANIFEST), *(folder / SESSIONS).glob(f"*/{MANIFEST}")]):
-        digest.update(manifest.parent.name.encode() + b"\0" + manifest.read_bytes())
-    return digest.hexdigest()
+def learned(card: Mapping[str, Any], recordings: Iterable[LabelledRecording]) -> list[LabelledRecording]:
+    """Return the recordings that a model was trained or chosen on, as its card states, under any name."""
+    stated = {content for each in card.get("data", ()) for content in str(each.get("learned", "")).split()}
+    return [each for each in recordings if each.content in stated]
 
 
-def learned_from(card: Mapping[str, Any], path: Path) -> bool:
-    """Return True if a model's card states that it was trained or chosen on a dataset.
-
-    Args:
-        card: Content of the card.
-        path: Folder of the dataset, or of one of its sessions, which the card may also state by itself.
-    """
-    folder = path.resolve()
-    folders = [folder, folder.parent.parent] if folder.parent.name == SESSIONS else [folder]
-    stated = {each.get("sha256") for each in card.get("data", ())}
-    return any(dataset_digest(each) in stated for each in folders)
-
-
-def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
-    """Describe a dataset for the card of a model that was trained on it."""
-    by_hand = sum(each.by_hand for each in recordings)
-    return {
-        "dataset": dataset.resolve().name,
-        "sha256": dataset_digest(dataset),
-        "recordings": dict(Counter(recording.split for recording in recordings)),
-        "samples": sum(map(len, recordings)),
-        **({"hand_labels": by_hand} if by_hand else {}),  # samples
-    }
+def provenance(recordings: Sequence[LabelledRecording]) -> list[dict[str, Any]]:
+    """Describe the datasets of recordings for the card of a model; all but test recordings are learned."""
+    found = list[dict[str, Any]]()
+    for dataset, group in groupby(recordings, key=lambda each: each.dataset):
+        parts = list(group)
+        by_hand = sum(each.by_hand for each in parts)
+        found.append(
+            {
+                "dataset": Path(dataset).resolve().name,
+                "recordings": dict(Counter(each.split for each in parts)),
+                "samples": sum(map(len, parts)),
+                "learned": " ".join(each.content for each in parts if each.split != "test"),
+                **({"hand_labels": by_hand} if by_hand else {}),  # samples
+            }
+        )
+    return found
 
 
 def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any]) -> Model:

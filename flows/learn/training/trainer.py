@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import accumulate, chain, pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -17,20 +17,21 @@ from flows.learn.labelled_recordings import (
     hand_label_summary,
     load,
 )
-from flows.learn.training.recipe import PaperRecipe, Recipe
+from flows.learn.training.recipe import REAL_TOUCH, PaperRecipe, Recipe
 from flows.learn.training.trained_model import Arrays, Model, Progress, label_scores, provenance, write_model
-from operators.batch import SLIP, UNKNOWN, Flags, Reals, s
+from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals, s
 from operators.detectors import TRAINED, Detector, Tcn
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
 from operators.extras import require_extra, software_version
 from operators.fingertip import TAKKTILE, Fingertip
 from storage import load_detector
-from storage.models import identify_detector
+from storage.models import identify_detector, load_card, shipped
 
 Parts: TypeAlias = Mapping[str, Sequence[LabelledRecording]]  # by split
 
 FURTHER_STEPS: Final = 300  # of further training
+_FURTHER_CROP: Final = 500  # evaluated samples of a crop of it
 _CERTAIN: Final = 1e-12  # distance from 0 and 1 at which logits are cut off
 _MIN_SCALE: Final = 0.01  # keeps the order of samples even if validation contradicts the network
 _FEW: Final = 5  # recordings, from which on whole ones are held out
@@ -99,7 +100,7 @@ def train(
 
     From random weights, the validation split selects the best check, calibrates the probability and tunes the
     debounce; the test split is only reported. With `start`, the network of a model learns further from all
-    recordings that are not in the test split (`fine_tune`), and keeps the calibration of its probability.
+    recordings that are not in the test split, and keeps the calibration of its probability.
 
     Args:
         datasets: Folders; each fingertip of each session is a recording.
@@ -124,8 +125,7 @@ def train(
     parent = None if start is None else load_detector(start)
     if not isinstance(parent, Tcn | None):
         raise InputError(str(start), "is not a tcn: only a tcn can be trained further")
-    by_dataset = {path: load(path) for path in datasets}
-    recordings = list(chain.from_iterable(by_dataset.values()))
+    recordings = load(*datasets)
     if by_hand := hand_label_summary(recordings):
         log(by_hand)
     fingertip = common_fingertip(recordings)
@@ -133,19 +133,21 @@ def train(
         "detector": recipe.network if isinstance(recipe, PaperRecipe) else Tcn.name,
         "fingertip": fingertip.describe(),
         "software": f"slipflow {software_version()}",
-        "data": [provenance(path, each) for path, each in by_dataset.items()],
+        "data": provenance(recordings),
         "seed": recipe.seed,
         "recipe": asdict(recipe),
     }
     if parent is None:
         parts = by_split(recordings)
         if len(recordings) < _FEW and not parts["validation"]:
-            parts = _in_time(recordings, _SHARES)
+            parts = _in_time(parts["train"], _SHARES) | ({"test": parts["test"]} if parts["test"] else {})
             log("few recordings: each is divided in time, which flatters the model; record five or more")
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
+        recipe = further(parent, recipe)
         arrays, results = _from_model(parent.for_fingertip(fingertip), recordings, recipe, progress)
-        about |= {"detector": parent.name, "parent": identify_detector(str(start))}
+        about |= {"detector": parent.name, "parent": identify_detector(str(start)), "recipe": asdict(recipe)}
+        about["data"] += load_card(shipped(str(start)) or Path(str(start))).get("data", [])
     return write_model(out, arrays, {**about, **results})
 
 
@@ -196,12 +198,15 @@ def _from_random(
 
 
 def _from_model(
-    parent: Tcn, recordings: Sequence[LabelledRecording], recipe: Recipe | PaperRecipe, progress: Progress
+    parent: Tcn, recordings: Sequence[LabelledRecording], recipe: Recipe, progress: Progress
 ) -> tuple[Arrays, dict[str, Any]]:
-    """Return the weights of a network that was trained further, and the entries for its card."""
-    from flows.learn.training.fine_tuning import fine_tune
+    """Return the weights of a network that was trained further, and the entries for its card.
 
-    assert isinstance(recipe, Recipe), "only a tcn is trained further"
+    All weights learn for a fixed number of steps; two labelled minutes suffice. The recordings that are held
+    out choose nothing.
+    """
+    from flows.learn.training.dense_training import train_dense
+
     learned = [each for each in recordings if each.split != "test"]
     held_out = [each for each in recordings if each.split == "test"]
     if not learned:
@@ -212,7 +217,10 @@ def _from_model(
     if not any(len(each.known(1)) for each in held_out):
         names = ", ".join(each.name for each in held_out)
         raise InputError(names, "is too short to hold out a part: record three sessions or longer ones")
-    trained = fine_tune(parent, learned, held_out, recipe, progress)
+    if not {SLIP, STATIC} <= set(np.concatenate([each.label for each in learned]).tolist()):
+        names = ", ".join(each.name for each in learned)
+        raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
+    trained = train_dense(learned, held_out, recipe, progress, parent)
     tcn = _detector(parent.name, trained.arrays, parent.fingertip)
     compared = {"before": parent, "after": tcn}
     return trained.arrays, {
@@ -220,6 +228,26 @@ def _from_model(
         "debounce": debounce_settings(tuned_on(learned, tcn)),
         "curve": [asdict(check) for check in trained.curve],
     }
+
+
+def further(tcn: Tcn, recipe: Recipe | PaperRecipe) -> Recipe:
+    """Return the course of further training of a network: its size, with steps and seed of a recipe."""
+    assert isinstance(recipe, Recipe), "only a tcn is trained further"
+    return Recipe(
+        filters=tcn.layers[0].kernel.shape[2],
+        units=tcn.layers[-1].kernel.shape[1],
+        taps=len(tcn.layers[0].kernel),
+        dilations=tcn.weights["dilations"].tolist(),
+        position_scale=float(tcn.position_scale),
+        step_scale=float(tcn.step_scale),
+        steps=recipe.steps,
+        seed=recipe.seed,
+        batch=12,
+        crop=tcn.length + _FURTHER_CROP,
+        rate=2e-3,
+        checks=1,
+        augmentation=REAL_TOUCH,
+    )
 
 
 def calibration_of(detector: Detector, validation: Sequence[LabelledRecording]) -> Calibration:

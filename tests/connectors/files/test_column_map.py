@@ -53,11 +53,13 @@ def test_commas_or_line_breaks_separate_the_items_of_a_text() -> None:
         ("counts.99999=a", "finger is 99999, must be from 0 to 32767"),
         ("counts=a,counts.0=b", "counts is 'a', must be omitted beside counts.0"),
         ("zeroed=yes", "zeroed is 'yes', must be true or false"),
+        ({"counts.left": ("a",)}, "quantity is 'counts.left', must be counts, or counts.1 of fingertip 1"),
+        ({"time.x": ("a",)}, "quantity is 'time.x', must be time, or counts.1 of fingertip 1"),
     ],
 )
-def test_an_invalid_map_is_refused(text: str, complaint: str) -> None:
+def test_an_invalid_map_is_refused(text: str | dict[str, tuple[str, ...]], complaint: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        ColumnMap.parse(text)
+        ColumnMap.parse(text) if isinstance(text, str) else ColumnMap(text)
     assert complaint in str(caught.value)
 
 

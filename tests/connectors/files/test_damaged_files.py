@@ -1,6 +1,7 @@
 """Damaged files, and files of other formats."""
 
 import os
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -68,8 +69,14 @@ PYTHON = "read it in Python ({}) and pass a DataFrame to import_frame, see docs/
         (b"MATLAB 7.3", "a MATLAB file of version 7.3, which is HDF5", PYTHON.format("arrays.py")),
         (b'{"t": [0, 1]}', "a JSON file", PYTHON.format("polars.read_json")),
         (b"\x80\x04\x95", "a pickle of Python", PYTHON.format("pandas.read_pickle, if you trust its origin")),
-        (b"%PDF-1.7", "a TDMS, XML, HTML, PDF or PX4 file", "save its table as CSV"),
+        (b'[{"t": 0, "p": 1}]', "a JSON file", PYTHON.format("polars.read_json")),
+        (b"[[0, 1], [2, 3]]", "a JSON file", PYTHON.format("polars.read_json")),
+        (b"ARROW1\0\0", "a Feather or Arrow file", PYTHON.format("polars.read_ipc")),
+        (b"%PDF-1.7", "an XML, HTML or PDF file", "save its table as CSV"),
+        (b"<html>", "an XML, HTML or PDF file", "save its table as CSV"),
+        (b"TDSm\x0e\0", "a TDMS or PX4 file", "save its table as CSV"),
         (b"\x28\xb5\x2f\xfd", "compressed", "decompress it, or use gzip"),
+        (zlib.compress(b"t,p0\n0,1\n"), "compressed", "decompress it, or use gzip"),
     ],
 )
 def test_another_format_is_named_with_the_remedy(
@@ -78,6 +85,14 @@ def test_another_format_is_named_with_the_remedy(
     path = tmp_path / "trace.csv"
     path.write_bytes(first + bytes(50))
     assert refusal(path) == f"{path}: is {name}: {remedy}"
+
+
+@pytest.mark.parametrize("name", ["x^2", "[0]", "{0}", "<TIME>", "TDSm", "BZh", "ARROW1", "Rar!"])
+@pytest.mark.parametrize("sign", [",", ";", "\t"])
+def test_a_column_may_be_named_like_another_format(name: str, sign: str, tmp_path: Path) -> None:
+    path = tmp_path / "trace.csv"
+    path.write_text(sign.join((name, "[1]", "t")) + "\n" + sign.join("123") + "\n")
+    assert [*read_table(path).columns] == [name, "[1]", "t"]
 
 
 def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import datetime as dt
 import shlex
+from collections.abc import Sequence
 
 import numpy as np
 import polars as pl
@@ -14,8 +15,11 @@ from connectors.files.column_map import ColumnMap
 from connectors.files.number_format import reals, with_decimal
 from connectors.files.raw_table import RawTable
 from connectors.files.time_axis import of_texts
+from connectors.files.trace import interpreted
 from operators.batch import ms, s
 from operators.errors import InputError
+
+SOME = np.random.default_rng(0).permutation(np.arange(1, 999))  # rows that are lost
 
 
 def concluded(texts: list[str], separator: str = "semicolon", columns: str = "") -> str:
@@ -52,12 +56,19 @@ def test_a_number_is_read_or_its_format_is_refused(numbers: list[float], decimal
         (["0,01", "101,248"], ","),
         (["101,325", "101,4"], ","),
         (["7", "8"], "."),
-        (["1,234,567"], "may have decimals or thousands"),
+        (["1,234,567"], r"one of them twice \(column p0: 1,234,567\): remove the signs of thousands"),
         (["1e-3", "2.5e2"], "."),
-        (["101,248", "7"], "may have decimals or thousands; state decimal=comma, or remove the sign of"),
-        (["101.248", "7"], "may have decimals or thousands; state decimal=point, or remove the sign of"),
-        (["0.01", "101,248"], r"both point and comma \(column p0: 0.01 and column p0: 101,248\): remove"),
-        (["1.234,5", "7"], r"both point and comma \(column p0: 1.234,5 and column p0: 1.234,5\): remove"),
+        (
+            ["101,248", "7"],
+            "may have decimals or thousands; state decimal=comma and a unit, as units.counts=kPa, or",
+        ),
+        (
+            ["101.248", "7"],
+            "may have decimals or thousands; state decimal=point and a unit, as units.counts=kPa, or",
+        ),
+        (["3,000", "4,000"], "decimal=comma, or remove the signs .*; try --map decimal=comma"),
+        (["0.01", "101,248"], r"both point and comma, .* \(column p0: 0.01 and column p0: 101,248\): remove"),
+        (["1.234,5", "7"], r"both point and comma, .* \(column p0: 1.234,5 and column p0: 1.234,5\): remove"),
     ],
 )
 def test_the_file_as_a_whole_decides_the_sign_of_decimals(texts: list[str], sign: str) -> None:
@@ -143,8 +154,6 @@ def test_a_clock_that_wraps_goes_on_with_a_note(first: int, interval: int, clock
 
 @given(st.lists(st.integers(3, 40), min_size=2, max_size=5))
 def test_a_clock_that_starts_again_is_named_and_split_on_request(parts: list[int]) -> None:
-    from connectors.files.trace import interpreted
-
     times = [0.02 * k for size in parts for k in range(size)]
     frame = {"t": times, "p0": [*range(500, 500 + len(times))], "p1": [500, *[501] * (len(times) - 1)]}
     with pytest.raises(
@@ -179,9 +188,12 @@ def test_rows_that_share_whole_milliseconds_keep_their_rate_with_a_warning(rate:
 def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
     with pytest.raises(
         InputError,
-        match=r"column t has no unit, in seconds its rate is 0.1 Hz; state units.time=ms \(100 Hz\)",
+        match=r"column t has no unit, in s its rate is 0.1 Hz; state units.time=ms \(100 Hz\)",
     ):
         trace([10 * k for k in range(60)])
+    for unit, step in (("us", 10_000), ("ns", 10_000_000)):  # since boot, and not seconds since 1970
+        with pytest.raises(InputError, match=rf"state units.time={unit} \(100 Hz\), or units.time=s; try"):
+            trace([1_000_000_000 + step * k for k in range(60)])
     with pytest.raises(InputError, match=r"state another unit \(convert days with polars\), or units.time=s"):
         trace([45742.6 + k / 8_640_000 for k in range(60)])
     assert trace([10 * k for k in range(60)], "units.time=ms").columns.rate == 100
@@ -189,6 +201,63 @@ def test_a_time_without_unit_is_refused_if_seconds_are_implausible() -> None:
         "is the time in another unit" in each
         for each in trace([10 * k for k in range(60)], "units.time=s").warnings
     )
+
+
+@pytest.mark.parametrize(
+    ("lost", "rate", "step"),
+    [
+        (range(500, 520), 100, 1),  # 0.2 s
+        (range(0, 1000, 9), 100, 1_000_000),
+        (SOME[:50], 100, 1),
+        (SOME[:120], 100, 10 * ms),
+        (range(500, 580), 400, ms),  # steps of 2 and 3 ms
+        (range(500, 640), 700, ms),  # steps of 1 and 2 ms
+        (SOME[:50], 1000, ms),
+    ],
+)
+def test_lost_samples_do_not_lower_the_rate_and_are_counted(
+    lost: Sequence[int], rate: int, step: int
+) -> None:
+    given = np.delete(np.arange(1000) * s // rate // step * step, lost)
+    found = trace([*given.tolist()], name="time_ns")
+    regular = isinstance(lost, range) and lost.step > 1  # like the times of a slower clock
+    assert found.columns.rate == pytest.approx(rate * (8 / 9 if regular else 1), rel=0.003)
+    warned = [each for each in found.warnings if "samples are missing" in each]
+    assert regular or abs(int(warned[0].partition(" ")[0]) - len(lost)) <= 2
+    assert trace([*given.tolist()], f"rate={rate}", "time_ns").columns.rate == rate
+
+
+def test_a_stated_rate_that_the_rows_miss_is_a_warning() -> None:
+    found = trace([k / 60 for k in range(60)], "rate=100")
+    assert "has 60 rows per second, not 100: wrong unit of the time, or lost rows?" in found.warnings
+    assert found.columns.rate == 100
+
+
+def test_times_in_whole_seconds_are_no_pauses() -> None:
+    assert not any("pauses" in each for each in trace([k // 100 for k in range(1001)]).warnings)
+
+
+@pytest.mark.parametrize(
+    ("rows", "times", "stray"), [((5, 6), (0.06, 0.05), 6), ((5,), (9,), 5), ((5,), (0,), 5)]
+)
+@pytest.mark.parametrize("split", [False, True])
+def test_a_row_out_of_order_is_named(
+    rows: tuple[int], times: tuple[float], stray: int, *, split: bool
+) -> None:
+    frame = {"t": np.arange(60) / 100, "p0": np.arange(60), "p1": np.arange(60)}
+    frame["t"][[*rows]] = times
+    with pytest.raises(InputError, match=rf"row {stray}, column t: is .*, must be in order: sort the rows"):
+        interpreted(frame, split=split)
+
+
+def test_the_warnings_of_a_part_are_of_its_own_rows() -> None:
+    time = [*(k / 100 for k in range(50)), *(k / 100 + (k > 25) for k in range(50))]
+    readings = [*(500 + k % 7 for k in range(20)), -999, *(500 + k % 7 for k in range(79))]
+    first, second = interpreted({"t": time, "p0": readings, "p1": [*range(100)]}, split=True)
+    assert ["-999" in "".join(each.warnings) for each in (first, second)] == [True, False]
+    assert ["pauses: 1" in "".join(each.warnings) for each in (first, second)] == [False, True]
+    with pytest.raises(InputError, match="row 50: begins a part without readings: delete the part"):
+        interpreted({"t": time, "p0": [*range(50), *[None] * 50]}, ColumnMap.parse("counts=p0"), split=True)
 
 
 def test_dates_that_may_begin_with_day_or_month_are_refused() -> None:

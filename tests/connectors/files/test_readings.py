@@ -132,8 +132,33 @@ def test_a_fingertip_has_the_stated_layout_and_range() -> None:
         described("range=5:5")
 
 
+@pytest.mark.parametrize(
+    ("text", "bases"),
+    [
+        ("range=0:65535", (500, 32_700, 40_000, 40_101, 65_000)),  # counts of 16 bits
+        ("range=65535:0,resolution=2", (500, 40_000, 40_101)),
+        ("range=50.3:115.1,units.counts=kPa,resolution=0.001", (50.3, 80, 101.3, 101.3715, 114)),
+    ],
+)
+def test_files_of_one_sensor_have_ranges_of_one_width(text: str, bases: tuple[float, ...]) -> None:
+    found = [described(text, base=base) for base in bases]
+    widths = {each.range[1] - each.range[0] for each in found if each.range}
+    assert len(widths) == 1
+    assert {each.ratio(other) for each in found for other in found} == {1}
+
+
+def test_cells_that_never_change_and_readings_outside_the_range_are_warnings() -> None:
+    moving, fixed = [100.0 + k % 9 for k in range(100)], [101.3] * 100
+    doubts = [
+        "all readings of p1 are the same: is the cell broken?",
+        "readings are outside the stated range, 0 to 105",
+    ]
+    assert Trace(table(moving, fixed), ColumnMap.parse("range=105:0,units.counts=kPa")).warnings == (*doubts,)
+    assert Trace(table(moving, moving), ColumnMap.parse("range=0:108")).warnings == ()
+
+
 def test_a_range_in_the_unit_of_the_file_becomes_counts() -> None:
-    assert described("range=0:1e9").range == (0, 32767)
+    assert described("range=0:1e9").range == (0, 1_000_000_000)
     found = described("range=100000:101000,units.counts=Pa", base=100_000)
     assert found.range is not None
     assert (found.resolution, found.range[1] - found.range[0]) == (1, 1000)

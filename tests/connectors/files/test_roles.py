@@ -118,6 +118,33 @@ def test_units_are_read_from_the_names(names: tuple[str, ...], units: dict[str, 
     assert roles(names).units == units
 
 
+@pytest.mark.parametrize(
+    ("columns", "hint"),
+    [
+        ({"state": ["slip", "stick"]}, "state"),
+        ({"slip_event": ["0", "1"]}, "slip_event"),
+        ({"Zustand": ["rutscht", "haftet"]}, "Zustand"),
+        ({"state": ["slip", "stick"], "label": ["0", "1"]}, ""),
+        ({"surface": ["wood", "steel"], "contact": ["0", "1"]}, ""),
+    ],
+)
+def test_a_column_that_may_have_labels_is_a_hint(columns: dict[str, list[str]], hint: str) -> None:
+    frame = {"t": ["0", "0.01"], "p0": ["5", "6"], "p1": ["5", "6"], **columns}
+    table = RawTable.of(pl.DataFrame(frame), "pad")
+    completed(table, ColumnMap())
+    assert table.warnings == ([(None, f"column {hint} may have labels: state label={hint}")] if hint else [])
+
+
+def test_a_suggested_map_has_neither_labels_nor_some_of_the_cells() -> None:
+    names = {f"column{k}": [f"{k}.5", f"{k}.7", f"{k}.6"] for k in range(1, 5)}
+    table = RawTable.of(pl.DataFrame({**names, "column5": ["0", "1", "0"]}), "pad")
+    completed(table, ColumnMap(rate=100))
+    assert table.suggested == ["counts=column1..column4"]
+    table.left_out = {"p0": "it occurs twice"}
+    completed(table, ColumnMap(rate=100))
+    assert table.suggested == ["counts=NAME,NAME"]
+
+
 def test_case_counts_where_it_carries_meaning() -> None:
     assert [unit_in(each) for each in ("mPa", "MPa", "mN", "T", "kPA", "Pa", "PSI", "MS")] == [
         *("mPa", "MPa", "mN", "T", "kPa", "Pa", "psi", "ms")

@@ -67,8 +67,10 @@ def test_lines_that_are_left_out_are_counted(write: Write) -> None:
     assert table.notes == ["left out 3 lines without values, or with the names again"]
 
 
-def test_a_row_of_units_is_not_a_row_of_values(write: Write) -> None:
-    assert read_table(write(f"t,p0,p1\n[s],[kPa],-\n{BODY}")).units == {"t": "[s]", "p0": "[kPa]", "p1": "-"}
+@pytest.mark.parametrize("units", ["[s],[kPa],[-]", "s,kPa,-", "(s), (kPa), ", "<s>,{kPa},[ - ]"])
+def test_a_row_of_units_is_not_a_row_of_values(write: Write, units: str) -> None:
+    found = read_table(write(f"t,p0,p1\n{units}\n{BODY}")).units
+    assert (found["t"], found["p0"], found["p1"].strip("-")) == ("s", "kPa", "")
     assert read_table(write(f"t,p0,p1\n{BODY}")).units == {}
 
 

@@ -105,7 +105,7 @@ WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a reso
 LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
-AGAIN = "no less than in the line before; if the logger started again, --split makes 2 sessions (1, 2 rows)"
+ORDER = "in order: sort the rows by time, or delete this one"
 NO_TIME = "no column is recognised as time; state time=..., or rate=... if it has none"
 COLUMNS = "state counts=...; (2) " + NO_TIME + "; try --map time=column1,counts=column2,column3"
 T_S1 = "the columns are t s1"
@@ -119,9 +119,9 @@ NUMBER = "must be a number, without signs of thousands, or empty"
     [
         ("1,1,x,3,4,5,6,0", f"line 3, column s2: is 'x', {NUMBER}"),
         ("1,1,2.5,3,4,5,6,0", f"line 3, column s2: is '2.5', {WHOLE}"),
-        ("1,1,2,3,4,5,6,maybe", f"line 3, column label: has 'maybe', {LABEL}; {MAP}maybe"),
+        ("1,1,2,3,4,5,6,maybe", f"line 3, column label: has 'maybe', {LABEL}; {MAP}WORD"),
         (",1,2,3,4,5,6,0", "line 3, column t: is '', must be a time in s"),
-        ("0.4,1,2,3,4,5,6,0", f"line 3, column t: is '0.4', must be {AGAIN}"),
+        ("0.4,1,2,3,4,5,6,0", f"line 3, column t: is '0.4', must be {ORDER}"),
         ("1,1,2,3,4,5,6,0,9", f"line 3: {MORE_FIELDS}"),
         ("1,1,2,3,4,5,6,0,,9", f"line 3: {MORE_FIELDS}"),
     ],
@@ -151,7 +151,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         ("s1,s2,s3|1,1,1", "", f": {NO_TIME}; try --map rate=ROWS_PER_SECOND,counts=s1..s3"),
         ("0,1,2|2,1,1|3,1,1", "", f": has 2 problems: (1) column1..column3 may be the cells; {COLUMNS}"),
         ("t,s1, s1|1,1,1", "", f": {TWICE}; try --map time=t,counts=NAME,NAME"),
-        ("t,s1,s2,s3, s1|1,1,2,3,1", "", f": {TWICE}; try --map time=t,counts=s2,s3"),
+        ("t,s1,s2,s3, s1|1,1,2,3,1", "", f": {TWICE}; try --map time=t,counts=NAME,NAME"),
         (
             "t,s1,s1|1,1,1",
             "counts=s1",
@@ -219,6 +219,8 @@ def test_a_speed_becomes_a_motion_along_x(write: Write) -> None:
     assert motion.velocity.tolist() == [[0.0125, 0, 0, 0, 0, 0], [-0.004, 0, 0, 0, 0, 0]]
     assert np.isnan(motion.pose).all()
     assert len(trace.touch) == 4
+    path = write(f"{HEADER},v", f"[s],{'[count],' * 6}[mm/s]", "0,1,2,3,4,5,6,2", "1,1,2,3,4,5,6,4")
+    assert Trace(path).motion.velocity[:, 0].tolist() == [0.002, 0.004]  # by a row of units
 
 
 def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) -> None:
@@ -239,7 +241,7 @@ def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
 
 def test_a_stated_rate_must_match_the_times(write: Write) -> None:
     path = write(HEADER, *(f"{k * 10},1,2,3,4,5,6" for k in range(9)))
-    with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: is its time in another unit"):
+    with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: wrong unit of the time"):
         _ = Trace(path, ColumnMap(rate=100)).touch
     assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).columns.rate == 95
 
@@ -258,6 +260,8 @@ def test_the_real_trace_is_read_whole() -> None:
     [
         ("", ["0", "1", "-1", "", "Slip", "static", "TRUE", "1.0"], [0, 1, -1, -1, 1, 0, 1, 1]),
         ("", ["Rutschen", "rutscht", "Haften", "haftet", "unbekannt"], [1, 1, 0, 0, -1]),
+        ("", ["ja", "nein", "Yes", "no"], [1, 0, 1, 0]),
+        ("labels.static=stuck,1", ["stuck", "slip", "1", "?"], [0, 1, 0, -1]),
         ("labels.slip=1,2", ["0", "1", "2", "7", "", "2.0", "x", "nan"], [0, 1, 1, 0, -1, 1, 0, -1]),
         ("labels.slip=north,labels.static=none,labels.unknown=?", ["North", "none", "?", ""], [1, 0, -1, -1]),
     ],
@@ -269,13 +273,37 @@ def test_labels_may_have_other_values(
     assert Trace(path, ColumnMap.parse(f"label=state,{labels}")).labels.tolist() == expected
 
 
+@pytest.mark.parametrize(
+    ("values", "slip"),
+    [
+        (("stick", "slip", "incipient slip"), "slip"),
+        (("no contact", "Sliding", "slip"), "Sliding,slip"),
+        (("0", "1", "2"), "WORD"),  # 2 may be slip, and 1 touch
+        (("no_slip", "gross slip"), "WORD"),
+        (("still", "moving"), "WORD"),
+    ],
+)
+def test_a_suggestion_for_labels_does_not_guess_which_word_is_slip(
+    write: Write, values: tuple[str, ...], slip: str
+) -> None:
+    path = write(f"{HEADER},label", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
+    with pytest.raises(InputError, match=rf"label=label,labels.slip={slip}'?$"):
+        _ = Trace(path).touch
+
+
+def test_labels_of_slip_alone_are_a_warning(write: Write) -> None:
+    for value, warned in (("", True), ("none", True), ("static", False)):
+        path = write(f"{HEADER},label", "0,1,2,3,4,5,6,slip", f"1,1,2,3,4,5,6,{value}")
+        assert ("no row is static: an empty label means unknown" in Trace(path).warnings) == warned
+
+
 def test_pauses_are_a_warning(write: Write) -> None:
     times = [*range(0, 1000, 10), *range(3000, 3500, 10)]
     lines = [f"{time},{time % 7},2,3,4,5,6" for time in times]
-    [*_, warning] = Trace(write(f"t_ms{HEADER[1:]}", *lines)).warnings
-    assert warning == "1 pause of 2.0 s, after line 101"
+    warning, *_ = Trace(write(f"t_ms{HEADER[1:]}", *lines)).warnings
+    assert warning == "pauses: 1, up to 2.0 s, the first after line 101"
     again = write(f"t_ms{HEADER[1:]}", *lines, "5000,1,2,3,4,5,6")
-    assert "2 pauses of up to 2.0 s, the first after line 101" in Trace(again).warnings
+    assert "pauses: 2, up to 2.0 s, the first after line 101" in Trace(again).warnings
 
 
 def test_what_labels_mean_is_noted_and_a_label_that_no_row_has_is_a_warning(write: Write) -> None:

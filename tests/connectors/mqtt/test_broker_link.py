@@ -61,8 +61,9 @@ async def test_a_failed_connection_is_one_line_with_a_remedy(
     if kind == "silent":
         monkeypatch.setattr(module, "TIMEOUT", 0.1)
     async with server(kind) as place:
-        with pytest.raises(EndpointError, match=rf"^{scheme}://{place}: cannot connect: {reason}$"):
+        with pytest.raises(EndpointError, match=rf"^{scheme}://{place}: cannot connect: {reason}$") as caught:
             await use(f"{scheme}://{place}")
+    assert caught.type is EndpointError  # nobody refuses
 
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "a..b", "-"])

@@ -1,9 +1,11 @@
 import asyncio
+import logging
 from collections.abc import AsyncGenerator, Iterable, Iterator
 from contextlib import asynccontextmanager
 from itertools import count, pairwise
 from pathlib import Path
 from random import Random
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -11,13 +13,15 @@ from msgspec.structs import replace
 from connectors.events import Event
 from connectors.mqtt import broker_link, gap_replay, sender
 from connectors.mqtt.broker import Broker, Message
+from connectors.mqtt.broker_link import RefusedError
 from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.sender import Sender
+from operators.errors import EndpointError
 from tests.connectors.mqtt.made import EVENT
 from tests.connectors.mqtt.made import opened as opened_outbox
-from tests.faults.simulated_broker import SimulatedBroker
+from tests.faults.simulated_broker import SimulatedBroker, SimulatedLink
 from tests.waiting import until
 
 pytestmark = pytest.mark.virtual
@@ -76,18 +80,47 @@ def peer(monkeypatch: pytest.MonkeyPatch) -> Peer:
 async def test_events_wait_for_a_refused_event_but_not_for_a_refused_document(
     tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture, refused: str
 ) -> None:
+    caplog.set_level(logging.INFO, "slipflow")
     async with opened(tmp_path) as (sending, outbox):
         await sending.start("me", WILL, ONLINE)
+        connected = [sending.connected]
         peer.refused.add(refused)
         await outbox.append([replace(EVENT, finger=str(int(number == 20))) for number in range(40)])
         first = 40 if refused == "head" else 20
         await until(lambda: outbox.waiting == 40 - first and sending.refused == [f"{RIG}/{refused}"])
+        connected.append(sending.connected)
         peer.refused.clear()
         await until(lambda: not outbox.waiting and not sending.refused and ("head", "40") in peer.got)
         assert {*peer.events()} == {str(number) for number in range(1, 41)}
-    assert caplog.messages == [
-        f"mqtt://localhost:1883: refuses to publish {RIG}/{refused}: Not authorized; retrying",
-        f"mqtt://localhost:1883: accepts {RIG}/{refused} again",
+        assert [*connected, sending.connected] == [True, False, True]
+    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
+        ("ERROR", f"mqtt://localhost:1883: refuses to publish {RIG}/{refused}: Not authorized; retrying"),
+        ("INFO", f"mqtt://localhost:1883: accepts {RIG}/{refused} again"),
+    ]
+
+
+async def test_each_new_reason_of_a_missing_broker_is_logged_once_and_a_refusal_as_an_error(
+    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "slipflow")
+    down, refused = EndpointError("broker", "is down"), RefusedError("broker", "refuses the password")
+    failures: list[EndpointError] = [down, down, down, refused, refused]  # the first is that of `start`
+
+    async def connect(*about: Any) -> SimulatedLink:
+        if failures:
+            raise failures.pop(0)
+        return await peer.connect(*about)
+
+    monkeypatch.setattr(broker_link, "connect", connect)
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE, connect_required=False)
+        assert not sending.connected
+        await until(lambda: sending.connected)
+    rest = f", reconnecting; events are kept in {outbox.path}"
+    assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
+        ("WARNING", f"broker: is down{rest}"),
+        ("ERROR", f"broker: refuses the password{rest}"),
+        ("INFO", "mqtt://localhost:1883: connected again, 0 events pending"),
     ]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from connectors.sim.arm_motion import Controller, PlannedArm, in_base
+from connectors.sim.arm_motion import PlannedArm, in_base
 from connectors.sim.scene import MotionKind, Move, Scene
 from operators.errors import ParameterError
 
@@ -39,15 +39,6 @@ def test_a_tap_pushes_once_along_its_direction() -> None:
     assert push[:, 1].max() == pytest.approx(5.0)
     assert np.abs(push[:, 0]).max() < 1e-12
     assert push[:, 1].sum() * 1e-4 == pytest.approx(5.0 * 0.01 * 2 / 3, rel=1e-3)
-
-
-def test_the_controller_keeps_its_own_time_and_reports_late() -> None:
-    motion = Controller(Scene(), 0).take(1000)
-    assert motion is not None
-    motion.check()
-    assert set(np.diff(motion.time).tolist()) == {8_000_000}
-    assert motion.time[0] == 70_000_000
-    assert set(np.diff(motion.device_time).tolist()) == {8_000_000}
 
 
 @pytest.mark.parametrize(("rest", "kind"), [(-0.1, "hold"), (0.5, "translation")])

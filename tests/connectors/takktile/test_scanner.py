@@ -199,15 +199,3 @@ def test_a_bus_that_cannot_be_used_is_closed_again(rig: Rig, number: int) -> Non
         with pytest.raises(OSError, match=os.strerror(number)):
             rig.open()
     assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208 - the same
-
-
-def test_reasons_name_the_likely_cause(rig: Rig) -> None:
-    rig.bus.busy.add(CELL)
-    with pytest.raises(OSError, match=os.strerror(16)) as raised:
-        rig.open()
-    assert i2c_reason(raised.value).startswith("a kernel driver uses")
-    rig.bus.remove(19)
-    with pytest.raises(FileNotFoundError) as missing:
-        rig.open()
-    assert i2c_reason(missing.value) == "the bus does not exist: is I2C enabled? (errno 2)"
-    assert i2c_reason(OSError(5, "Input/output error")) == "Input/output error (errno 5)"

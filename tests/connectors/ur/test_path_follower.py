@@ -53,18 +53,6 @@ def test_an_arc_is_followed_at_its_speed_and_height_to_its_end(speed: float, lat
     assert math.dist(way[-1], points[-1]) < 1.5e-3 + late * speed
 
 
-def test_an_arm_beside_the_line_is_led_back() -> None:
-    follower = PathFollower([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.05, 0.5)
-    aside = follower.velocity((0.2, 0.001, -0.002))
-    assert aside == pytest.approx((0.05, -0.008, 0.016))
-
-
-def test_deviation_is_measured_from_the_line_and_from_its_end() -> None:
-    follower = PathFollower([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.05, 0.5)
-    assert follower.deviation((0.2, 0.003, -0.004)) == pytest.approx(0.005)
-    assert follower.deviation((1.02, 0.0, 0.0)) == pytest.approx(0.02)
-
-
 def test_a_line_of_equal_points_is_refused() -> None:
     with pytest.raises(ParameterError):
         PathFollower([(0.0, 0.0, 0.0), (0.0, 0.0, 0.0)], 0.05, 0.5)

@@ -54,6 +54,12 @@ def test_a_frame_has_what_is_new_for_its_browser(frames: Frames) -> None:
     assert ([each["id"] for each in found["events"]], found["slipping"]) == ([2], [])
 
 
+def test_a_late_row_is_shown_in_order_of_time(frames: Frames) -> None:
+    for at in (200, 100):  # so that the newest batch ends before the first begins
+        frames.add(scored(START + at * ms, at / 1000))
+    assert frame(frames)["rows"] == {"scores 0": {"t": [100.0, 200.0], "v": [0.1, 0.2]}}
+
+
 def test_the_quality_is_that_of_the_newest_score_and_of_the_cells(frames: Frames) -> None:
     frames.add(scored(START, 0.5, finger=1))
     assert frame(frames)["quality"] == {"1": ["good", None]}

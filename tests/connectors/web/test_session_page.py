@@ -90,6 +90,16 @@ async def test_a_window_has_the_rows_between_its_ends(keep: Keep) -> None:
     assert cut(recorded, -500, -100)["touch 0"]["t"] == []
 
 
+async def test_a_late_row_and_an_early_one_are_in_the_windows_of_their_times(keep: Keep) -> None:
+    at = [10 * k for k in range(100)]
+    at[30], at[70] = at[70], at[30]
+    recorded = await keep(*[touched(START + k * ms, -k) for k in at])
+    for begin in (200, 600):
+        window = cut(recorded, begin, begin + 200)["touch 0"]
+        assert window["t"] == [begin + 10.0 * k for k in range(21)]
+        assert [row[0] for row in window["v"]] == [-time for time in window["t"]]
+
+
 async def test_the_contents_have_the_length_and_the_events_in_order_of_time(keep: Keep) -> None:
     batches: list[Zeroed | Slips | Faults] = [
         touched(START, -300),

@@ -17,6 +17,17 @@ def test_check_reports_a_correct_flow_and_lists_its_parameters() -> None:
     assert "--set broker=None  (text or none)\n      Broker URL, such as mqtt://localhost" in done.stdout
 
 
+def test_check_prepares_the_sources_as_a_run_does(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    path.write_text(
+        "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
+        "from operators import Touch\n"
+        "class Own(TestSource):\n    async def prepare(self):\n        print('prepared')\n"
+        "flow = Flow('own')\nflow.source(Own(Touch)).to(TestSink())\n"
+    )
+    assert "\nprepared\nown: OK" in slipflow("check", str(path)).stdout
+
+
 def test_check_finds_every_problem(tmp_path: Path) -> None:
     path = tmp_path / "wrong.py"
     path.write_text(

@@ -75,7 +75,7 @@ def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:
     process.send_signal(signal.SIGINT)
     out, messages = process.communicate(timeout=300)
     assert process.returncode == 130, messages
-    assert "ended early" in out
+    assert "s; interrupted" in out
     (session,) = tmp_path.glob("recordings/sessions/*/session.json")
     assert "interrupted" in json.loads(session.read_text())["error"]
     assert "interrupted; the arm has stopped where it is" in messages

@@ -1,12 +1,16 @@
 """`slipflow demo` in processes of its own: its page, and a broker that refuses it."""
 
 import asyncio
+import os
 import re
 import signal
 import subprocess
 from pathlib import Path
 
-from tests.command import SLIPFLOW
+import pytest
+
+from connectors.sim.simulated_rig import SimulatedSource
+from tests.command import SLIPFLOW, slipflow
 from tests.connectors.web.reading import listening
 from tests.waiting import PATIENCE, wait_until
 
@@ -39,3 +43,18 @@ def test_the_demo_serves_its_page_and_reports_what_it_detected(tmp_path: Path) -
         process.kill()
     assert process.returncode == 0
     assert re.search(r"\d+ true slips: \d+ detected, \d+ missed", output)
+
+
+def test_a_demo_that_is_interrupted_before_it_begins_has_no_session_and_exits_130(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def prepare(_: object) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        await asyncio.sleep(PATIENCE)
+
+    monkeypatch.setattr(SimulatedSource, "prepare", prepare)
+    done = slipflow("demo", "--no-browser", "--out", tmp_path / "recordings")
+    assert done.returncode == 130
+    assert "error: " not in done.stderr
+    assert "was stopped before it began" in done.stdout
+    assert not list(tmp_path.iterdir())

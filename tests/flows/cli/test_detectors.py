@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from flows.cli.train import train as train_command
-from flows.learn.training import trainer, training_loop
-from flows.learn.training.trained_model import Check, Progress
+from flows.learn.training import training_loop
 from storage.models import shipped
 from tests.command import slipflow
 
@@ -42,20 +41,6 @@ def test_interrupted_training_stops_without_a_model(
         train_command([tiny], out=tmp_path / "m.safetensors")
     assert "stopped: no model was written to" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("parent", "part"), [("tcn", "the held-out part"), (None, "validation")])
-def test_training_names_the_part_that_its_accuracy_is_of(
-    parent: str | None, part: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def check(*_: object, progress: Progress, **__: object) -> None:
-        progress(1, 1, Check(1, 1.0, 0.1, 90.0, 90.0))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(trainer, "train", check)
-    with pytest.raises(KeyboardInterrupt):
-        train_command([Path("data")], parent=parent)
-    assert f" % on {part}, " in capsys.readouterr().err
 
 
 HIDING = """

@@ -43,4 +43,18 @@ def test_many_files_are_imported_in_one_call_that_can_be_repeated(tmp_path: Path
     left_out = "left out, the dataset has it; delete it there to import it again\n"
     assert again.stdout.startswith(f"wood_vel1: {left_out}bad_vel1.csv: 300 rows")
     assert again.stdout.endswith(f"steel_vel1: {left_out}")
+    changed = slipflow(*arguments, "--map", "layout=3x2", "--dry-run", cwd=tmp_path)
+    assert changed.returncode == 0
+    differs = "left out, the dataset has it with another map, group or split; delete it there to replace it\n"
+    assert changed.stdout.count(differs) == 3
+    assert "  layout   0,1/2,3/4,5  (cells of each row, from the top)\n" in changed.stdout
+    one_row = TRACE.splitlines(keepends=True)[:2]
+    (tmp_path / "one_row.csv").write_text("".join(one_row))
+    (tmp_path / "seven.csv").write_text(TRACE.replace("slip", "p6"))
+    mixed = slipflow(
+        "import", "one_row.csv", "seven.csv", "wood_vel1.csv", "out", "--map", "layout=3x2", cwd=tmp_path
+    )
+    assert "error: one_row.csv: has no two times, which tell the rate" in mixed.stdout
+    assert "error: seven.csv: Trace: layout is '0,1/2,3/4,5', must be of 7 cells" in mixed.stdout
+    assert "error: 2 of 3 files cannot be imported" in mixed.stderr
     assert "out: is a folder: give out/*.csv" in slipflow("import", "out", "lab", cwd=tmp_path).stderr

@@ -23,6 +23,7 @@ from operators import (
     OperatorError,
     Pool,
     Sample,
+    Score,
     Scores,
     Slips,
     Touch,
@@ -31,6 +32,7 @@ from operators import (
     ms,
     s,
 )
+from operators.batch import Counts, Reals
 from operators.operator import output_type
 from operators.steps import Record, RowType, Steps
 from tests.operators import test_conformance as suite
@@ -128,6 +130,19 @@ def test_an_operator_that_breaks_its_contract_is_named(
         compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
+def test_output_that_begins_before_the_end_of_the_last_batch_is_an_error() -> None:
+    flow, times = Flow("f"), iter([90 * ms, 90 * ms, 40 * ms])
+    backwards = Returning(lambda: (np.array([next(times)]), np.ones(1)))
+    (flow.source(TestSource(Scores)) | backwards).to(TestSink())
+    compiled = CompiledFlow(flow)
+    for _ in range(2):
+        compiled.push({compiled.entries[0]: scores(0.1)})
+    with pytest.raises(
+        OperatorError, match=r"^flow 'f': Returning: Scores\.time: decreases by 50 ms between"
+    ):
+        compiled.push({compiled.entries[0]: scores(0.1)})
+
+
 class Broken(Operator[Scores, Scores]):
     def process(self, batch: Scores) -> Scores:
         raise KeyError("limit")
@@ -152,6 +167,29 @@ def test_a_failing_operator_is_reported_with_the_line_of_its_file(kind: type[Bro
     reason = rf"^flow 'f': {kind.__name__}: KeyError: '?limit'? \(test_compiled_flow\.py:\d+\)$"
     with pytest.raises(OperatorError, match=reason):
         compiled.pusher(compiled.entries[0])(scores(0.1))
+
+
+class Unknowing:
+    name, length = "unknowing", 1
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        raise KeyError("limit")
+
+
+class UnknowingSteps(Unknowing):
+    def steps(self, hop: int, cells: int) -> Steps:
+        return Steps(step=too_high)
+
+
+@pytest.mark.parametrize("kind", [Unknowing, UnknowingSteps])
+def test_a_failing_detector_is_reported_with_the_line_of_its_file(kind: type[Unknowing]) -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Touch)) | Zero(baseline=400) | Score(kind())).to(TestSink())
+    compiled = CompiledFlow(flow)
+    with pytest.raises(
+        OperatorError, match=r"^flow 'f': Score: KeyError: '?limit'? \(test_compiled_flow\.py:\d+\)$"
+    ):
+        compiled.pusher(compiled.entries[0])(touch(0))
 
 
 def test_an_operator_that_cannot_be_prepared_is_named() -> None:

@@ -50,9 +50,23 @@ def test_an_operator_or_source_in_the_place_of_a_stream_is_an_error_that_says_wh
     operator: Any = Zero()
     with pytest.raises(FlowError, match=r"Zero & motion: .* write \(stream \| Zero\(\)\) & motion$"):
         _ = touch | operator & motion
+    with pytest.raises(FlowError, match=r"motion & Zero: .* write motion & \(stream \| Zero\(\)\)$"):
+        _ = motion & operator
     source: Any = TestSource(Touch)
     with pytest.raises(TypeError, match=r"^TestSource is not a stream: begin with flow\.source\(\.\.\.\)$"):
         _ = source | operator
+
+
+def test_a_stream_of_another_flow_cannot_be_joined() -> None:
+    motion, touch = Flow("f").source(TestSource(Motion), name="arm"), Flow("g").source(TestSource(Touch))
+    with pytest.raises(FlowError, match=r"^flow 'f': arm & touch: touch belongs to flow 'g': declare both"):
+        _ = motion & touch
+
+
+def test_a_stream_goes_on_after_a_sink() -> None:
+    flow, kept, shown = Flow("f"), TestSink(), TestSink()
+    (flow.source(TestSource(Scores)).to(kept) | Debounce()).to(shown)
+    assert [node.inputs[0].name for node in flow.sinks()] == ["scores", "Debounce"]
 
 
 class Half:

@@ -1,3 +1,4 @@
+import asyncio
 import pickle
 import re
 import sys
@@ -8,7 +9,12 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.loading import load
-from operators import InputError
+from flows.graph.testing import run_virtually
+from flows.run.live_runner import LiveRunner
+from flows.run.replay_runner import ReplayRunner
+from operators import InputError, Run, s
+from storage import Session
+from tests.pages import ROOT, block
 
 GOOD = """
 from flows.graph import Flow
@@ -137,3 +143,21 @@ def test_a_module_named_like_a_package_of_slipflow_is_an_error(tmp_path: Path, c
 def test_a_folder_of_data_named_like_a_package_is_no_clash(tmp_path: Path) -> None:
     (tmp_path / "storage").mkdir()
     assert load(_file(tmp_path, GOOD)).name
+
+
+def test_the_flow_of_the_readme_can_be_replayed_from_its_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.chdir(tmp_path)
+    declaration = load(_file(tmp_path, block(ROOT / "README.md", "slip.py")))
+
+    async def record() -> Run:
+        return await LiveRunner(declaration.flow(), "first", duration=5 * s).execute()
+
+    live = run_virtually(record())
+    recording = Session.open(tmp_path / "recordings" / "sessions" / "first")
+    replay = asyncio.run(ReplayRunner(declaration.flow({"out": "replayed"}), recording, "second").execute())
+    rows = [{name: sink.rows for name, sink in run.sinks.items()} for run in (live, replay)]
+    assert rows[0] == rows[1]
+    assert min(rows[0].values()) > 0

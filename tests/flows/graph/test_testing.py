@@ -1,18 +1,29 @@
 import asyncio
 import time
 
-from flows.graph.testing import run_virtually
-from flows.run.clocks import LoopClock
-from operators import s
+import pytest
+
+from flows.graph.testing import check_cuts, run_virtually
+from operators import Operator, Scores
+from tests.operators import test_conformance as suite
 
 
-def test_a_paced_clock_runs_at_its_pace() -> None:
-    async def main() -> tuple[float, int]:
-        clock = LoopClock(start=0, pace=10)
-        await clock.sleep_until(50 * s)
-        return asyncio.get_running_loop().time(), clock.now()
+@pytest.mark.parametrize(
+    "case", [case for case in suite.CASES if len(case.inputs) == 1], ids=lambda case: repr(case.step)
+)
+def test_operators_of_slipflow_do_not_depend_on_the_cuts(case: suite.Case) -> None:
+    [batch] = case.streams(7, 300)
+    assert isinstance(case.step, Operator)
+    check_cuts(case.step, batch)
 
-    assert run_virtually(main()) == (5.0, 50 * s)
+
+def test_an_operator_that_depends_on_the_cuts_is_an_error_that_names_the_column() -> None:
+    class Centre(Operator[Scores, Scores]):
+        def process(self, batch: Scores) -> Scores:
+            return Scores(batch.time, batch.probability - batch.probability.mean(), finger=batch.finger)
+
+    with pytest.raises(AssertionError, match="probability"):
+        check_cuts(Centre(), Scores.rows(range(20), [k / 20 for k in range(20)]))
 
 
 def test_calls_in_threads_take_no_virtual_time() -> None:

@@ -4,13 +4,12 @@ from typing import Any
 import pytest
 
 from flows.graph import Flow, Stream
+from flows.graph.node import check_extras
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems, validate
 from operators import (
-    Align,
     Debounce,
     FlowError,
-    Motion,
     Operator,
     ParameterError,
     Scores,
@@ -39,11 +38,14 @@ def test_an_unconnected_stream_is_named() -> None:
     assert _one_problem(flow).startswith("Zero -> ?: its stream of Zeroed is unconnected")
 
 
-def test_a_wrong_type_names_the_edge_both_types_and_the_missing_operators() -> None:
+def test_a_wrong_type_is_named_first_with_its_edge_and_the_missing_operators() -> None:
     flow = Flow("f")
     touch: Stream[Any] = flow.source(TestSource(Touch))
+    _ = touch | Zero()
     (touch | Debounce()).to(TestSink())
-    assert _one_problem(flow) == "touch -> Debounce: Debounce takes Scores, not Touch: insert Zero and Score"
+    found = [f"{each.edge}: {each.reason}" for each in problems(flow)]
+    assert found[0] == "touch -> Debounce: Debounce takes Scores, not Touch: insert Zero and Score"
+    assert found[1].startswith("Zero -> ?: its stream of Zeroed is unconnected")
 
 
 def test_two_sinks_with_one_destination_are_reported() -> None:
@@ -74,15 +76,6 @@ def test_one_operator_object_used_twice_is_reported() -> None:
     assert "scores -> Debounce: the same operator object is used twice" in _one_problem(flow)
 
 
-def test_a_stream_of_another_flow_is_reported() -> None:
-    flow, other = Flow("f"), Flow("g")
-    zeroed = other.source(TestSource(Touch)) | Zero()
-    motion = flow.source(TestSource(Motion), name="arm")
-    mixed: Any = motion & zeroed
-    (mixed | Align()).to(TestSink())
-    assert any("Zero belongs to another flow" in str(problem) for problem in problems(flow))
-
-
 def test_state_shared_by_runs_is_reported() -> None:
     @dataclass
     class Sharing(Operator[Scores, Scores]):
@@ -111,6 +104,20 @@ def test_an_operator_whose_copies_would_lose_an_argument_is_reported() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Own(2.0)).to(TestSink())
     assert _one_problem(flow).startswith("Own: gain would be lost: make it a field of a @dataclass")
+
+
+def test_an_operator_without_the_state_of_its_base_is_reported() -> None:
+    class Own(Loud):
+        def __init__(self) -> None:
+            self.last = 0.0
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Own()).to(TestSink())
+    assert (
+        _one_problem(flow)
+        == "Own: its __init__ lacks super().__init__(): use a @dataclass, which needs neither"
+    )
+    assert "Own()" in str(flow)
 
 
 def test_an_operator_that_copies_itself_may_have_its_own_arguments() -> None:
@@ -149,15 +156,54 @@ def test_the_batch_parameter_of_a_sink_may_have_any_name() -> None:
     assert "takes Slips, not Scores" in _one_problem(flow)
 
 
-def test_a_sink_without_a_type_annotation_is_reported() -> None:
-    class Untyped(TestSink):
-        async def write(self, batch: object) -> None:
-            """Take anything."""
+class Wrong:
+    async def any_type(self, batch: object) -> None:
+        """Take anything."""
 
+    async def no_type(self, batch) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001 - wrong on purpose
+        """Take anything."""
+
+    def at_once(self, batch: Scores) -> None:
+        """Take scores."""
+
+    async def later(self, batch: Scores) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        (
+            "write",
+            Wrong.any_type,
+            "lacks a batch type: annotate it, as in async def write(self, batch: Slips) ->",
+        ),
+        ("write", Wrong.no_type, "lacks a batch type: annotate it"),
+        ("write", Wrong.at_once, "write must be declared with async def"),
+        ("open", lambda self, run: None, "open must be declared with async def"),
+        ("close", lambda self: None, "close must be declared with async def"),
+        ("take", Wrong.later, "take must be declared with def"),
+        (
+            "destination",
+            lambda self: "here",
+            "destination must be a text: make it an attribute or a @property",
+        ),
+    ],
+    ids=["any type", "no type", "write", "open", "close", "take", "destination"],
+)
+def test_a_sink_that_would_fail_in_a_run_is_reported(name: str, value: object, reason: str) -> None:
+    kind = type("Own", (TestSink,), {name: value})
     flow = Flow("f")
-    flow.source(TestSource(Scores)).to(Untyped())
-    with pytest.raises(ParameterError, match="Untyped: the annotation of write"):
-        validate(flow)
+    flow.source(TestSource(Scores)).to(kind())
+    assert _one_problem(flow).startswith(f"scores -> own: {reason}")
+
+
+def test_an_extra_that_does_not_exist_is_an_error_with_those_that_do() -> None:
+    flow, sink = Flow("f"), TestSink()
+    sink.extra = "foo"
+    flow.source(TestSource(Scores)).to(sink)
+    with pytest.raises(ParameterError, match=r"^testsink: extra is 'foo', must be one of train, "):
+        check_extras(flow.nodes)
 
 
 def test_a_source_of_a_plain_dataclass_is_reported() -> None:

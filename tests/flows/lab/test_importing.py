@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import polars as pl
 import pytest
 from hypothesis import given
@@ -17,11 +18,11 @@ from connectors.files.column_map import ColumnMap
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.importing import AttachLabels, TraceImport, import_files, import_frame
-from flows.learn.labelled_recordings import load
+from flows.learn.labelled_recordings import common_fingertip, load
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from operators import Zero
-from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms
+from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms, s
 from operators.errors import InputError, ParameterError
 from storage import Session
 
@@ -227,6 +228,94 @@ def test_a_file_that_the_dataset_has_is_left_out(tmp_path: Path) -> None:
     put(path, low=80)
     with pytest.raises(InputError, match="already has a session 'a' of another file: rename the file"):
         imports([path], out)
+
+
+def test_a_recording_is_imported_once_under_any_name_and_a_changed_map_is_said(tmp_path: Path) -> None:
+    out, folder = tmp_path / "out", tmp_path / "trial"
+    folder.mkdir()
+    paths = [put(folder / "a.parquet"), put(tmp_path / "a.parquet", low=80)]
+    assert [each.session for each in imports(paths, out)] == ["trial-a", f"{tmp_path.name}-a"]
+    copied = put(tmp_path / "copy.parquet", low=80)
+    [again, moved] = imports([paths[0], copied], out)
+    assert [(each.session, each.state) for each in (again, moved)] == [
+        ("trial-a", "present"),
+        (f"{tmp_path.name}-a", "present"),
+    ]
+    for text in ("units.counts=mbar", "units.counts=kPa,range=80:120", "units.counts=kPa,labelled=slip"):
+        [(_, found)] = import_files(paths[:1], out, ColumnMap.parse(text))
+        assert isinstance(found, TraceImport)
+        assert (found.session, found.state) == ("trial-a", "differs")
+    assert [each.state for each in imports(paths[:1], out, group="(a)")] == ["differs"]
+    assert len([*(out / "sessions").iterdir()]) == 2
+
+
+def test_the_folder_of_a_file_may_state_its_split(tmp_path: Path) -> None:
+    paths = list[Path]()
+    for low, name in enumerate(("train", "trials", "validation", "test")):
+        (tmp_path / name).mkdir()
+        paths.append(put(tmp_path / name / f"{low}.parquet", low=low))
+    found = [each.report().rpartition("finger 0")[2] for each in imports(paths, tmp_path / "out")]
+    assert found == [", split train", "", ", split validation", ", split test"]
+    sessions = [Session.open(folder) for folder in sorted((tmp_path / "out/sessions").iterdir())]
+    assert [each.about["split"] for each in sessions] == ["train", None, "validation", "test"]
+
+
+def test_a_file_that_cannot_be_imported_does_not_stop_the_others(tmp_path: Path) -> None:
+    paths = [put(tmp_path / f"{name}.parquet", low=low) for low, name in enumerate("abc")]
+    pl.read_parquet(paths[0])[:1].write_parquet(paths[0])
+    pl.read_parquet(paths[1]).with_columns(p2="p1").write_parquet(paths[1])
+    columns, out = ColumnMap.parse("layout=1x2,units.counts=kPa"), tmp_path / "out"
+    for dry_run in (True, False):
+        first, second, third = (found for _, found in import_files(paths, out, columns, dry_run=dry_run))
+        assert "a.parquet: has no two times, which tell the rate; state rate=... (rows per" in str(first)
+        assert "layout is '0,1', must be of 3 cells" in str(second)
+        assert isinstance(third, TraceImport)
+    with pytest.raises(InputError, match="pad: has no two times, which tell the rate"):
+        import_frame(pl.read_parquet(paths[0]), out, "pad", columns)
+    found = import_frame(pl.read_parquet(paths[0]), out, "pad", "units.counts=kPa,rate=100")
+    assert "pad: 1 row, 0.0 s, 100.0 Hz\n" in found.report()
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        pd.date_range("2026-05-01", periods=300, freq="10ms"),
+        pd.date_range("2026-05-01", periods=300, freq="10ms", name="stamp", tz="Europe/Berlin"),
+        pd.timedelta_range(0, periods=300, freq="10ms"),
+        pd.Index(np.arange(300) / 100, name="t"),
+    ],
+)
+def test_an_index_of_pandas_is_the_time(index: Any, tmp_path: Path) -> None:
+    frame = pd.DataFrame({"p0": np.arange(300), "p1": np.arange(300)}, index=index)
+    found = import_frame(frame, tmp_path, "pad")
+    assert found.trace.part.columns.rate == 100
+    assert found.trace.touch.time[0] == {"t": 0, "stamp": 1777586400 * s}.get(
+        str(index.name), 1777593600 * s if hasattr(index, "tz") else 0
+    )
+
+
+@pytest.mark.parametrize("unit", ["count", "kPa"])
+def test_what_is_assumed_is_printed(unit: str, tmp_path: Path) -> None:
+    cells = {f"p{cell}": 16_777_216 + np.arange(300) for cell in range(6)}
+    frame = {"t": np.arange(300) / 100, **cells}
+    report = TraceImport(Trace(frame, ColumnMap.parse(f"units.counts={unit}")), tmp_path, "pad").report()
+    assert "  layout   5,4,3/0,1,2  (assumed; state layout=ROWSxCOLUMNS)\n" in report
+    direction = "1023 counts, falling" if unit == "count" else "the direction of the training"
+    assert f"  range    unknown: detectors assume {direction}; state range=LOW:HIGH\n" in report
+    assert "  readings from 16777216 to 16777515 " in report
+
+
+def test_counts_of_one_sensor_are_trained_together(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    paths = list[Path]()
+    for base in (500, 40_000, 40_101):  # counts of 16 bits
+        cells = {f"p{cell}": base + rng.integers(0, 99, 300) for cell in range(2)}
+        paths.append(tmp_path / f"{base}.parquet")
+        pl.DataFrame({"t": np.arange(300) / 100, **cells, "slip": [0, 1] * 150}).write_parquet(paths[-1])
+    assert len([*import_files(paths, tmp_path / "out", ColumnMap.parse("range=0:65535"))]) == 3
+    recordings = load(tmp_path / "out")
+    assert len(recordings) == 3
+    assert common_fingertip(recordings).resolution == 1
 
 
 @given(cuts=st.lists(st.integers(0, 30), max_size=8))

@@ -23,7 +23,6 @@ from operators.batch import SLIP, STATIC
 from operators.errors import SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
-from tests.command import slipflow
 from tests.storage.made import contents
 
 
@@ -145,12 +144,3 @@ def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
         simulate(tmp_path / "out", "tiny", 0, executor=executor, progress=spoil)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.usefixtures("few")
-def test_the_command_prints_the_number_of_sessions(tmp_path: Path, tiny: Path) -> None:
-    out = tmp_path / "data"
-    done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout == f"{out}: 3 sessions (1 for train, 1 for validation, 1 for test)\n"
-    assert contents(out).items() <= contents(tiny).items()

@@ -147,25 +147,6 @@ def at_95(alarms: Ints) -> float:
     return alarm_limit(alarms, np.ones(len(alarms)), 0.95)
 
 
-@given(confidence=st.floats(0.6, 0.999), minutes=st.lists(st.floats(0.01, 50), min_size=1, max_size=20))
-def test_without_alarms_the_limit_is_the_logarithm_of_the_error_probability(
-    confidence: float, minutes: list[float]
-) -> None:
-    limit = alarm_limit(np.zeros(len(minutes), np.int64), np.array(minutes), confidence)
-    assert limit == pytest.approx(-math.log(1 - confidence), rel=1e-9)
-
-
-@settings(max_examples=8, deadline=None)
-@given(seed=st.integers(0, 1000), sessions=st.integers(10, 150))
-def test_the_limit_holds_for_sessions_of_any_alarm_probabilities(seed: int, sessions: int) -> None:
-    chances = np.random.default_rng(seed).beta(0.3, 1.2, sessions)
-
-    def draw(random: np.random.Generator) -> Ints:
-        return random.binomial(1, chances).astype(np.int64)
-
-    assert exceeded(draw, float(chances.sum()), at_95, seed) <= 0.05 + MARGIN
-
-
 def test_clustered_alarms_have_a_higher_limit_which_nearly_holds() -> None:
     """Rates of 30 sessions with an exponential distribution; the Poisson limit fails four times as often."""
 

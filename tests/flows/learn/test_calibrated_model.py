@@ -1,4 +1,5 @@
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -6,7 +7,7 @@ import pytest
 from flows.graph.loading import load as load_flow
 from flows.learn.alarm_calibration import TooLittleDataError, calibrate_model
 from flows.learn.labelled_recordings import load
-from flows.learn.training.trained_model import learned_from, provenance
+from flows.learn.training.trained_model import learned, provenance
 from operators import Debounce, minute
 from operators.errors import InputError, ParameterError
 from storage import load_debounce, load_detector
@@ -32,8 +33,7 @@ def test_the_card_records_setting_rate_confidence_and_data(tiny: Path, tmp_path:
     assert (entry["false_alarms_per_min"], entry["confidence"]) == (12.0, 0.9)
     assert 0 < entry["bound_per_min"] <= 12
     assert entry["measured"]["static_minutes"] > 0.5
-    [data] = entry["data"]
-    assert data == provenance(tiny, load(tiny))
+    assert entry["data"] == provenance(load(tiny))
     assert f"{done.found.debounce.threshold:g}" in done.report()
     assert load_detector(path).name == "tcn"
 
@@ -67,21 +67,25 @@ def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
 
 def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp_path: Path) -> None:
     path, recordings, notes = model(tmp_path), load(tiny), list[str]()
-    learned = [each for each in recordings if each.split != "test"]
-    save_card(path, {**load_card(path), "data": [provenance(tiny, recordings)]})
+    known = [each for each in recordings if each.split != "test"]
+    save_card(path, {**load_card(path), "data": provenance(recordings)})
     done = calibrate_model(str(path), [tiny], 40.0, 0.8, log=notes.append)
-    assert done.entry["data"][0]["recordings"] == {"test": len(recordings) - len(learned)}
-    assert f"left out {len(learned)} recordings of {tiny}: {path} has learned from them" in notes
+    assert done.entry["data"][0]["recordings"] == {"test": len(recordings) - len(known)}
+    assert f"left out {len(known)} recordings: {path} has learned from them" in notes
     with pytest.raises(InputError, match="no recordings are left"):
-        calibrate_model(str(path), [tiny / "sessions" / learned[0].name], 40.0, 0.8)
+        calibrate_model(str(path), [tiny / "sessions" / known[0].name], 40.0, 0.8)
 
 
-def test_a_session_that_the_model_has_learned_from_is_known_and_no_other_is(
+def test_a_recording_that_a_model_has_learned_from_is_known_wherever_it_lies(
     tiny: Path, tmp_path: Path
 ) -> None:
     one, other = sorted((tiny / "sessions").iterdir())[:2]
-    card, copied = {"data": [provenance(one, [])]}, shutil.copytree(other, tmp_path / "copy")
-    assert [learned_from(card, each) for each in (one, other, copied)] == [True, False, False]
+    copied = shutil.copytree(one, tmp_path / "sessions" / "copy")
+    shutil.copytree(other, tmp_path / "sessions" / "other")  # added later
+    card = {"data": provenance([replace(each, split="train") for each in load(one)])}
+    assert learned(card, load(one))
+    assert learned(card, load(copied))
+    assert {each.name for each in learned(card, load(tmp_path))} == {each.name for each in load(copied)}
 
 
 def test_repeated_recordings_are_refused(tiny: Path, tmp_path: Path) -> None:

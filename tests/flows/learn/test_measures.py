@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.learn.labelled_recordings import LabelledRecording, Sampling
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.measures import (
     AGAINST_SLIDING,
     BALANCED,
@@ -16,7 +16,6 @@ from flows.learn.measures import (
     accuracy,
     balanced,
     confusion,
-    distance,
     f1,
     judged,
     precision,
@@ -107,13 +106,3 @@ def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[bool, bool]
     assert accuracy(found) == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
     if truth.any() and not truth.all():
         assert balanced(found) == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
-
-
-def test_the_nearest_change_counts_whether_before_or_after() -> None:
-    label = np.array([0] * 10 + [1] * 6 + [0] * 4, np.int8)
-    expected = [90, 80, 70, 60, 50, 40, 30, 20, 10, 0, 0, 10, 20, 20, 10, 0, 0, 10, 20, 30]
-    assert distance(label, Sampling()).tolist() == expected
-
-
-def test_a_label_that_never_changes_is_infinitely_far() -> None:
-    assert np.isinf(distance(np.ones(4, np.int8), Sampling())).all()

@@ -3,15 +3,12 @@ import polars as pl
 import pytest
 
 from flows.report.results import (
-    COLUMNS,
     Metrics,
     area,
     estimate_table,
     estimates,
     joined,
     median,
-    of_sums,
-    ratio,
     result_rows,
     share,
 )
@@ -71,22 +68,6 @@ def test_unknown_values_are_null_and_few_recordings_have_no_interval() -> None:
     assert found["value"].to_list() == [100, None, None]
     assert found["low"].to_list() == [100, None, None]
     assert estimates(study(2), STATISTICS)["low"].is_null().all()
-
-
-def test_groups_may_be_of_any_columns() -> None:
-    parts = [
-        result_rows({"right": right, "trials": 1}, method=method, recording=str(n), condition=condition)
-        for method in ("ours", "steps")
-        for condition, outcomes in (("nominal", (1, 1)), ("friction x0.5", (0, 1)))
-        for n, right in enumerate(outcomes)
-    ]
-    results = joined(parts)
-    assert results.schema == pl.Schema(COLUMNS)
-    success = {"success %": of_sums(lambda total: 100 * ratio(total("right"), total("trials")))}
-    found = estimates(results, success, ("condition", "method"))
-    table = estimate_table(found, {}, index=["condition"], columns="method")
-    assert table.head == ["condition", "ours", "steps"]
-    assert table.rows == [["nominal", 100, 100], ["friction x0.5", 50, 50]]
 
 
 def test_a_table_shows_an_interval_beside_its_value() -> None:

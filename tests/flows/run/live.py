@@ -8,7 +8,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Clock, Run, Scores, Sink, Source, ms
+from operators import Clock, Run, Scores, Sink, Source, ms, s
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -29,7 +29,7 @@ def execute(
     flow: Flow,
     *,
     duration: int | None = None,
-    start: int | None = None,
+    start: int = s,
     stops: tuple[float, ...] = (),
     at: Mapping[float, Callable[[LiveRunner, VirtualLoop], object]] | None = None,
 ) -> Run:

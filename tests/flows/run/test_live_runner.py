@@ -12,6 +12,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, VirtualLoop
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
+from flows.run.run_summary import Summary
 from flows.run.sink_queue import SinkQueue
 from operators import (
     Align,
@@ -223,9 +224,11 @@ def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
         async def close(self) -> None:
             raise OSError("disk full")
 
-    first = TestSink()
+    recorder, first = TestSink(), TestSink()
+    recorder.records = True
     with pytest.raises(EndpointError, match="mqtt://nowhere: no such host"):
-        execute(flow_of(TestSource(Scores, scores(0, 10)), ClosesWithError(), first, Closed()))
+        execute(flow_of(TestSource(Scores, scores(0, 10)), recorder, ClosesWithError(), first, Closed()))
+    assert recorder.opened == 0  # else an empty session would stay
     assert (first.opened, first.closed, first.written) == (1, 1, list[Batch]())
     assert first.run.error == "mqtt://nowhere: no such host"
 
@@ -239,6 +242,14 @@ def test_late_rows_are_counted_and_reach_the_recorder_as_received() -> None:
     assert times(raw) == [0, 1, 2, 1, 3, 4]
     assert run.sources["scores"].late == 1
     assert len(felt.rows(Slips)) == 1
+
+
+@pytest.mark.parametrize("late", [10, 2])
+def test_a_run_fails_if_one_wrong_stamp_makes_most_rows_late(late: int) -> None:
+    run = execute(flow_of(TestSource(Scores, [*scores(0, 4), *scores(500, 1), *scores(4, late)]), TestSink()))
+    summary = Summary.of(run)
+    text = f"scores: {late} of {5 + late} rows were late, so operators ignored them"
+    assert (summary.lost, summary.error) == ((True, text) if late == 10 else (False, ""))
 
 
 def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:

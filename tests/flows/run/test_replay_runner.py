@@ -6,11 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from connectors import Replay
 from flows.graph import Flow
 from flows.graph.testing import TestRecording, TestSink, TestSource, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from flows.run.replay_runner import ReplayRunner, first_time, in_slices, replayed
+from flows.run.replay_runner import ReplayRunner, in_slices
 from operators import (
     EVERY,
     Align,
@@ -20,6 +21,7 @@ from operators import (
     Label,
     Labelled,
     Motion,
+    Source,
     Touch,
     Zero,
     ms,
@@ -38,10 +40,12 @@ def recording(seconds: float = 5.0, finger: int = 0) -> TestRecording:
     return TestRecording("memory", [touch, Motion(time, time, velocity, np.full(velocity.shape, np.nan))])
 
 
-def labelling() -> tuple[Flow, TestSink]:
+def labelling(
+    touch: Source[Touch] | None = None, motion: Source[Motion] | None = None
+) -> tuple[Flow, TestSink]:
     flow, sink = Flow("labelling"), TestSink()
-    zeroed = flow.source(TestSource(Touch)) | Zero()
-    (zeroed & flow.source(TestSource(Motion)) | Align() | Label()).to(sink)
+    zeroed = flow.source(touch or TestSource(Touch)) | Zero()
+    (zeroed & flow.source(motion or TestSource(Motion)) | Align() | Label()).to(sink)
     return flow, sink
 
 
@@ -49,17 +53,17 @@ def identical(one: Batch, other: Batch) -> bool:
     return all(getattr(one, c).tobytes() == getattr(other, c).tobytes() for c in columns(type(one)))
 
 
-def test_a_paced_replay_equals_a_full_speed_replay() -> None:
+def test_a_live_run_equals_a_replay_of_the_same_rows() -> None:
     held = recording()
     full_flow, full = labelling()
     asyncio.run(ReplayRunner(full_flow, held, "full").execute())
-    live_flow, live = labelling()
+    start = int(next(held.read(Touch, 0, 1)).time[0])
+    live_flow, live = labelling(Replay(held, Touch, origin=start), Replay(held, Motion, origin=start))
 
-    async def paced() -> None:
-        clock = LoopClock(first_time(held))
-        await LiveRunner(replayed(live_flow, held), "paced", clock=clock).execute()
+    async def run_live() -> None:
+        await LiveRunner(live_flow, "live", clock=LoopClock(start)).execute()
 
-    run_virtually(paced())
+    run_virtually(run_live())
     assert [(sink.run.live, sink.run.recording) for sink in (full, live)] == [
         (False, "memory"),
         (True, "memory"),

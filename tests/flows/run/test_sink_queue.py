@@ -3,7 +3,8 @@
 import asyncio
 import logging
 from collections import deque
-from typing import Final
+from collections.abc import Callable, Coroutine
+from typing import Any, Final
 
 import pytest
 from hypothesis import given
@@ -12,7 +13,18 @@ from hypothesis import strategies as st
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.run_summary import Summary
-from operators import Batch, Debounce, EndpointError, OutputClosedError, Run, Scores, Sink, ms, s
+from operators import (
+    Batch,
+    Debounce,
+    EndpointError,
+    OperatorError,
+    OutputClosedError,
+    Run,
+    Scores,
+    Sink,
+    ms,
+    s,
+)
 from tests.flows.run.live import Endless, execute, flow_of, scores, times
 
 ROWS: Final = 60
@@ -87,6 +99,20 @@ def test_a_sink_that_neither_takes_nor_writes_is_reported() -> None:
     assert "Choosy must implement `write`, as its `take` returned False" in status.error
 
 
+@pytest.mark.parametrize("before_write", [None, lambda: asyncio.sleep(0.002)], ids=["take", "write"])
+def test_a_mistake_in_a_sink_ends_the_run_at_once_with_its_place(
+    before_write: Callable[[], Coroutine[Any, Any, None]] | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    wrong, other = TestSink(failures=[None, KeyError("row")], before_write=before_write), TestSink()
+    with pytest.raises(OperatorError, match=r"^flow 'f': testsink: KeyError: 'row' \(testing\.py:\d+\)$"):
+        execute(flow_of(Endless(), wrong, other))
+    assert (len(wrong.written), wrong.closed, other.closed) == (1, 1, 1)
+    assert 2 <= len(other.written) <= 3
+    assert "KeyError" in other.run.error
+    assert other.run.sinks["testsink"].dropped == len(other.written) - 1
+    assert not caplog.messages
+
+
 async def for_ever() -> None:
     await asyncio.Event().wait()
 
@@ -107,7 +133,7 @@ def test_a_stuck_lossless_sink_blocks_no_other_and_works_again_once_its_write_en
 ) -> None:
     waits, other = [60.0], TestSink()
     stuck = TestSink(capacity=10, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
-    with caplog.at_level(logging.WARNING):
+    with caplog.at_level(logging.INFO, "slipflow"):
         status = execute(flow_of(TestSource(Scores, scores(0, 9000)), stuck, other)).sinks["testsink"]
     kept = times(stuck)
     assert times(other) == list(range(9000))
@@ -168,7 +194,7 @@ class Disk(TestSink):
 
 def test_the_end_of_a_run_waits_for_a_slow_sink_and_reports_it(caplog: pytest.LogCaptureFixture) -> None:
     slow = Disk()
-    with caplog.at_level(logging.WARNING):
+    with caplog.at_level(logging.INFO, "slipflow"):
         run = execute(flow_of(TestSource(Scores, scores(0, 120)), slow))
     assert caplog.messages == [
         f"waiting for disk (0 batches queued, {rows} rows not stored); a second signal drops them"

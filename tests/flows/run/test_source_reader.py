@@ -3,13 +3,14 @@
 import asyncio
 import logging
 import re
-from collections.abc import AsyncIterator
-from typing import Any
+from collections.abc import AsyncIterator, Callable
+from typing import Any, Final
 
 import numpy as np
 import pytest
 
 from flows.graph.testing import TestSink, TestSource
+from flows.run.failures import reason_of
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from operators import (
@@ -21,7 +22,10 @@ from operators import (
     ms,
     s,
 )
+from operators.ports import Description
 from tests.flows.run.live import Endless, execute, flow_of, scores, times
+
+NOW: Final = 1_700_000_000 * s
 
 
 class LibraryError(Exception):
@@ -31,7 +35,7 @@ class LibraryError(Exception):
 def test_a_failing_source_is_started_again_and_its_gap_recorded(caplog: pytest.LogCaptureFixture) -> None:
     failures = OSError("unplugged"), LibraryError("no answer"), RuntimeError("not connected"), EOFError()
     sink = TestSink()
-    with caplog.at_level(logging.WARNING):
+    with caplog.at_level(logging.INFO, "slipflow"):
         run = execute(flow_of(TestSource(Scores, [*scores(0, 10), *failures, *scores(500, 10)]), sink))
     assert times(sink) == [*range(10), *range(500, 510)]
     assert run.sources["scores"].failures == 4
@@ -79,6 +83,60 @@ def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
     assert re.search(message, sink.run.error)
 
 
+class Stamping(Endless):
+    """Scores every 10 ms with times of another clock."""
+
+    def __init__(self, stamp: Callable[[int], int], recorded: str | None = None) -> None:
+        self._stamp, self.recorded = stamp, recorded
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        async for batch in super().batches(clock):
+            yield Scores(np.array([self._stamp(batch.time.item())]), batch.probability)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "distance"),
+    [
+        (lambda now: now // s, "1,699,999,999 s ago"),
+        (lambda now: now - NOW, "1,700,000,000 s ago"),
+        (lambda now: now + 3600 * s, "3,600 s in the future"),
+        (lambda now: now - 1800 * s, ""),
+        (lambda now: now + 30 * s, ""),
+    ],
+    ids=["seconds", "counter", "hour ahead", "old rows", "clock of a device"],
+)
+@pytest.mark.parametrize("duration", [s // 2, 20 * s])
+def test_a_source_that_stamps_its_rows_in_another_clock_is_named_once_unless_it_replays(
+    stamp: Callable[[int], int], distance: str, duration: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    for recorded in ("stroke-9", None):
+        assert not caplog.messages
+        execute(flow_of(Stamping(stamp, recorded), TestSink()), duration=duration, start=NOW)
+    text = f"scores delivered rows of {distance}: time must be ns of the run's clock"
+    assert caplog.messages == ([text] if distance else [])
+
+
+def test_a_source_whose_first_row_is_wrong_is_not_called_silent(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    wrong = Scores(np.array([0]), np.array([0.9]), finger=3)
+    with pytest.raises(SlipflowError, match="source 'scores' yielded fingertip 3"):
+        execute(flow_of(TestSource(Scores, [wrong]), TestSink()))
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize(
+    ("path", "remedy"),
+    [
+        (None, "check the cable and the power"),
+        ("/dev/ttyUSB0", "check the cable and the power"),
+        ("/data/rows.csv", "the disk is failing: see the system log"),
+    ],
+)
+def test_an_error_of_input_or_output_is_a_failing_disk_only_for_a_file(path: str | None, remedy: str) -> None:
+    assert reason_of(OSError(5, "Input/output error", path)).endswith(f"Input/output error; {remedy}")
+
+
 class Pausing(Endless):
     """Scores every 10 ms, with a pause after the first `before`."""
 
@@ -100,7 +158,7 @@ def test_a_source_that_falls_silent_is_stale_until_its_next_row(caplog: pytest.L
         status = runner.run.sources["scores"]
         seen.append((status.up, status.stale, status.error))
 
-    with caplog.at_level(logging.WARNING):
+    with caplog.at_level(logging.INFO, "slipflow"):
         flow = flow_of(Pausing(100, 20.0, 100), TestSink())
         run = execute(flow, duration=22 * s, at=dict.fromkeys((4.0, 8.0, 21.5), look))
     assert seen == [(True, False, ""), (False, True, "delivered no rows for 5 s"), (True, False, "")]
@@ -123,6 +181,15 @@ def test_a_source_that_is_silent_at_the_end_makes_the_run_fail_unless_its_rows_a
     run = execute(flow_of(source, TestSink()), duration=duration)
     assert run.sources["scores"].stale is Summary.of(run).lost is not rare
     assert ("delivered" in Summary.of(run).report()) is not rare
+
+
+def test_rows_that_are_missing_in_a_short_pause_are_in_the_summary() -> None:
+    class Regular(Pausing):
+        def describe(self) -> Description:
+            return {"rate_hz": 100}
+
+    run = execute(flow_of(Regular(100, 1.5, 100), TestSink()), duration=4 * s)
+    assert "scores: 200 rows in, 0 late, 150 missing, 0 gaps" in Summary.of(run).report()
 
 
 def test_a_stalled_host_and_a_full_sink_make_no_source_stale() -> None:
@@ -148,3 +215,28 @@ def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> No
     run = execute(flow_of(Device(), TestSink()), duration=s)
     assert run.sources["scores"].failures > 1
     assert Device.open == 0
+
+
+@pytest.mark.parametrize("failure", [OSError(5, "Input/output error"), KeyError("handle")])
+@pytest.mark.parametrize("slow", [False, True], ids=["cancelled", "while a sink is full"])
+def test_a_source_that_fails_to_close_is_not_opened_again_and_costs_the_run_nothing(
+    failure: Exception, caplog: pytest.LogCaptureFixture, *, slow: bool
+) -> None:
+    class Unplugged(Endless):
+        opened = 0
+
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            Unplugged.opened += 1
+            try:
+                async for batch in super().batches(clock):
+                    yield batch
+            finally:
+                raise failure
+
+    sink = TestSink(capacity=1, before_write=lambda: asyncio.sleep(0.3)) if slow else TestSink()
+    run = execute(flow_of(Unplugged(), sink), duration=s)
+    assert Unplugged.opened == 1
+    assert (sink.closed, len(sink.written)) == (1, run.sources["scores"].rows)
+    assert not Summary.of(run).lost
+    [text] = caplog.messages
+    assert text.startswith("scores failed to close: ")

@@ -12,11 +12,13 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pytest
+import typer
 
 from connectors.sim.finger import Finger
 from connectors.sim.scene import NO_VIBRATION, Curvature
 from connectors.sim.simulated_arm import STIFFNESS, SimulatedArm, start_pose
 from connectors.ur.ur_state import Pose
+from flows.cli.collect import _report
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import run_virtually
@@ -38,7 +40,7 @@ from operators import (
     concat,
     s,
 )
-from storage import Session
+from storage import Dataset, Session
 
 PLACE: Pose = (0.4, -0.1, 0.2, 3.0, 0.4, 0.1)  # the arm does not look straight down
 PATH = PathSettings(
@@ -77,7 +79,7 @@ class Made(NamedTuple):
 
     @property
     def session(self) -> Session:
-        return Session.open(self.out / "sessions" / self.collected.runs[0].session)
+        return Session.open(self.out / "sessions" / self.collected.summaries[0].session)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -156,7 +158,25 @@ def test_all_strokes_are_recorded_completely(quick: Made) -> None:
     assert touch.valid.all()
     assert (np.diff(touch.time) == s // 100).all()
     assert (np.diff(motion.device_time) == s // 125).all()
-    assert not collected.runs[0].sources["touch"].gaps
+    assert not collected.summaries[0].sources["touch"].gaps
+
+
+def test_a_recording_that_could_not_be_ended_fails_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    close = Dataset.close
+
+    async def close_with_error(dataset: Dataset) -> None:
+        await close(dataset)
+        raise EndpointError("disk", "is full")
+
+    monkeypatch.setattr(Dataset, "close", close_with_error)
+    collected = made(tmp_path / "data", steady=True).collected
+    assert [sink.dropped for sink in collected.summaries[0].sinks.values()] == [0, 0]
+    with pytest.raises(typer.Exit) as ended:
+        _report(collected)
+    assert ended.value.exit_code == 1
+    assert "s; dataset: disk: is full" in capsys.readouterr().out
 
 
 def test_labels_equal_the_ground_truth_within_one_sample(quick: Made) -> None:

@@ -76,6 +76,27 @@ def test_a_mistake_names_the_file_and_the_key(tmp_path: Path, text: str, reason:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[path]\nacceleration = inf", "path.acceleration is inf, must be from 0.01 to 5 m/s2"),
+        ("[path]\nrotation_acceleration = inf", "path.rotation_acceleration is inf, must be from 0.01"),
+        ("[path]\nrotation_speed = nan", "path.rotation_speed is nan, must be from 0.01 to 3 rad/s"),
+        ("[path]\ntravel_speed = '900m/s'", "path.travel_speed is 900.0, must be from 0.0001 to 1 m/s"),
+        ("[path]\nbaseline = '900d'", "path.baseline is 77760000.0, must be from 0.01 to 600 s"),
+        ("[limits]\nwatchdog = inf", "limits.watchdog is inf, must be from 0.1 to 10 Hz"),
+        ("[limits]\nsensor_timeout = '1d'", "limits.sensor_timeout is 86400.0, must be from 0.05 to 5 s"),
+        ("[limits]\nforce = '9999N'", "limits.force is 9999.0, must be from 1 to 250 N"),
+        ("[limits]\nworkspace = [-inf, -1, -1, 1, 1, 1]", "limits.workspace is -inf, must be from -10 to"),
+        ("[[surfaces]]\npose = [nan, 0, 0, 3, 0, 0]", "surfaces[0].pose is nan, must be from -10 to 10"),
+    ],
+)
+def test_a_value_that_no_arm_can_follow_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        load_plan(written(tmp_path, text))
+    assert reason in str(caught.value)
+
+
 def test_an_unknown_plan_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"one of paper, tiny, wide, or a \.toml"):
         load_plan("grand")

@@ -45,7 +45,7 @@ async def test_a_real_arm_is_driven_and_recorded(tmp_path: Path) -> None:
         async with asyncio.timeout(PATIENCE), controller:
             collected = await _collect(plan, HOST, PATH, (0,), tmp_path, virtual=False)
     assert (collected.strokes, collected.error) == (STROKES, "")
-    session = Session.open(tmp_path / "sessions" / collected.runs[0].session)
+    session = Session.open(tmp_path / "sessions" / collected.summaries[0].session)
     assert concat(Touch, list(session.read(Touch, 0))).valid.all()
     motion = concat(Motion, list(session.read(Motion, EVERY)))
     assert (np.rint(np.diff(motion.device_time) / 8e6) == 1).all()  # every package once

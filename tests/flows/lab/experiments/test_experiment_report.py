@@ -60,7 +60,7 @@ def rows(report: Report, section: str, table: int = 0) -> list[dict[str, Any]]:
 
 @pytest.fixture
 def report() -> Report:
-    return experiment_report("lift", lifts(), [OURS, NONE], TRIALS, "command")
+    return experiment_report("lift", lifts(), TRIALS, "command")
 
 
 def test_rates_have_intervals_and_costs_are_medians(report: Report) -> None:
@@ -112,7 +112,7 @@ def test_the_json_has_every_estimate(report: Report) -> None:
 
 def test_a_stress_test_has_a_row_for_each_condition() -> None:
     conditions = list(conditions_of("lift", stress=True))
-    report = experiment_report("lift", lifts(conditions), [OURS, NONE], TRIALS, "command")
+    report = experiment_report("lift", lifts(conditions), TRIALS, "command")
     table = rows(report, "stress")
     assert [row["condition"] for row in table[::2]] == conditions
     assert table[2] == {"condition": conditions[1], "objects": "six", "psd, ours": 75, "psd, none": 0}

@@ -1,10 +1,8 @@
-import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from connectors.sim.grasp import RATE, Grasp
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.trial import (
     FINGERTIP,
@@ -15,15 +13,12 @@ from flows.lab.experiments.trial import (
     RANDOM,
     SPAN,
     SPREAD,
-    Actuator,
     Conditions,
     Trace,
     Trial,
     control_trial,
-    effect,
-    quantize,
 )
-from operators import Commands, Grip, StepGrip, s
+from operators import Grip, StepGrip
 from operators.batch import Reals
 from operators.detectors import Psd
 
@@ -106,44 +101,3 @@ def test_a_slip_is_registered_after_enough_consecutive_scores(make_trace: Callab
     assert np.flatnonzero(trace.registered(Grip(threshold=0.5, consecutive=2))).tolist() == [201, 202, 207]
     one = trace.registered(Grip(threshold=0.5, consecutive=1))
     assert np.flatnonzero(one).tolist() == [200, 201, 202, 204, 206, 207]
-
-
-def test_each_slip_has_one_onset(make_trace: Callable[..., Trace], during: Callable[..., Reals]) -> None:
-    trace = make_trace(probability=during((2.0, 2.5), (3.0, 3.01), (4.0, 4.02)))
-    assert trace.onsets(Grip(threshold=0.5, consecutive=2)).tolist() == [2.01, 4.01]
-
-
-def press(*commands: Commands, delay: float = 0.0, at: float = 3.0) -> float:
-    """Return the force (N) of the gripper at an instant (s)."""
-    grasp = Grasp(OBJECTS["box"])
-    gripper = Actuator(grasp, delay)
-    for each in commands:
-        gripper.execute(each)
-    return grasp.sense(at)[1].force
-
-
-def forces(*forces: float, instant: float = 0.1) -> Commands:
-    return Commands(np.full(len(forces), round(instant * s)), np.array(forces))
-
-
-def test_a_command_takes_effect_one_settling_time_after_the_refresh_that_follows_its_latency() -> None:
-    assert effect(0.0) == pytest.approx(0.020)
-    assert effect(0.002) == pytest.approx(0.020)  # 10 ms: on a refresh
-    assert effect(0.003) == pytest.approx(0.025)
-    assert effect(0.0, delay=0.05) == pytest.approx(effect(0.0) + 0.05)
-
-
-def test_the_gripper_has_255_steps_and_never_exceeds_the_command() -> None:
-    for force in np.linspace(0, 10, 97).tolist():
-        step = quantize(force)
-        assert force - 10 / 255 < step <= force + 1e-9
-        assert step * 25.5 == pytest.approx(round(step * 25.5))
-    assert quantize(99.0) == SPAN
-
-
-def test_force_changes_at_the_rate_of_the_gripper_and_decreases_on_command() -> None:
-    assert press(forces(5.0), at=effect(0.1) + 0.25) == pytest.approx(0.25 * RATE, abs=0.05)
-    assert press(forces(3.0, math.nan), at=2.0) == pytest.approx(3.0, rel=0.02)  # NaN changes nothing
-    less = forces(5.0), forces(2.0, instant=1.0)
-    assert press(*less) == pytest.approx(2.0, rel=0.02)
-    assert press(*less, forces(0.0, instant=1.5)) == 0

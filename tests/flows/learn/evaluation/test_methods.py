@@ -1,9 +1,7 @@
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from shutil import copy
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,16 +12,14 @@ from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.detectors import Detector, Psd
-from operators.errors import FingertipError, InputError, ParameterError
+from operators.errors import FingertipError, ParameterError
 from operators.fingertip import TAKKTILE
 from storage.models import shipped_names, shipped_path
 
 
-def model(path: Path, **about: object) -> Path:
-    """A file of the paper's network, with a card."""
+def model(path: Path) -> Path:
+    """A file of the paper's network."""
     copy(shipped_path("paper_tcn"), path)
-    if about:
-        path.with_suffix(".json").write_text(json.dumps(about))
     return path
 
 
@@ -83,17 +79,3 @@ def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path
     assert names == [*shipped_names(), "one", "two", str(files[2]), str(files[3])]
     [alone] = trained_methods([str(files[-1]), "psd"])
     assert alone.name == "tcn"  # the shipped one is not judged
-
-
-def test_the_debounce_of_a_model_is_that_of_its_card(tmp_path: Path) -> None:
-    settings: dict[str, Any] = {"threshold": 0.8, "consecutive": 3, "release": 8}
-    path = model(tmp_path / "slow.safetensors", debounce=settings)
-    [method] = trained_methods([str(path), "psd"])
-    assert method.debounce == Debounce(**settings)
-
-
-def test_a_card_with_invalid_debounce_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"odd\.json: debounce"):
-        trained_methods([str(model(tmp_path / "odd.safetensors", debounce={"speed": 1}))])
-    with pytest.raises(InputError, match=r"odd\.json: debounce"):
-        trained_methods([str(model(tmp_path / "odd.safetensors", debounce={"consecutive": 0}))])

@@ -9,19 +9,17 @@ from operators.batch import columns
 
 PLAIN = Scene(PaperStrokes(0.1, 2.0, pause_spread=0.0))
 HARD = {
-    "noise": 14.0, "gain": 1.3, "offset": 30.0, "drift": 20.0, "dead": 2, "stuck": 2, "floored": 2,
-    "touch_jitter": 0.005, "touch_dropped": 0.3, "touch_clock_offset": -0.1, "touch_clock_rate": 1e-3,
-    "motion_jitter": 0.005, "motion_dropped": 0.3, "motion_clock_offset": 0.1, "motion_clock_rate": 1e-3,
+    "noise": 14.0, "gain": 1.3, "offset": 30.0, "drift": 20.0, "dead": 2, "lost": 0.3, "clock": -0.1,
     "vibration": 3e-4, "friction": 0.5, "stick_slip": 0.0, "force": 0.2, "slip_speed": 0.1,
 }  # fmt: skip
-TOUCHED = {"vibration", "friction", "stick_slip", "force", "touch_dropped"}  # change the truth, too
+TOUCHED = {"vibration", "friction", "stick_slip", "force", "lost"}  # change the truth, too
 
 
 def shown(field: str) -> tuple[str, ...]:
     """Return the streams and truth that a field changes."""
     if field == "slip_speed":
         return "touch", "motion", "truth"
-    return ("touch", "truth") if field in TOUCHED else ("motion" if field.startswith("motion") else "touch",)
+    return ("touch", "truth") if field in TOUCHED else ("touch",)
 
 
 def recorded(scene: Scene) -> dict[str, bytes]:

@@ -26,7 +26,7 @@ SEED = 7
 @pytest.fixture(scope="module")
 def found() -> Iterator[Evaluation]:
     """The performance along four fields, which are the only ones meanwhile."""
-    few = {name: FIELDS[name] for name in ("dead", "motion_clock_offset", "friction", "slip_speed")}
+    few = {name: FIELDS[name] for name in ("dead", "clock", "friction", "slip_speed")}
     with patch.object(stress_study, "FIELDS", few), patch.object(evaluation_figures, "FIELDS", few):
         yield stress(names=["psd"], seed=SEED, plan=TINY, training=TINY)
 

@@ -1,5 +1,5 @@
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +9,10 @@ import pytest
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import trainer
 from flows.learn.training.dense_training import train_dense
-from flows.learn.training.fine_tuning import fine_tune
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import Model, label_scores, write_model
-from flows.learn.training.trainer import train
+from flows.learn.training.trained_model import Model, label_scores, provenance, write_model
+from flows.learn.training.trained_model import learned as seen
+from flows.learn.training.trainer import further, train
 from operators.detectors import Tcn
 from operators.errors import InputError
 from storage import load_debounce, load_detector
@@ -51,7 +51,8 @@ def learned() -> Tcn:
 
 @pytest.fixture
 def parent(learned: Tcn, tmp_path: Path) -> Path:
-    return write_model(tmp_path / "parent.safetensors", learned.weights, {"detector": "tcn"}).path
+    card = {"detector": "tcn", "data": provenance([replace(stroked(0), split="train")])}
+    return write_model(tmp_path / "parent.safetensors", learned.weights, card).path
 
 
 def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording]) -> None:
@@ -61,13 +62,20 @@ def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording
 def test_few_minutes_improve_a_model_on_what_is_held_out_and_its_card_states_the_origin(
     parent: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _loading(monkeypatch, [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)])
+    given, parent_network = (
+        [stroked(seed, stroke=1.0, amplitude=30.0) for seed in (10, 11)],
+        load_detector(str(parent)),
+    )
+    assert isinstance(parent_network, Tcn)
+    _loading(monkeypatch, given)
     out, done = tmp_path / "tuned.safetensors", list[int]()
     model = train([tmp_path], out, Recipe(steps=30), start=str(parent), progress=lambda n, *_: done.append(n))
     scores = model.card["scores"]
     assert scores["after"]["balanced"] > scores["before"]["balanced"]
     assert "NOT better" not in model.report()
     assert model.card["parent"]["id"] == "parent"
+    assert len(seen(model.card, [stroked(0), *given, stroked(2)])) == 3, "the data of the parent, too"
+    assert model.card["recipe"] == asdict(further(parent_network, Recipe(steps=30)))
     assert (len(done), load_debounce(out) is None) == (30, False)
     assert isinstance(load_detector(out), Tcn)
 
@@ -123,6 +131,8 @@ def test_two_minutes_of_real_strokes_improve_the_shipped_network_on_another_surf
     assert isinstance(tcn, Tcn)
     two_minutes = [_read(f"{surface}_vel3").piece(slice(4000)) for surface in ("dvp_flat", "still", "tkan")]
     others = [_read(f"fabric_vel{number}") for number in (2, 4, 5)]
-    tuned = Tcn(fine_tune(tcn, two_minutes, others, Recipe(steps=trainer.FURTHER_STEPS)).arrays)
-    before, after = (label_scores(each, others)["balanced"] for each in (tcn, tuned))
+    tuned = Tcn(
+        train_dense(two_minutes, others, further(tcn, Recipe(steps=trainer.FURTHER_STEPS)), start=tcn).arrays
+    )
+    before, after = (label_scores(each, others)["balanced"] or 0.0 for each in (tcn, tuned))
     assert after > max(before, 85)

@@ -1,24 +1,22 @@
-"""Failures of sources and sinks, and log events of a run, each with a line of text and structured data."""
+"""Failures of sources and sinks: which end a run, and their reasons as text."""
 
 import asyncio
-import logging
 from collections.abc import Generator
 from contextlib import contextmanager
-from typing import Any
+from typing import Final
 
 from operators.errors import SlipflowError, os_error_reason
-from operators.ports import Json
 
-log = logging.getLogger("slipflow")
-
-
-def event(name: str, **about: Json) -> dict[str, Any]:
-    """Return the structured data of a log record, for `extra`; `flows.cli.terminal` writes it as JSON.
-
-    >>> event("source_failed", source="touch")
-    {'event': 'source_failed', 'about': {'source': 'touch'}}
-    """
-    return {"event": name, "about": about}
+MISTAKES: Final = (  # of the code of a source or sink: a retry would not help
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    NameError,
+    TypeError,
+    ValueError,
+)
 
 
 def reason_of(error: Exception) -> str:
@@ -28,15 +26,11 @@ def reason_of(error: Exception) -> str:
     ('Connection reset', "KeyError: 'x'")
     """
     if isinstance(error, OSError):
-        reason = os_error_reason(error)
+        of_device = error.filename is None or str(error.filename).startswith("/dev/")
+        reason = os_error_reason(error, of_device=of_device)
         return reason if error.filename is None else f"{error.filename}: {reason}"
     text = str(error)
     return text if isinstance(error, SlipflowError) else f"{type(error).__name__}: {text}".removesuffix(": ")
-
-
-def warn(name: str, text: str, **about: Json) -> None:
-    """Log an event of a run with a line of text."""
-    log.warning("%s", text, extra=event(name, **about))
 
 
 @contextmanager
