@@ -128,13 +128,3 @@ def test_the_navigation_of_the_site_names_every_page_once() -> None:
     named = re.findall(r"(?m)^ +- (?:.+: )?(\S+\.md)$", (ROOT / "mkdocs.yml").read_text())
     docs = ROOT / "docs"
     assert sorted(named) == sorted(str(page.relative_to(docs)) for page in docs.rglob("*.md"))
-
-
-def test_the_index_names_every_page() -> None:
-    index = (ROOT / "docs" / "README.md").read_text()
-    for page in (
-        p
-        for folder in ("tutorial", "how-to", "explanations", "reference")
-        for p in (ROOT / "docs" / folder).glob("*.md")
-    ):
-        assert f"({page.relative_to(ROOT / 'docs')})" in index, page.name

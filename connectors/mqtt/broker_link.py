@@ -1,6 +1,5 @@
 """One connection to an MQTT 5 broker, based on aiomqtt, and findings about the broker before a run."""
 
-import _ssl
 import asyncio
 import logging
 import os
@@ -11,7 +10,6 @@ from collections import deque
 from collections.abc import AsyncGenerator, Sequence
 from contextlib import suppress
 from secrets import token_hex
-from time import time
 from typing import Any, Final
 
 import aiomqtt
@@ -59,10 +57,6 @@ _HINTS = {  # by text of the error; the first that fits
 }
 _paho_log = logging.getLogger("slipflow.paho")  # duplicates the errors raised here
 _paho_log.setLevel(logging.CRITICAL)
-
-
-class RefusedError(EndpointError):
-    """Refusal by a broker, or of its certificate: attempts fail until a person changes something."""
 
 
 class Link:
@@ -133,7 +127,7 @@ class Link:
         """Connect.
 
         Raises:
-            EndpointError: if the broker is unreachable or does not respond; `RefusedError` if it refuses.
+            EndpointError: if the broker is unreachable, does not respond or refuses the client.
         """
         entering = asyncio.ensure_future(self._client.__aenter__())
         entering.add_done_callback(lambda task: task.cancelled() or task.exception())  # if nobody awaits it
@@ -151,10 +145,7 @@ class Link:
             raise
         except (aiomqtt.MqttError, ValueError) as error:
             self.abort()
-            reason = f"{_reason(error)}{self._hint(error)}"
-            refused = isinstance(error, MqttConnectError) or "certificate" in reason  # of either side
-            failure = RefusedError if refused else EndpointError
-            raise failure(self._url, f"cannot connect: {reason}") from None
+            raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages with QoS 1 in order, then wait for all acknowledgements.
@@ -230,7 +221,9 @@ class Link:
             return f"; {hint}"
         tls = self._url.startswith("mqtts:")
         if tls and (text == _CLOSED or "alert" in text):  # after the handshake: the broker has TLS
-            return f"; {_certificate_hint()}"
+            if path := os.environ.get(CERTIFICATE):
+                return f"; check that {path} has not expired and that the broker's CA signed it"
+            return f"; if it asks for client certificates, set {CERTIFICATE} to one that its CA signed"
         if text == _CLOSED or "SSL" in text or "reset by peer" in text:
             return f"; if it uses {'no TLS, write mqtt:// and its port' if tls else 'TLS, write mqtts://'}"
         return ""
@@ -306,17 +299,6 @@ def _reason(error: BaseException | None) -> str:
     if text in ("timed out", "Operation timed out", ""):
         return f"no response within {TIMEOUT:g} s"
     return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] |\.? \(_ssl\.c:\d+\)$", "", text)
-
-
-def _certificate_hint() -> str:
-    """Return the likely remedy if a broker with TLS refuses this client."""
-    if not (path := os.environ.get(CERTIFICATE)):
-        return f"if it asks for client certificates, set {CERTIFICATE} to one that its CA signed"
-    # Python has no other reader of certificates
-    end: str = _ssl._test_decode_cert(path)["notAfter"]  # type: ignore[attr-defined] # noqa: SLF001
-    if ssl.cert_time_to_seconds(end) < time():
-        return f"renew the client certificate {path}, which expired on {end}"
-    return f"check that the CA of the broker signed the client certificate {path}"
 
 
 def _refusal(code: ReasonCode) -> str:

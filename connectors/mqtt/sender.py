@@ -105,7 +105,7 @@ class Sender:
             self._sending.check()
 
     async def _keep_sending(self) -> None:
-        failure, pauses = None, Pauses()
+        failure, pauses = "", Pauses()
         while True:
             try:
                 link = self._link or await self._connect()
@@ -114,15 +114,14 @@ class Sender:
                     log.error(_SHARED_NAME, self._broker, self._topic)
                 elif failure:
                     log.info("%s: connected again, %d events pending", self._broker, self._outbox.waiting)
-                failure = None
+                failure = ""
                 while await self._send_pending(link) or not self._closing:
                     pass
             except Exception as error:  # noqa: BLE001 - sending continues after any error
                 await self._disconnect()
-                if type(error) is not failure and pauses.brief <= 1:
-                    level = logging.WARNING if type(error) is EndpointError else logging.ERROR
-                    log.log(level, "%s, reconnecting; events are kept in %s", error, self._outbox.path)
-                failure = type(error)
+                if str(error) != failure and pauses.brief <= 1:
+                    log.warning("%s, reconnecting; events are kept in %s", error, self._outbox.path)
+                failure = str(error)
             if self._closing:
                 return
             await pauses.wait()

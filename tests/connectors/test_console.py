@@ -5,13 +5,10 @@ from contextlib import redirect_stdout
 from math import nan
 from typing import Any, Literal
 
-import pytest
-
 from connectors import Console
 from operators.batch import EVERY, Faults, Slips, ms, s
 from operators.health import FaultKind
 from operators.ports import Run
-from tests.command import Terminal
 
 
 def slips(time: int, finger: int = 0) -> Slips:
@@ -54,15 +51,6 @@ def test_each_slip_and_fault_is_one_line(run: Run) -> None:
     run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))
     assert onset == "1970-01-01 00:00:00.000  finger every  slip onset  p 0.93"
-
-
-def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.delenv("NO_COLOR", raising=False)
-    plain, coloured = printed(io.StringIO(), run, slips(0)), printed(Terminal(), run, slips(0))
-    for line, colour in zip(plain, coloured, strict=True):
-        assert colour.startswith("\x1b[")
-        assert line in colour
 
 
 def test_as_json_each_event_is_one_object_and_unknown_numbers_are_null(run: Run) -> None:

@@ -38,7 +38,8 @@ def leaves(data: Any, path: str = "") -> set[tuple[str, str]]:
 
 def samples(run: Run) -> dict[str, set[str]]:
     """Return the labels of each sample name that a run serves."""
-    run.sources["touch"], run.sinks["dataset"] = SourceStatus(newest=s, up=True), SinkStatus(waiting=0, connected=True)
+    run.sources["touch"] = SourceStatus(newest=s, up=True)
+    run.sinks["dataset"] = SinkStatus(waiting=0, connected=True)
     run.clock_steps.append(ClockStep(s, s))
     now = run.clock.now()
     batches = slip(now, 1), scored(now, 1.0), fault(now, 3, FaultKind.STUCK)

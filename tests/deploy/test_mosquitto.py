@@ -13,7 +13,7 @@ import pytest
 
 from connectors import Consumer, Mqtt
 from connectors.mqtt.broker import CA, CERTIFICATE, PASSWORD, USER, Broker
-from connectors.mqtt.broker_link import RefusedError, connect
+from connectors.mqtt.broker_link import connect
 from operators.errors import EndpointError, InputError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
@@ -105,7 +105,7 @@ async def test_other_topics_and_clients_without_a_password_are_refused(shipped: 
             await send(shipped, user, topic)
     for name, password in (None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret"):
         login(name, password)
-        with pytest.raises(RefusedError, match="cannot connect"):
+        with pytest.raises(EndpointError, match="cannot connect"):
             await connect(Broker.parse(shipped.url), "stranger")
 
 
@@ -234,14 +234,11 @@ async def test_with_tls_the_broker_admits_only_clients_with_a_certificate_of_its
 
     with TestBroker(tmp_path, *tls, *settings(tmp_path)) as broker:
         url = broker.url.replace("mqtt:", "mqtts:")
-        with pytest.raises(RefusedError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
+        with pytest.raises(EndpointError, match=rf"; if it asks for client certificates, set {CERTIFICATE}"):
             await meet()
-        for name, why in (
-            ("other/fingertip.pem", r"check that the CA of the broker signed the client certificate {}$"),
-            ("expired.pem", r"renew the client certificate {}, which expired on \w+ +\d+ .* 20\d\d GMT$"),
-        ):
+        for name in ("other/fingertip.pem", "expired.pem"):
             monkeypatch.setenv(CERTIFICATE, str(tmp_path / name))
-            with pytest.raises(RefusedError, match=why.format(tmp_path / name)):
+            with pytest.raises(EndpointError, match=f"; check that {tmp_path / name} has not expired"):
                 await meet()
         monkeypatch.setenv(CERTIFICATE, str(tmp_path / "fingertip.pem"))
         await meet()
@@ -265,5 +262,5 @@ async def test_an_expired_certificate_of_the_broker_is_named(
     files = [f"certfile {tmp_path}/broker.crt", f"keyfile {tmp_path}/broker.key"]
     with TestBroker(tmp_path, "allow_anonymous true", *files) as broker:
         why = "certificate has expired; renew the broker's certificate, or set the clock of this machine$"
-        with pytest.raises(RefusedError, match=why):
+        with pytest.raises(EndpointError, match=why):
             await connect(Broker.parse(broker.url.replace("mqtt:", "mqtts:")), "test")

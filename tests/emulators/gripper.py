@@ -31,7 +31,7 @@ RELEASED: Final = 0x0F  # fault: automatic release completed
 CYCLE: Final = 0.010  # s between updates of the mechanism
 READ: Final = 4  # Modbus function: read input registers
 WRITE: Final = 16  # Modbus function: write multiple registers
-MOVING, STOPPED, ARRIVED = 0, 2, 3  # motion of the fingers; stopped before the requested position
+MOVING, STOPPED = 0, 2  # motion of the fingers; stopped before the requested position
 
 
 class Phase(IntEnum):
@@ -96,9 +96,7 @@ class Mechanism:
             return bytes([self._phase << 4, 0, fault, position]) + bytes(12)
         go = closes and self._phase is Phase.READY
         fingers = MOVING
-        if go and at == position:
-            fingers = ARRIVED
-        elif go and self.forces and self.forces[-1]:
+        if go and self.forces and self.forces[-1]:
             fingers = STOPPED
         axes = fingers * 0b010101 | 0b11000000 if go else 0
         fault = self._fault or (closes and self._phase is Phase.ACTIVATING) * ACTIVATING
@@ -123,7 +121,7 @@ class GripperServer:
     """Gripper that serves clients in an `async with` block, and can refuse (`refusing`) or be `silent`.
 
     Clients write the request from register 0 on (function 16) and read the status (function 4); other
-    functions and other units are refused. `trace` is called with each packet, and whether it is sent, and
+    functions are refused. `trace` is called with each packet, and whether it is sent, and
     returns the packet.
     """
 
@@ -139,7 +137,7 @@ class GripperServer:
     async def __aenter__(self) -> Self:
         """Listen, and start the mechanism."""
         data = SimData(0, count=STATUS, datatype=DataType.REGISTERS)
-        devices = [SimDevice(UNIT, data, action=self._answer), SimDevice(0, data, action=_refuse)]
+        devices = [SimDevice(UNIT, data, action=self._answer)]
         server = ModbusTcpServer(devices, address=(HOST, PORT))
         server.trace_packet = self._pass_on
         await server.serve_forever(background=True)
@@ -194,8 +192,3 @@ class GripperServer:
 
     def _pass_on(self, sending: bool, data: bytes) -> bytes:
         return b"" if sending and self.silent else self.trace(sending, data)
-
-
-async def _refuse(*_: object) -> ExcCodes:
-    """Refuse a request to another unit."""
-    return ExcCodes.GATEWAY_NO_RESPONSE

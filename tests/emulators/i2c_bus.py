@@ -176,7 +176,6 @@ class EmulatedI2cBus:
 
     Attributes:
         fingertips: Fingertips by row.
-        away: The adapter has been taken away.
         lost, generation: Errno of connections that were opened before, and how often it was taken away.
         quick: The adapter sends messages without data, as SMBus's quick command is; others refuse (errno 95).
         speed: Bits per second; None: messages take no time.
@@ -194,7 +193,7 @@ class EmulatedI2cBus:
         served = {0: 0} if rows is None else rows
         self.fingertips = {row: Fingertip(row, finger, skin, conversion) for row, finger in served.items()}
         self.quick, self.speed, self._now = True, cast("float | None", None), now
-        self.away, self.lost = False, errno.ENODEV
+        self.lost = errno.ENODEV
         self.generation = self.transfers = 0
         self._faults: list[Fault] = []
         self._flowing = Event()
@@ -230,13 +229,9 @@ class EmulatedI2cBus:
             fingertip.plug()
 
     def remove(self, number: int = errno.ENODEV) -> None:
-        """Take the adapter away, as one on USB can be: open connections fail for good, with errno 19 or 6."""
-        self.away, self.lost = True, number
+        """Plug the adapter, as one on USB, out and in: open connections fail for good, with errno 19 or 6."""
+        self.lost = number
         self.generation += 1
-
-    def restore(self) -> None:
-        """Put the adapter back, to be opened again."""
-        self.away = False
 
     def write(self, address: int, data: bytes = b"") -> None:
         """Send a message that writes.
@@ -344,8 +339,6 @@ class _Device:
         """Return a new descriptor, which smbus2 may lock and close as any other."""
         if path != self._path:
             return int(self._system.open(path, flags))
-        if self._bus.away:
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), path)
         descriptor = os.open(f"/proc/self/fd/{self._backing}", flags)
         self._generations[descriptor] = self._bus.generation
         return descriptor
@@ -376,9 +369,7 @@ class _Device:
         bus, reads = self._bus, asked.read_write == _READ
         bus.transfers += 1
         match asked.size:
-            case 0 if reads:  # quick
-                bus.read(address, 0)
-            case 0:
+            case 0 if not reads:  # quick
                 bus.write(address)
             case 1 if reads:  # byte
                 asked.data[0] = bus.read(address, 1)[0]

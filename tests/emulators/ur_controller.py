@@ -5,8 +5,6 @@ port is always 30004.
 """
 
 import asyncio
-import socket
-import struct
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -150,14 +148,6 @@ class UrController:
         """Send nothing more to the present clients of RTDE; the cycles go on."""
         for client in self.clients:
             client.stalled = True
-
-    def reset(self) -> None:
-        """Reset the connections of all clients of RTDE."""
-        linger = struct.pack("ii", 1, 0)  # close sends RST
-        for client in self.clients:
-            connected = client.transport.get_extra_info("socket")
-            connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
-            client.transport.abort()
 
     def drop(self) -> None:
         """Close all connections."""

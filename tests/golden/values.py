@@ -70,25 +70,13 @@ def evaluated(found: Evaluation, dataset: Path) -> Numbers:
 
 
 def evaluated_method(results: pl.DataFrame) -> Numbers:
-    counts, one = sums(results), values(results, {**SHARES, **SAMPLES, **EVENTS})
+    counts, one = sums(results), values(results, SHARES)
     motions = {kind: results.filter(condition=kind) for kind in results["condition"].unique() if kind}
     return {
         "confusion": [[counts[f"{a} as {b}"] for b in ("static", "slip")] for a in ("static", "slip")],
-        "accuracy": one["accuracy %"],
-        "balanced": one["balanced %"],
         "precision": one["precision %"],
         "f1": one["F1 %"],
-        "auc": one["AUC %"],
-        "ece": one["calibration error %"],
         "table_3": {kind: values(part, SHARES)["F1 %"] for kind, part in motions.items()},
-        "events": {
-            "false_alarms": counts["false alarms"],
-            "false_alarms_per_min": one["false/min"],
-            "missed_slips": counts["missed slips"],
-            "slips": counts["slips"],
-            "missed": one["missed %"],
-            "delay": one["delay ms"],
-        },
         "targets": against_targets(results),
         "figures": figures(results),
     }

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from operators import DeviceClock, Motion, ms, s
 from operators.batch import Reals, Times
+from operators.device_clock import line
 
 START = 1_700_000_000 * s
 UP = 3600 * s  # that the device had been on
@@ -115,3 +116,28 @@ def test_a_way_of_another_length_is_followed(longer: int) -> None:
     error = np.abs(mapped.time - true - shift)
     assert error.max() < 20 * ms
     assert error[440 * 125 :].max() < 0.1 * ms
+
+
+@given(
+    rows=st.lists(st.tuples(st.integers(0, 1000), st.integers(-50, 50)), min_size=1, max_size=40),
+    limit=st.sampled_from([0.0, 0.01, 10.0]),
+)
+def test_the_line_lies_under_all_rows_and_no_other_lies_higher_in_their_mean(
+    rows: list[tuple[int, int]], limit: float
+) -> None:
+    x, y = np.array(sorted(rows), np.float64).T
+    x *= s
+    offset, drift = line(x, y, limit)
+    assert abs(drift) <= limit
+    above = y - offset - drift * x
+    assert above.min() == pytest.approx(0, abs=1e-6)
+    covered = x[-1] - x[0] >= 5 * s
+    if not covered:
+        assert drift == 0
+        return
+    slopes = {
+        (y[j] - y[i]) / (x[j] - x[i]) for i in range(len(x)) for j in range(i) if x[i] > x[j]
+    }  # of the hull's edges, among others
+    for other in {-limit, limit, *(each for each in slopes if abs(each) <= limit)}:
+        best = (y - other * x).min() + other * x.mean()
+        assert offset + drift * x.mean() >= best - 1e-6

@@ -1,4 +1,3 @@
-import errno
 import pickle
 
 import pytest
@@ -12,7 +11,6 @@ from operators import (
     ParameterError,
     SlipflowError,
 )
-from operators.errors import os_error_reason
 
 
 @pytest.mark.parametrize(
@@ -34,23 +32,3 @@ def test_an_error_can_be_pickled_with_its_attributes(error: SlipflowError) -> No
     assert type(again) is type(error)
     assert str(again) == str(error)
     assert vars(again) == vars(error)
-
-
-@pytest.mark.parametrize(
-    ("error", "text"),
-    [
-        (
-            PermissionError(errno.EACCES, "Permission denied", "/data"),
-            "Permission denied; grant this user permission",
-        ),
-        (
-            FileExistsError(errno.EEXIST, "File exists", "/data/sessions"),
-            "File exists, /data/sessions; a file exists where a folder is needed",
-        ),
-        (FileNotFoundError(errno.ENOENT, "No such file or directory"), "No such file or directory"),
-        (OSError("only words"), "only words"),
-        (OSError(), "OSError"),
-    ],
-)
-def test_an_error_of_the_operating_system_has_a_remedy(error: OSError, text: str) -> None:
-    assert os_error_reason(error) == text

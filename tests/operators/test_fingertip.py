@@ -52,12 +52,6 @@ def test_an_impossible_fingertip_is_refused(change: dict[str, object], name: str
     ("given", "needs", "fix"),
     [
         (replace(TAKKTILE, rate=200.0), "100 Hz", f"Resample(rate=100) in a flow converts it {PAGE}"),
-        (replace(TAKKTILE, layout=grid(16)), "6 cells", f"Pool(groups=...) in a flow converts it {PAGE}"),
-        (
-            replace(TAKKTILE, unit="kPa"),
-            "count",
-            f"Pool(gain=..., unit='count') in a flow converts it {PAGE}",
-        ),
         (
             replace(TAKKTILE, range=(0, 1023)),
             "count, falling as pressure rises",

@@ -21,10 +21,3 @@ def test_only_slip_in_the_air_becomes_unknown() -> None:
     assert given.label.tolist() == [SLIP, SLIP, SLIP, UNKNOWN, UNKNOWN, STATIC, SLIP]
     assert given.finger == 1
     np.testing.assert_array_equal(given.pose, labelled(HEIGHTS, LABELS).pose)
-
-
-def test_a_surface_may_lie_any_way() -> None:
-    batch = labelled([0.1, 0.2], [SLIP, SLIP])  # both 0.5 m along x
-    for x, label in ((0.5, SLIP), (0.6, UNKNOWN)):
-        wall = (x, 0.3, 0.1, 0.0, math.pi / 2, 0.0)  # looks along x, away from the base
-        assert MaskLifted(wall).push(batch).label.tolist() == [label, label]

@@ -1,6 +1,5 @@
 """What a segment owes beyond the conformance of its operators: queues, cells, blocks, fingertips, order."""
 
-import pickle
 from collections.abc import Iterable
 from typing import Final
 
@@ -183,11 +182,3 @@ class _Copies(Operator[Scores, Scores]):
 def test_more_rows_than_an_operator_allows_for_are_an_error() -> None:
     with pytest.raises(BatchError, match=r"more rows than `held` and `factor` of its Steps allow"):
         _Copies().push(Scores.zeros(BLOCK))
-
-
-def test_a_pickled_operator_keeps_its_parameters_and_starts_anew() -> None:
-    zero, touch = Zero(scans=30, spike=9.0), _raw(100, 6)
-    first = zero.push(touch)
-    again: Zero = pickle.loads(pickle.dumps(zero))  # noqa: S301 our own bytes
-    assert (again, again.late) == (zero, 0)
-    suite.same(again.push(touch), first)

@@ -4,10 +4,12 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from operators import InputError, ParameterError
-from storage import LabelSpan, Session, recover, verify
+from operators.batch import SLIP, STATIC, UNKNOWN
+from storage import HandLabels, LabelSpan, Session, recover, verify
 from storage.files import read_json
 from storage.hand_labels import read_hand_labels
 from tests.storage.made import contents, new_samples, record
@@ -45,6 +47,15 @@ def test_a_version_that_is_not_based_on_the_newest_is_refused(session: Session) 
     with pytest.raises(InputError, match="has version 1 of hand labels, not 0"):
         session.write_hand_labels((), based_on=0)
     assert session.hand_labels().version == 1
+
+
+def test_a_span_replaces_the_labels_of_its_samples_only() -> None:
+    time, label = np.arange(0, 60, 10), np.full(6, STATIC, np.int8)
+    spans = (LabelSpan(10, 30, 0, "slip"), LabelSpan(50, 60, 0, "unknown"), LabelSpan(0, 60, 1, "slip"))
+    found, by_hand = HandLabels(1, spans).replace(label, time, 0)
+    assert found.tolist() == [STATIC, SLIP, SLIP, STATIC, STATIC, UNKNOWN]
+    assert by_hand.tolist() == [False, True, True, False, False, True]
+    assert set(label.tolist()) == {STATIC}
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from operators.batch import EVERY, Episodes, Touch, packed_type
 from operators.errors import BatchError, EndpointError, InputError
 from storage import arrow, parts
 from storage.layout import EPISODES, TOUCH
-from storage.parts import Part, read_manifest, read_part, write_manifest, write_part
+from storage.parts import Part, read_manifest, read_part, write_part
 from storage.schema import from_arrow, to_arrow
 from tests.storage.made import new_batch, new_episodes, same
 
@@ -101,16 +101,6 @@ def test_other_columns_and_nulls_are_reported_by_name_and_further_ones_ignored(
     assert read_part(tmp_path, part).equals(rows)
     with pytest.raises(InputError, match="has other rows or times than in the manifest"):
         read_part(tmp_path, replace(part, rows=9))
-
-
-def test_a_manifest_is_empty_only_where_no_part_exists(tmp_path: Path) -> None:
-    assert read_manifest(tmp_path) == {}
-    nothing = Part("slips.parquet", 0, 0, 0, "0f" * 32)
-    write_manifest(tmp_path, [nothing])
-    assert read_manifest(tmp_path) == {"slips.parquet": nothing}
-    (tmp_path / "MANIFEST.json").rename(tmp_path / "slips.parquet")
-    with pytest.raises(InputError, match=r"MANIFEST\.json: cannot be read: No such file"):
-        read_manifest(tmp_path)
 
 
 @pytest.mark.parametrize(

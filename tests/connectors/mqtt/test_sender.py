@@ -13,7 +13,6 @@ from msgspec.structs import replace
 from connectors.events import Event
 from connectors.mqtt import broker_link, gap_replay, sender
 from connectors.mqtt.broker import Broker, Message
-from connectors.mqtt.broker_link import RefusedError
 from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
@@ -99,11 +98,11 @@ async def test_events_wait_for_a_refused_event_but_not_for_a_refused_document(
     ]
 
 
-async def test_each_new_reason_of_a_missing_broker_is_logged_once_and_a_refusal_as_an_error(
+async def test_each_new_reason_of_a_missing_broker_is_logged_once(
     tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, "slipflow")
-    down, refused = EndpointError("broker", "is down"), RefusedError("broker", "refuses the password")
+    down, refused = EndpointError("broker", "is down"), EndpointError("broker", "refuses the password")
     failures: list[EndpointError] = [down, down, down, refused, refused]  # the first is that of `start`
 
     async def connect(*about: Any) -> SimulatedLink:
@@ -119,7 +118,7 @@ async def test_each_new_reason_of_a_missing_broker_is_logged_once_and_a_refusal_
     rest = f", reconnecting; events are kept in {outbox.path}"
     assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
         ("WARNING", f"broker: is down{rest}"),
-        ("ERROR", f"broker: refuses the password{rest}"),
+        ("WARNING", f"broker: refuses the password{rest}"),
         ("INFO", "mqtt://localhost:1883: connected again, 0 events pending"),
     ]
 

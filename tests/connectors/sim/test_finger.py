@@ -40,9 +40,3 @@ def test_cutting_the_simulation_changes_nothing(cuts: list[int]) -> None:
         np.testing.assert_array_equal(getattr(touch, name), getattr(whole, name))
     for name in ("time", "sliding", "force", "velocity"):
         np.testing.assert_array_equal(getattr(truth, name), getattr(happened, name))
-
-
-def test_a_plan_that_ends_ends_the_samples() -> None:
-    finger = Finger(Scene(STROKE), 0)
-    assert len(take(finger, 1000)[0]) in (190, 191)
-    assert finger.take(1) is None

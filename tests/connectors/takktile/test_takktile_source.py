@@ -118,7 +118,6 @@ async def test_a_replugged_adapter_is_opened_again(bus: Bus, number: int) -> Non
     bus.skin.then[5] = lambda: bus.remove(number)
     _, why = await lost(stream(source, clock))
     assert f"(errno {number})" in why
-    bus.restore()
     async with aclosing(stream(source, clock)) as batches:
         assert (await anext(batches)).valid.all()
 
@@ -223,8 +222,3 @@ async def test_the_description_is_live_and_plain_data(bus: Bus) -> None:
 def test_bad_parameters_are_refused(name: str, changes: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=name):
         TakkTile(**changes)
-
-
-def test_a_bus_is_given_by_number_or_path() -> None:
-    assert TakkTile(bus=3).path == "/dev/i2c-3"
-    assert TakkTile(bus="/dev/i2c-fingers").path == "/dev/i2c-fingers"

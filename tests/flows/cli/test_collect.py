@@ -1,16 +1,12 @@
 """The command `slipflow collect`."""
 
-import json
-import signal
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from flows.graph.validation import problems
-from tests.command import SLIPFLOW, error, slipflow
+from tests.command import error, slipflow
 from tests.pages import ROOT, block
-from tests.waiting import PATIENCE, wait_until
 
 SPHERE = """
 speeds = ["50mm/s"]
@@ -61,24 +57,6 @@ def test_a_printed_plan_is_a_plan(tmp_path: Path) -> None:
     again = slipflow("collect", plan(tmp_path, done.stdout), "--print", cwd=tmp_path)
     assert again.stdout == done.stdout
     assert 'speeds = ["50mm/s"' in done.stdout
-
-
-def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [*SLIPFLOW, "collect", "tiny", "--virtual"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-    )
-    wait_until(lambda: any(tmp_path.glob("recordings/sessions/*/session.json")), process, within=2 * PATIENCE)
-    process.send_signal(signal.SIGINT)
-    out, messages = process.communicate(timeout=300)
-    assert process.returncode == 130, messages
-    assert "s; interrupted" in out
-    (session,) = tmp_path.glob("recordings/sessions/*/session.json")
-    assert "interrupted" in json.loads(session.read_text())["error"]
-    assert "interrupted; the arm has stopped where it is" in messages
 
 
 def test_the_flow_on_the_hardware_page_is_valid() -> None:

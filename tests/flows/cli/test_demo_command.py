@@ -1,4 +1,4 @@
-"""`slipflow demo` in processes of its own: its page, and a broker that refuses it."""
+"""`slipflow demo`: its page, and its end before it begins."""
 
 import asyncio
 import os

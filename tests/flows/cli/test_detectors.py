@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from flows.cli.train import train as train_command
-from flows.learn.training import training_loop
 from storage.models import shipped
 from tests.command import slipflow
 
@@ -28,19 +26,6 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
     markdown = (tmp_path / "evaluation" / "evaluation.md").read_text()
     assert markdown.endswith(f"    slipflow evaluate {tiny} --method psd --method {model} --json\n")
     assert "| rotation" in markdown
-
-
-def test_interrupted_training_stops_without_a_model(
-    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(training_loop, "_step", interrupt)
-    with pytest.raises(KeyboardInterrupt):
-        train_command([tiny], out=tmp_path / "m.safetensors")
-    assert "stopped: no model was written to" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
 
 
 HIDING = """

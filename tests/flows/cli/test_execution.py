@@ -1,18 +1,9 @@
-import json
-
 import pytest
 import typer
 
 from flows.cli.run import report_run
 from operators import Run
 from operators.ports import SinkStatus
-
-
-def test_the_result_of_a_run_is_text_or_json(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    report_run(run, as_json=False)
-    assert capsys.readouterr().out == "run1: 10.0 s\n"
-    report_run(run, as_json=True)
-    assert json.loads(capsys.readouterr().out)["session"] == "run1"
 
 
 def test_lost_rows_and_an_interruption_set_the_exit_code(

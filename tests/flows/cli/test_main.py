@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable
 from ctypes import CFUNCTYPE
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from subprocess import PIPE
 from time import sleep
@@ -19,20 +18,6 @@ from flows.cli import __main__, main
 from tests.command import SLIPFLOW, slipflow
 from tests.storage.made import new_run, side_by_side, write
 from tests.waiting import PATIENCE
-
-
-def test_help_lists_every_command_in_panels_with_the_most_used_first() -> None:
-    text = slipflow("--help").stdout
-    shown = [line.split()[0] for line in text.splitlines() if line.startswith("  ")]
-    assert {each.__name__.rstrip("_") for panel in main.PANELS.values() for each in panel} <= set(shown)
-    panels = ["Record and run:", "View:", "Train and evaluate:", "Robots:", "Data:"]
-    assert [line for line in text.splitlines() if line in panels] == panels
-    assert shown[shown.index("run") :][:4] == ["run", "demo", "check", "doctor"]
-
-
-def test_version_prints_the_installed_version() -> None:
-    done = slipflow("--version")
-    assert (done.returncode, done.stdout) == (0, f"slipflow {version('slipflow')}\n")
 
 
 def test_debug_shows_the_traceback() -> None:

@@ -63,18 +63,6 @@ def test_a_dataset_is_compiled_for_once_and_a_common_error_printed_once(tiny: Pa
     assert errors[1].count("compiling for this machine") == 1
 
 
-def test_output_is_printed_below_the_name_of_its_recording(tiny: Path) -> None:
-    first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
-    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, "--jobs", "1")
-    *lines, _total = done.stdout.splitlines()
-    heads = [number for number, line in enumerate(lines) if not line.startswith("  ")]
-    assert [lines[number].split(" -> ")[0] for number in heads] == [str(first), str(second)]
-    assert heads[0] == 0
-    for session, below in ((first, lines[1 : heads[1]]), (second, lines[heads[1] + 1 :])):
-        alone = slipflow("run", "live", "--set", "detector=psd", "--replay", session).stdout.splitlines()
-        assert below == [line for line in alone if "  finger " in line] != []
-
-
 def test_recording_into_the_replayed_dataset_is_an_error(tiny: Path, tmp_path: Path) -> None:
     dataset = copytree(tiny, tmp_path / "dataset")
     before = session_names(dataset)

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 import pytest
 
 from connectors import SimulatedRig
@@ -20,7 +19,6 @@ from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from operators import Label
 from operators.batch import SLIP, STATIC
-from operators.errors import SlipflowError
 from operators.fingertip import TAKKTILE
 from storage import Dataset, Session
 from tests.storage.made import contents
@@ -90,14 +88,6 @@ def test_a_grasp_is_labelled_by_true_sliding(tmp_path: Path, monkeypatch: pytest
     assert seen == {-1, STATIC, SLIP}
 
 
-def test_rotations_are_slips_although_the_tcp_stands_still(tiny: Path) -> None:
-    session = Session.open(tiny / "sessions" / "sphere-rotation-01")
-    samples = session.frame("samples").filter(pl.col("label") == 1)
-    assert len(samples) > 100
-    assert samples["speed"].max() == 0.0
-    assert samples["velocity"].arr.get(5).abs().min() > 0.2  # type: ignore[operator]
-
-
 def test_a_session_is_the_same_as_a_live_recording_of_the_scene(tmp_path: Path, tiny: Path) -> None:
     planned = planned_recordings("tiny", 0)[1]
 
@@ -132,15 +122,3 @@ def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(se
             assert 5 <= groups[group, "train"] <= 7
             assert 1 <= groups[group, "test"] <= 2
         assert 2 <= sum(groups[f"{curvature}-{speed}", "validation"] for speed in ("050", "075", "100")) <= 3
-
-
-def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
-    def spoil(done: int, of: int) -> None:
-        if done == 0:
-            (tmp_path / "out.partial" / "sessions").write_text("")  # no folder
-        assert of == 12
-
-    with workers(2) as executor, pytest.raises(SlipflowError, match=r"out\.partial: cannot be") as caught:
-        simulate(tmp_path / "out", "tiny", 0, executor=executor, progress=spoil)
-    assert "\n" not in str(caught.value)
-    assert list(tmp_path.iterdir()) == []

@@ -89,15 +89,6 @@ def test_too_little_static_time_is_an_error_with_the_time_that_is_needed() -> No
     assert raised.value.needed == pytest.approx(-math.log(0.05))
 
 
-def test_alarms_of_the_strictest_setting_raise_the_time_that_is_needed() -> None:
-    alarms = np.zeros((len(PATH), 4), np.int64)
-    alarms[:, 0] = 1
-    with pytest.raises(TooLittleDataError, match=r"had 1 false alarm in 4\.0 static minutes, but 4\.7"):
-        calibrated(trials(alarms, np.ones(4)), 1.0, 0.95)
-    with pytest.raises(TooLittleDataError, match=r"in 4\.0 static minutes, 0\.25 per minute, so more data"):
-        calibrated(trials(alarms, np.ones(4)), 0.2, 0.95)
-
-
 def test_without_slips_the_most_sensitive_accepted_setting_is_chosen() -> None:
     alarms = np.zeros((len(PATH), 10), np.int64)
     alarms[20:] = 5

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.learn.event_metrics import BRIEF, PAUSE, EventMetrics, TrueSlips, match_onsets, onsets, runs, tuned
+from flows.learn.event_metrics import BRIEF, PAUSE, EventMetrics, TrueSlips, match_onsets, onsets, tuned
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, Sampling
 from operators import Debounce, ms
-from operators.batch import Codes, Flags, Reals
+from operators.batch import Codes, Reals
 from tests.flows.learn.conftest import TWICE, label
 
 PERIOD = 10 * ms
@@ -92,15 +92,6 @@ def test_every_slip_is_caught_or_missed(raised: list[int], starts: list[int]) ->
     found = match_onsets(np.array(raised, np.int64) * ms, true)
     assert len(found.delays) + found.missed == len(true)
     assert 0 <= found.false <= len(raised)
-
-
-@given(st.lists(st.booleans()).map(np.array))
-def test_runs_cover_what_is_true_and_nothing_else(flags: Flags) -> None:
-    covered = np.zeros(len(flags), np.bool_)
-    for first, end in runs(flags == 1).tolist():
-        assert not covered[max(first - 1, 0)], "runs do not touch"
-        covered[first:end] = True
-    assert np.array_equal(covered, flags)
 
 
 def noisy(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Reals], list[TrueSlips]]:

@@ -51,12 +51,6 @@ def test_the_page_refers_to_nothing_outside() -> None:
     assert html.count('src="data:image/svg+xml;base64,') == html.count("src=") == 2
 
 
-def test_the_details_are_closed_until_a_reader_opens_them() -> None:
-    html = report().html()
-    assert html.count("<details><summary>detail</summary>") == html.count("<details") == 1
-    assert html.count("<h2>") == 2
-
-
 @given(
     st.lists(st.lists(st.sampled_from([None, float("nan"), 1.0, "x"]), min_size=3, max_size=3), min_size=1)
 )

@@ -2,7 +2,6 @@
 
 import json
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -143,15 +142,6 @@ def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path)
     [span] = json.loads(labels.metadata["spans"])
     assert (span["begin"], span["end"], span["value"]) == (s, 2 * s, "slip")
     assert {chunk.compression for chunk in chunks} == {"zstd"}
-
-
-def test_a_missing_library_is_an_error_with_the_fix(
-    tmp_path: Path, hide_packages: Callable[..., None]
-) -> None:
-    hide_packages("mcap")
-    session = record(tmp_path, [new_batch(Touch)])
-    with pytest.raises(InputError, match=r"needs mcap: in the clone, pip install -e '\.\[mcap\]'$"):
-        export(session, tmp_path / "one.mcap")
 
 
 def test_a_failed_export_leaves_no_file(tmp_path: Path) -> None:

@@ -29,13 +29,6 @@ def test_the_angle_of_a_turn_includes_its_ramps(time: float, angle: float, secon
     assert end[:3] == START[:3]
 
 
-@pytest.mark.parametrize("pose", [START, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
-def test_an_offset_is_in_the_frame_of_the_pose(pose: Pose) -> None:
-    there = offset_pose(offset_pose(pose, (0.01, -0.02, 0.03)), (-0.01, 0.02, -0.03))
-    np.testing.assert_allclose(there, pose, atol=1e-12)
-    assert math.dist(pose[:3], offset_pose(pose, (0.01, -0.02, 0.03))[:3]) == pytest.approx(0.03741657)
-
-
 @pytest.mark.parametrize("place", [START, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
 def test_the_fingertip_stays_on_a_sphere(place: Pose) -> None:
     surface = Surface("sphere", 0.05, place)

@@ -259,6 +259,9 @@ def test_an_interruption_stops_the_arm_and_commits(
     done = made(tmp_path / "data", act=act)
     assert why in done.collected.error
     assert done.collected.interrupted == (act is press_ctrl_c)
+    with pytest.raises(typer.Exit) as ended:
+        _report(done.collected)
+    assert ended.value.exit_code == (130 if act is press_ctrl_c else 2)
     assert done.collected.strokes < QUICK.count
     assert not done.about["complete"]
     assert why in done.about["error"]

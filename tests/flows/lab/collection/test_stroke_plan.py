@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from connectors.ur.ur_state import Pose, offset_pose
-from flows.lab.collection.arm_path import Extent, Line, Surface, Turn
+from flows.lab.collection.arm_path import Line, Surface
 from flows.lab.collection.plan_file import load_plan
 from flows.lab.collection.stroke_plan import CollectionPlan, PlannedPath, StrokeSeries
 
@@ -19,7 +19,6 @@ def only(plan: CollectionPlan, surface: Surface | None = None, place: Pose = PLA
 
 
 STROKES = CollectionPlan(speeds=(0.1,), repeats=1, rotations=0)
-TURNS = CollectionPlan(speeds=(), rotations=1)
 
 
 def test_the_papers_plan_has_all_surfaces_speeds_directions_and_rotations() -> None:
@@ -56,14 +55,6 @@ def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) ->
         np.testing.assert_allclose(
             np.subtract(slide.poses[0][:3], down[:3]), 0.06 * np.array(forward[:3]), atol=1e-12
         )
-
-
-def test_rotations_alternate_at_their_rate_in_place() -> None:
-    session = only(TURNS)
-    turns = [step for stroke in session.strokes for step in stroke.contact if isinstance(step, Turn)]
-    assert [turn.spin for turn in turns] == [-1.0, 1.0] * 8
-    reach = Extent.of(session.steps, session.begin.poses[0])
-    np.testing.assert_allclose((reach.low[:2], reach.high[:2]), ([0.4, 0.0],) * 2, atol=1e-9)
 
 
 def test_the_bounds_and_the_duration_of_a_plan_are_those_of_its_path() -> None:

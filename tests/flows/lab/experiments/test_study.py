@@ -22,10 +22,6 @@ def test_each_condition_differs_from_nominal_in_one_setting_and_only_a_lift_has_
     assert [*conditions_of("tap", stress=False)] == [NOMINAL]
 
 
-def test_there_are_as_many_random_trials_as_with_the_six_objects() -> None:
-    assert [len(Trials(3).seeds(name)) for name in ("box", "random")] == [3, 18]
-
-
 def test_processes_and_the_number_of_trials_change_no_trial() -> None:
     seen: list[tuple[int, int]] = []
     two = run_study("lift", [NONE], Trials(2, objects=("ball",)))

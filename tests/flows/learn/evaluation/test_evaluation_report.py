@@ -70,12 +70,6 @@ def test_table_3_has_a_row_for_each_motion_and_the_papers_numbers(report: Report
     assert ours["any"]["all"] == rows(report, "samples")["tcn"]["F1 %"]
 
 
-def test_true_sliding_is_compared(report: Report, found: Evaluation) -> None:
-    sliding = rows(report, "sliding")
-    assert list(sliding) == ["the label", *found.methods]
-    assert sliding["the label"]["lead ms"] == 0
-
-
 def test_groups_that_are_held_out_are_columns(surfaces: list[LabelledRecording], having: Having) -> None:
     found = evaluate(having(surfaces), hold_out=["all"], names=["psd"])
     report = evaluation_report(found, COMMAND)

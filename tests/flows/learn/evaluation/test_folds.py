@@ -58,14 +58,3 @@ def test_a_copy_of_a_judged_recording_is_named_and_not_fitted_to(surfaces: list[
     [fold] = group_folds(everything, ["steel"], "strokes")
     assert "copy" not in {each.name for each in [*fold.train, *fold.validation]}
     assert repeated(surfaces, [each.group for each in surfaces]) == []
-
-
-def test_recordings_that_are_judged_take_no_part_in_the_fitting(surfaces: list[LabelledRecording]) -> None:
-    splits = ("train", "validation", "test")
-    recordings = [replace(each, split=splits[n % 3]) for n, each in enumerate(surfaces)]
-    fold = split_fold(recordings, "test", "strokes")
-    assert [{each.split for each in part} for part in (fold.train, fold.validation, fold.judged)] == [
-        {split} for split in splits
-    ]
-    every = split_fold(recordings, "all", "strokes")
-    assert (every.train, every.validation, len(every.judged)) == ([], [], 9)

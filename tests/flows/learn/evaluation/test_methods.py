@@ -1,3 +1,4 @@
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.detectors import Detector, Psd
-from operators.errors import FingertipError, ParameterError
+from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE
 from storage.models import shipped_names, shipped_path
 
@@ -79,3 +80,11 @@ def test_a_model_is_named_as_its_file_or_its_path_if_that_name_is_taken(tmp_path
     assert names == [*shipped_names(), "one", "two", str(files[2]), str(files[3])]
     [alone] = trained_methods([str(files[-1]), "psd"])
     assert alone.name == "tcn"  # the shipped one is not judged
+
+
+@pytest.mark.parametrize("settings", [{"speed": 1}, {"consecutive": 0}])
+def test_a_card_with_invalid_debounce_is_refused(tmp_path: Path, settings: dict[str, int]) -> None:
+    path = model(tmp_path / "odd.safetensors")
+    path.with_suffix(".json").write_text(json.dumps({"debounce": settings}))
+    with pytest.raises(InputError, match=r"odd\.json: debounce"):
+        trained_methods([str(path)])

@@ -13,9 +13,8 @@ from flows.learn.training.recipe import PaperRecipe, Recipe
 from flows.learn.training.trained_model import learned
 from flows.learn.training.trainer import train
 from operators.detectors import PaperTcn, Tcn
-from operators.errors import InputError, ParameterError
+from operators.errors import ParameterError
 from storage import load_detector
-from storage.description import describe_dataset
 from tests.flows.learn.conftest import Trained
 
 SMALL = Recipe(filters=4, units=4, steps=6, batch=8, checks=3, rate=2e-2)
@@ -85,9 +84,3 @@ def test_a_split_without_labels_after_the_warm_up_is_refused(
     monkeypatch.setattr(trainer, "load", short)
     with pytest.raises(ParameterError, match=f"{split} recordings with labels after their warm-up of 0.99 s"):
         train([tiny], tmp_path / "model.safetensors", SMALL)
-
-
-def test_a_dataset_without_samples_is_an_input_error(tmp_path: Path) -> None:
-    describe_dataset(tmp_path)
-    with pytest.raises(InputError, match="has no labels"):
-        train([tmp_path], tmp_path / "model.safetensors", SMALL)
