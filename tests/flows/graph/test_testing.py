@@ -8,13 +8,11 @@ from operators import Operator, Scores
 from tests.operators import test_conformance as suite
 
 
-@pytest.mark.parametrize(
-    "case", [case for case in suite.CASES if len(case.inputs) == 1], ids=lambda case: repr(case.step)
-)
-def test_operators_of_slipflow_do_not_depend_on_the_cuts(case: suite.Case) -> None:
-    [batch] = case.streams(7, 300)
-    assert isinstance(case.step, Operator)
-    check_cuts(case.step, batch)
+def test_operators_of_slipflow_do_not_depend_on_the_cuts() -> None:
+    for case in suite.CASES:
+        if isinstance(case.step, Operator):
+            [batch] = case.streams(7, 100)
+            check_cuts(case.step, batch)
 
 
 def test_an_operator_that_depends_on_the_cuts_is_an_error_that_names_the_column() -> None:
