@@ -21,8 +21,7 @@ class Console(Sink[Slips | Faults]):
     >>> asyncio.run(Console().write(Slips(time, onset, time, probability, finger=0)))
     1970-01-01 00:00:05.000  finger 0  slip onset  p 0.93
 
-    With ``format="json"`` each line is a JSON object with the latency in ms if it is known, null for NaN, and
-    in replays the name of the recording:
+    With ``format="json"`` each line is a JSON object, with the latency in ms if it is known; NaN is null:
 
     >>> asyncio.run(Console(format="json").write(Slips(time, onset, time, probability, finger=0)))
     {"time":"1970-01-01T00:00:05.000000000Z","event":"slip_onset","finger":"0","p":0.93}
@@ -45,7 +44,7 @@ class Console(Sink[Slips | Faults]):
         return str(getattr(sys.stdout, "name", "console"))
 
     async def open(self, run: Run) -> None:
-        """Use the clock and the recording name of this run."""
+        """Use the clock of this run."""
         self._run = run
 
     def take(self, batch: Slips | Faults) -> bool:
@@ -82,10 +81,8 @@ class Console(Sink[Slips | Faults]):
         self, time: int, finger: int, event: str, details: dict[str, Json], text: str, style: str
     ) -> None:
         when, which, out = timestamp(time), finger_name(finger), sys.stdout  # which commands redirect
-        recording = self._run.recording if self._run else None
         if self.format == "json":
-            source: dict[str, Json] = {} if recording is None else {"recording": recording}
-            line = encode({"time": when, "event": event, **source, "finger": which, **details}).decode()
+            line = encode({"time": when, "event": event, "finger": which, **details}).decode()
         else:
             line = f"{when[:23].replace('T', ' ')}  finger {which}  {text}"
         if self.format == "text" and out.isatty():

@@ -151,7 +151,7 @@ class _CloudEvent(Document, frozen=True):
 def quality(probability: float | None, faults: Iterable[Fault]) -> tuple[str, str | None]:
     """Return the quality of a score, and the reason if it is not good.
 
-    It is ``blind`` without a probability; ``doubtful`` while a cell is dead, stuck or drifting; or ``good``.
+    It is ``blind`` without a probability; ``doubtful`` while a cell is dead or stuck; or ``good``.
     A cell at the end of its range leaves it good: load alone causes it, and tcn tolerates it.
 
     >>> quality(0.9, [Fault(2, "stuck"), Fault(3, "saturated")])

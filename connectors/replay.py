@@ -29,6 +29,7 @@ class Replay(Source[Given], Generic[Given]):
     """
 
     stale_after = None  # a recording may have gaps
+    in_run_time = False
 
     def __init__(
         self,

@@ -141,6 +141,7 @@ class Source(Endpoint, ABC, Generic[Given]):
     """
 
     stale_after: int | None = 5 * s  # ns; None: rows may be rare or missing
+    in_run_time: bool = True  # stamps are of the clock of the run; False: of another time
 
     @property
     @abstractmethod
@@ -192,7 +193,8 @@ class Sink(Endpoint, ABC, Generic[Taken]):
 
     The runner calls `open` once, `take` or `write` for each batch, and `close` once. A batch that `take` does
     not accept waits in a bounded queue for `write`, and so do those after it. If `write` raises, the runner
-    retries the same batch after a back-off. An `OutputClosedError` ends the run in an orderly way.
+    retries the same batch after a back-off, unless the error is a mistake in the code, such as KeyError or
+    TypeError: that ends the run. An `OutputClosedError` ends the run in an orderly way.
     """
 
     lossless: bool = True  # False: when the queue is full, the oldest batch is dropped and counted

@@ -17,6 +17,7 @@ from operators.steps import RowType, Steps
 from operators.window import Window
 
 Scalar = TypeVar("Scalar", bound=np.generic)
+_ROUNDING: Final = 1e-6  # by which a sum of probabilities of 32 bits may be above 1
 _BLOCK: Final = 64  # windows per call of a detector; few enough to stay in the cache
 
 
@@ -102,10 +103,10 @@ class Score(Operator[Zeroed, Scores]):
             has = f"{scores.dtype} of shape {scores.shape}" if is_array else type(scores).__name__
             reason = f"{name}.score returned {has}, must return an array of floats of shape {shape}"
             raise BatchError("Scores", "probability", reason)
-        if (wrong := scores[(scores < 0) | (scores > 1)]).size:
+        if (wrong := scores[(scores < -_ROUNDING) | (scores > 1 + _ROUNDING)]).size:
             reason = f"{name}.score returned {wrong[0]!s}, must return numbers from 0 to 1, or NaN"
             raise BatchError("Scores", "probability", reason)
-        return scores
+        return np.clip(scores, 0, 1)
 
 
 def forward_fill(

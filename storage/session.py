@@ -12,7 +12,7 @@ from operators.checks import check_at_least
 from operators.errors import EndpointError, InputError
 from operators.fingertip import Fingertip, measured
 from operators.ports import Description, SomeBatch
-from storage import schema
+from storage import layout, schema
 from storage.arrow import pa
 from storage.description import read_session
 from storage.files import locked
@@ -65,9 +65,7 @@ class Session:
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """Open a session by its folder, or by the folder of a dataset with one session.
-
-        A session whose recorder was killed is recovered first; see `storage.recover`.
+        """Open a session by its folder, or by that of a dataset with one; `recover` it if it was killed.
 
         Raises:
             InputError: if there is no session or several, it contains a link, or its description or manifest
@@ -80,6 +78,9 @@ class Session:
         if journal_files(folder):
             _recover(folder)
         about = read_session(folder)
+        if may_exist(folder / layout.JOURNAL) and not {"end_ns", "recovered"} & {*about}:
+            _recover(folder)
+            about = read_session(folder)
         return cls(folder, about, read_manifest(folder, about))
 
     @property

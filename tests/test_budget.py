@@ -12,16 +12,16 @@ from flows.cli.main import app
 ROOT = Path(__file__).parents[1]
 PRODUCT = ("operators", "connectors", "storage", "flows")
 BUDGET = {  # lower a number when the project has become smaller; never raise one
-    "operators": 5_071,
+    "operators": 5_049,
     "connectors": 10_532,
-    "storage": 3_853,
-    "flows": 12_407,
-    "product": 31_863,
-    "product files": 215,
-    "tests": 30_302,
+    "storage": 3_851,
+    "flows": 12_300,
+    "product": 31_732,
+    "product files": 212,
+    "tests": 30_232,
     "commands": 16,
-    "options": 77,
-    "words": 35_854,
+    "options": 75,
+    "words": 35_650,
 }
 
 

@@ -22,6 +22,7 @@ _LINES: Final = 60  # that decide
 _FEW, _FIELDS = 20, 20_000  # lines at least; fields at most
 _WIDE: Final = 20  # values of a row that may be a channel
 _COMMENT: Final = re.compile(r"\s*[#%]+\s*")
+_WORDS: Final = re.compile(r'^\s*"?[^\W\d]\w*"?\s*,|,\s*"?[^\W\d]\w*"?\s*(,|$)')  # fields between commas
 _NAMES: Final = {sign: name for name, sign in SEPARATORS.items()}
 _DATE: Final = r"\d{1,4}[-/. ](\d{1,2}|[a-z]{3})[-/. ]\d{1,4}"
 _VALUE: Final = re.compile(  # a number, a date, a time, or nothing
@@ -138,10 +139,10 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
 
 def _separator(lines: Sequence[str]) -> str:
     """Return the sign that separates the fields of most lines; a comma may also be that of decimals."""
-    signs = list[str]()
+    signs, named = list[str](), any(map(_WORDS.search, lines))
     for line in filter(re.compile(r"\s*(?=[^#%\s]).*\d").match, reversed(lines)):
         bare = re.sub(rf'"[^"]*"|{_DATE}[T_ ]+', "", line, flags=re.IGNORECASE)
-        comma = "," in bare and not re.search(r"\d +-?\d", bare)
+        comma = "," in bare and (named or not re.search(r"\d +-?\d", bare))
         signs.append(next((sign for sign in "\t;|" if sign in bare), "," if comma else " "))
     return max(signs, key=signs.count, default=",")
 

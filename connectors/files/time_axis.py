@@ -90,7 +90,8 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
         add(f"has {rate:.4g} rows per second, not {columns.rate:g}: wrong unit of the time, or lost rows?")
     columns = replace(columns, rate=columns.rate or rate)
     for start, stop in parts if columns.rate else ():
-        _warn_of_gaps(table, time[start:stop], start, columns.rate or 1.0)
+        part = time[start:stop]
+        _warn_of_gaps(table, part, start, rows_per_second(part) or columns.rate or 1.0)
     return columns, time, parts
 
 
@@ -149,9 +150,12 @@ def _parts(table: RawTable, name: str, time: Times, *, split: bool) -> Parts:
 
 def _stray(time: Times, back: int) -> int | None:
     """Return the row out of order where the clock goes `back` but then on; None: it starts again."""
-    if np.any(time[back + 1 : back + 3] > time[back - 1]):
+    before, after = time[back - 1], time[back : back + 3]
+    if len(after) > 2 and after[0] <= time[max(back - 2, 0)] and after[2] - after[1] == after[1] - after[0]:
+        return None  # it goes on from there
+    if np.any(after[1:] > before):
         return back
-    return back - 1 if back > 1 and time[back] > time[back - 2] else None
+    return back - 1 if back > 1 and after[0] > time[back - 2] else None
 
 
 def _rate(table: RawTable, name: str, time: Times, parts: Parts, stated: float | None) -> float | None:

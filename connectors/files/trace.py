@@ -154,7 +154,9 @@ def _with_index(frame: Any) -> Any:
     index: Any = getattr(frame, "index", None)
     if not hasattr(index, "names") or ([*index.names] == [None] and not hasattr(index, "freq")):
         return frame
-    return (frame if any(index.names) else frame.rename_axis("timestamp")).reset_index()
+    named = frame if any(index.names) else frame.rename_axis("timestamp")
+    twice = [name for name in named.index.names if name in named.columns]
+    return named.reset_index(twice, drop=True).reset_index(drop=len(twice) == len(named.index.names))
 
 
 def _upright(arrays: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -147,9 +147,7 @@ class Metrics(Sink[Scores | Slips | Faults]):
     def collect(self) -> "Iterator[Metric]":
         """Yield the runner's counts; called on each scrape."""
         run, now, steps = self._run, self._run.clock.now(), self._run.clock_steps
-        about = {"session": run.session, "flow": run.flow, "live": str(run.live).lower()}
-        about["recording"] = run.recording or ""  # empty: live rows
-        yield _metric("info", "run", "The current run", (about, 1))
+        yield _metric("info", "run", "The current run", ({"session": run.session, "flow": run.flow}, 1))
         yield _metric("gauge", "run_start_time_seconds", "Start, since 1970 UTC", ({}, run.start / s))
         yield from _table("source", _SOURCE, run.sources)
         ages = {name: (now - each.newest) / s for name, each in run.sources.items() if each.newest}

@@ -43,6 +43,7 @@ class TestSource(Source[B], Generic[B]):
     """
 
     __test__ = False
+    in_run_time = False
 
     def __init__(
         self, kind: type[B], batches: Iterable[B | Exception] = (), *, fingers: tuple[int, ...] = (EVERY,)

@@ -286,7 +286,10 @@ def _sessions(out: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
     """Return what the sessions of a dataset state of their touch, by name, and its resolution by unit."""
     sources, steps = dict[str, dict[str, Any]](), dict[str, float]()
     for folder in session_folders(out) if (out / SESSIONS).is_dir() else ():
-        about: Any = read_session(folder)
+        try:
+            about: Any = read_session(folder)
+        except InputError:  # damaged: only its name counts
+            about = {}
         sources[folder.name] = (about.get("sources") or {}).get("touch") or {}
         if tip := (about.get("fingertips") or {}).get("touch"):
             steps.setdefault(str(tip["unit"]), float(tip["resolution"]))
@@ -307,7 +310,8 @@ def _session_names(paths: Sequence[Path]) -> list[str]:
 
 def _split_of(path: Path) -> Description:
     """Return the split that the folder of a file states as an entry of its description."""
-    return {"split": path.parent.name} if path.parent.name in SPLITS else {}
+    folder = path.absolute().parent.name
+    return {"split": folder} if folder in SPLITS else {}
 
 
 def _group_of(path: Path, pattern: str) -> Description:

@@ -23,10 +23,10 @@ CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of 
 REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
 YIELD_EVERY: Final = 16  # rows; a source that never waits yields to the event loop after as many
 CANCEL_LIMIT: Final = 5.0  # s; a source that has not ended so long after its cancellation is left alone
-
-log = logging.getLogger("slipflow")
 LAGGING: Final = 50 * ms  # ns; a source whose newest row is older is catching up, as after a host stall
 PASSES: Final = 8  # passes of the event loop that a source catching up waits for older rows of the others
+
+log = logging.getLogger("slipflow")
 
 
 class LiveRunner:
@@ -108,6 +108,10 @@ class LiveRunner:
         finally:
             gc.unfreeze()
             await self._end_sinks(writers)
+        for queue in self._queues.values():
+            if queue.mistake:
+                self.run.error = queue.status.error
+                raise OperatorError(self.run.flow, queue.name, self.run.error) from queue.mistake
         return self.run
 
     async def _prepare(self) -> None:
@@ -154,9 +158,6 @@ class LiveRunner:
                 reader.end()
         for error in errors:  # of an operator, a source's contract, or a task of this run
             raise error
-        for queue in self._queues.values():
-            if queue.mistake:
-                raise OperatorError(self.run.flow, queue.name, queue.status.error) from queue.mistake
 
     async def _end_sinks(self, writers: Sequence[asyncio.Task[None]]) -> None:
         """Complete the queues, and wait until all rows are written and all sinks are closed."""

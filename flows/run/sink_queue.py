@@ -209,7 +209,7 @@ class SinkQueue:
         reason = reason_of(error)
         if isinstance(error, MISTAKES):
             self.mistake, reason = error, reason + location(self.sink, error)
-        if not self.status.error and (self._end.is_set() or not self.mistake):  # else the run raises it
+        if not (self.status.error or self.mistake):  # the run raises a mistake
             log.warning("%s failed: %s", self.name, reason)
             self._dropped_before = self.status.dropped
         self.status.error = reason

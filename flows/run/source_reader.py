@@ -150,7 +150,7 @@ class SourceReader:
         """Warn once if the source stamps its rows in another clock; those of a recording may be old."""
         ahead = self.status.newest - self._run.clock.now()  # ns
         plausible = ahead <= AHEAD and self.status.newest >= self._run.start - BEHIND
-        if plausible or self._warned or not self.status.rows or self._source.recording is not None:
+        if plausible or self._warned or not self.status.rows or not self._source.in_run_time:
             return
         self._warned = True
         distance = f"{abs(ahead) / s:,.0f} s {'in the future' if ahead > 0 else 'ago'}"

@@ -123,6 +123,8 @@ def train(
     if not out.parent.is_dir():
         raise InputError(str(out.parent), "is not a folder: create it, or write the model elsewhere")
     parent = None if start is None else load_detector(start)
+    if parent is not None and not isinstance(recipe, Recipe):
+        raise ParameterError("train", "recipe", recipe.network, "a Recipe: only a tcn is trained further")
     if not isinstance(parent, Tcn | None):
         raise InputError(str(start), "is not a tcn: only a tcn can be trained further")
     recordings = load(*datasets)
@@ -144,6 +146,7 @@ def train(
             log("few recordings: each is divided in time, which flatters the model; record five or more")
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
+        assert isinstance(recipe, Recipe), "checked above"
         recipe = further(parent, recipe)
         arrays, results = _from_model(parent.for_fingertip(fingertip), recordings, recipe, progress)
         about |= {"detector": parent.name, "parent": identify_detector(str(start)), "recipe": asdict(recipe)}
@@ -230,9 +233,8 @@ def _from_model(
     }
 
 
-def further(tcn: Tcn, recipe: Recipe | PaperRecipe) -> Recipe:
+def further(tcn: Tcn, recipe: Recipe) -> Recipe:
     """Return the course of further training of a network: its size, with steps and seed of a recipe."""
-    assert isinstance(recipe, Recipe), "only a tcn is trained further"
     return Recipe(
         filters=tcn.layers[0].kernel.shape[2],
         units=tcn.layers[-1].kernel.shape[1],

@@ -125,3 +125,8 @@ def test_a_table_of_very_many_columns_is_refused_at_once(write: Write) -> None:
 def test_a_last_line_that_ends_with_an_empty_field_is_complete(write: Write) -> None:
     for end in ("", "\n", "\r\n\r\n", "\n \n"):
         assert np.isnan(read(write(f"t\tp0\tp1\n1\t2\t3\n2\t3\t{end}"))["p1"]).tolist()[:2] == [False, True]
+
+
+def test_numbers_between_blanks_in_a_text_do_not_hide_the_commas(write: Write) -> None:
+    rows = "".join(f"{k / 100},5{k},6{k},pad 2 10 N\n" for k in range(50))
+    assert list(read_table(write(f"t,p0,p1,note\n{rows}")).columns) == ["t", "p0", "p1", "note"]

@@ -94,7 +94,7 @@ async def test_sources_and_sinks_are_those_of_the_runner(run: Run) -> None:
     other = {"up": 0, "failures_total": 4, "gaps_total": 1}
     sink = {"up": 0, "rows_total": 7, "queued_batches": 2, "dropped_rows_total": 5, "waiting_rows": 4}
     expected = {
-        key("run_info", session="run1", flow="live", live="true", recording=""): 1,
+        key("run_info", session="run1", flow="live"): 1,
         **{key(f"source_{name}", source="touch"): value for name, value in touch.items()},
         **{key(f"source_{name}", source=strange): value for name, value in other.items()},
         **{key(f"sink_{name}", sink="mqtt"): value for name, value in sink.items()},

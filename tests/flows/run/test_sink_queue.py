@@ -17,6 +17,7 @@ from operators import (
     Batch,
     Debounce,
     EndpointError,
+    Operator,
     OperatorError,
     OutputClosedError,
     Run,
@@ -111,6 +112,20 @@ def test_a_mistake_in_a_sink_ends_the_run_at_once_with_its_place(
     assert "KeyError" in other.run.error
     assert other.run.sinks["testsink"].dropped == len(other.written) - 1
     assert not caplog.messages
+
+
+def test_a_mistake_in_a_sink_at_the_end_of_the_streams_is_an_error_too() -> None:
+    class Held(Operator[Scores, Scores]):
+        def process(self, batch: Scores) -> Scores:
+            return Scores.empty()
+
+        def flush(self) -> Scores:
+            return scores(9, 1)[0]
+
+    flow, wrong = Flow("f"), TestSink(failures=[KeyError("row")])
+    (flow.source(TestSource(Scores, scores(0, 3))) | Held()).to(wrong)
+    with pytest.raises(OperatorError, match=r"testsink: KeyError: 'row'"):
+        execute(flow)
 
 
 async def for_ever() -> None:

@@ -86,8 +86,8 @@ def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
 class Stamping(Endless):
     """Scores every 10 ms with times of another clock."""
 
-    def __init__(self, stamp: Callable[[int], int], recorded: str | None = None) -> None:
-        self._stamp, self.recorded = stamp, recorded
+    def __init__(self, stamp: Callable[[int], int], *, in_run_time: bool) -> None:
+        self._stamp, self.in_run_time = stamp, in_run_time
 
     async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
         async for batch in super().batches(clock):
@@ -106,12 +106,12 @@ class Stamping(Endless):
     ids=["seconds", "counter", "hour ahead", "old rows", "clock of a device"],
 )
 @pytest.mark.parametrize("duration", [s // 2, 20 * s])
-def test_a_source_that_stamps_its_rows_in_another_clock_is_named_once_unless_it_replays(
+def test_a_source_that_stamps_its_rows_in_another_clock_is_named_once_unless_they_are_of_another_time(
     stamp: Callable[[int], int], distance: str, duration: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    for recorded in ("stroke-9", None):
+    for own in (False, True):
         assert not caplog.messages
-        execute(flow_of(Stamping(stamp, recorded), TestSink()), duration=duration, start=NOW)
+        execute(flow_of(Stamping(stamp, in_run_time=own), TestSink()), duration=duration, start=NOW)
     text = f"scores delivered rows of {distance}: time must be ns of the run's clock"
     assert caplog.messages == ([text] if distance else [])
 
