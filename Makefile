@@ -82,7 +82,7 @@ models:  ## train the models in storage/trained: an hour on two cores
 	for name in tcn paper_tcn frequency_cnn; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 
-sizes:  ## train the tcn in ten sizes and print speed against accuracy, after `make models`: an hour; strokes=, grasps=, trace=: datasets
+sizes:  ## train the tcn in ten sizes and print speed against accuracy, after `make models`: hours; strokes=, grasps=, trace=: datasets
 	python -m tests.benchmarks.bench_sizes models --train $(DATA) --paper models/paper-0 \
 	    --strokes $(strokes) --grasps $(grasps) --trace $(trace) --out docs/explanations/detectors/sizes.svg
 
