@@ -164,7 +164,7 @@ class Source(Endpoint, ABC, Generic[Given]):
         return None
 
     async def prepare(self) -> None:
-        """Do slow set-up, such as compilation, before the run's time starts; do not block the event loop."""
+        """Do slow set-up, such as compilation, before a run and in `check`: open no device, do not block."""
         return
 
     @abstractmethod

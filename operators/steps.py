@@ -10,8 +10,8 @@ one `take` per input.
 
 All arguments are records, whose fields are attributes: `row.time`, `row.counts[cell]`. Steps are compiled
 where numba is installed; elsewhere they run as Python and give the same bits, if they compute with
-`int(...)`, `float(...)` and `math`. The functions that they call are compiled with them. In
-compiled steps 1.0 / 0.0 is inf, not an exception.
+`int(...)`, `float(...)` and `math`, except that 1.0 / 0.0 is inf in compiled steps and an exception in
+Python. The functions that they call are compiled with them.
 """
 
 from collections.abc import Callable, Mapping

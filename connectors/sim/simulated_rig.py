@@ -18,7 +18,7 @@ from operators.ports import Clock, Description, Source
 
 SENSOR: Final = "TakkTile 2x3, simulated"
 SLIDING: Final = 0.003  # m/s, true sliding that counts as slip; as in the paper's labels
-_SPAN: Final = 150 * ms  # ns; a slip has pauses of 50 to 100 ms, in which the contact sticks
+SLIDING_SPAN: Final = 150 * ms  # ns; a slip has pauses of 50 to 100 ms, in which the contact sticks
 
 
 class SimulatedSource(Source[AnyBatch]):
@@ -182,6 +182,6 @@ def true_slips(truth: Truth) -> list[tuple[int, int]]:
     at = truth.time[truth.sliding > SLIDING]  # (k,)
     if not len(at):
         return []
-    breaks = np.flatnonzero(np.diff(at) > _SPAN)
+    breaks = np.flatnonzero(np.diff(at) > SLIDING_SPAN)
     starts, ends = at[np.r_[0, breaks + 1]], at[np.r_[breaks, -1]]
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
-from connectors.sim.simulated_rig import SLIDING, episode
+from connectors.sim.simulated_rig import SLIDING, SLIDING_SPAN, episode
 from flows.report.table import counted
 from operators import Align, Debounce, Label, Score, Zero, ms, s
 from operators.batch import (
@@ -51,7 +51,6 @@ _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 WARM_UP: Final = 99  # samples; the paper's windows have 100
 _DIGITS: Final = 12  # of a sha256: enough to tell millions of recordings apart
-_SPAN: Final = 150 * ms  # ns; a slip has pauses of 50 to 100 ms, in which the contact sticks
 _REST: Final = 250 * ms  # ns, over which a contact at rest has hardly slid
 _GAP: Final = 50 * ms  # ns, longest time between two rows; nothing slides in a longer one
 _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written for
@@ -383,7 +382,7 @@ def sliding_motion(truth: Truth) -> Motion:
     travel = np.cumsum(np.where(elapsed <= _GAP, truth.sliding * elapsed / 1e9, 0.0))  # (n,) m
     speed, slow = (  # (n,) m/s
         (travel - travel[np.maximum(time.searchsorted(time - span, "right") - 1, 0)]) / (span / 1e9)
-        for span in (_SPAN, _REST)
+        for span in (SLIDING_SPAN, _REST)
     )
     velocity = np.zeros((len(time), 6))
     velocity[:, 0] = np.where((speed <= SLIDING) & (slow > SLIDING / 3), np.nan, speed)
