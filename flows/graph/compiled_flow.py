@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias, cast
 
+import numpy as np
+
 from flows.graph.flow import Flow
 from flows.graph.node import Node, location
 from flows.graph.validation import sink_fingertips, trace_fingertips, validate
@@ -174,7 +176,7 @@ class CompiledFlow:
                 self._run(unit, unit.push, values, deliveries)
             return deliveries
 
-        return push_all
+        return _by_instant(push_all) if any(map(_merges, units)) else push_all
 
     def _direct(self, read: list[tuple[int, Node]], nodes: list[Node], push: Push, *others: Push) -> Push:
         """Return a function that pushes batches into segments of these nodes, and names one that fails."""
@@ -286,6 +288,36 @@ class CompiledFlow:
                 reached.update(unit.nodes)
                 units.append(unit)
         return units
+
+
+def _merges(unit: _Fused | _Single) -> bool:
+    """Return whether a user's join reads from another unit, which may hold rows back; ours wait by time."""
+    joins = any(isinstance(node.part, Join) and not _is_tested(node) for node in unit.nodes)
+    return joins and not all(isinstance(node.part, Source) for node in unit.entrances)
+
+
+def _by_instant(push: Push) -> Push:
+    """Return a function that pushes the rows of one instant after those of another, as a live run does.
+
+    Else a join would sort rows that an operator held back among those that arrived with them.
+    """
+
+    def push_each(*batches: Batch) -> list[Delivery]:
+        reached = [
+            np.maximum.accumulate(batch.time) for batch in batches
+        ]  # late rows stay after earlier ones
+        instants = np.unique(np.concatenate(reached))
+        if len(instants) <= 1:
+            return push(*batches)
+        cuts = [np.searchsorted(times, instants, "right").tolist() for times in reached]
+        pieces = zip(*(zip([0, *each], each, strict=False) for each in cuts), strict=True)
+        return [
+            delivery
+            for spans in pieces
+            for delivery in push(*(each[a:b] for each, (a, b) in zip(batches, spans, strict=True)))
+        ]
+
+    return push_each
 
 
 def _fingers(sink: Node, stream: Node) -> tuple[int, ...]:

@@ -1,7 +1,7 @@
 import re
 from collections import defaultdict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import new_class
 from typing import Any, cast
 
@@ -18,6 +18,7 @@ from operators import (
     BatchError,
     Debounce,
     DeviceClock,
+    Join,
     Motion,
     Operator,
     OperatorError,
@@ -34,7 +35,7 @@ from operators import (
 )
 from operators.batch import Counts, Reals
 from operators.operator import output_type
-from operators.steps import Record, RowType, Steps
+from operators.steps import Record, RowType, Steps, copy
 from tests.operators import test_conformance as suite
 
 
@@ -236,6 +237,52 @@ def test_an_empty_batch_needs_not_the_number_of_cells_of_the_fingertip() -> None
 
 
 # --- fused operators between those of users --------------------------------------------------------------
+
+
+@dataclass
+class HoldBack(Operator[Scores, Scores]):
+    held: Scores = field(default_factory=Scores.empty, init=False)
+
+    def process(self, batch: Scores) -> Scores:
+        rows = concat(Scores, [self.held, batch])
+        self.held = rows[-3:]
+        return rows[:-3]
+
+
+def store(settings: Record, state: Record, row: Record) -> None:
+    state.right = row.probability
+
+
+def add(settings: Record, state: Record, row: Record) -> None:
+    copy(state.left, row)
+    state.waits = True
+
+
+def give(settings: Record, state: Record, out: Record) -> bool:
+    copy(out, state.left)
+    out.probability += state.right
+    waits, state.waits = state.waits, False
+    return bool(waits)
+
+
+@dataclass
+class Latest(Join[Scores, Scores, Scores]):
+    def steps(self, *given: RowType) -> Steps:
+        state = {"left": np.zeros((), given[0].packed), "right": 0.0, "waits": False}
+        return Steps({}, state, takes=(add, store), give=give)
+
+
+def test_a_join_sees_rows_that_an_operator_held_back_as_late_as_row_by_row() -> None:
+    flow, given = Flow("late"), Scores.rows(np.arange(40) * 10 * ms, np.arange(40) / 100)
+    stream = flow.source(TestSource(Scores))
+    (stream & (stream | HoldBack()) | Latest()).to(TestSink())
+    expected = [0.0, 0.01, 0.02, 0.03, 0.05, 0.07]
+    for pieces in ([given], [given[:17], given[17:]], [given[i : i + 1] for i in range(40)]):
+        compiled = CompiledFlow(flow)
+        found: list[Any] = [
+            batch for each in pieces for _, batch in compiled.push({compiled.entries[0]: each})
+        ]
+        assert concat(Scores, found).probability[:6].round(2).tolist() == expected
 
 
 def passing(kind: type[Batch]) -> Operator[Any, Any]:
