@@ -66,8 +66,10 @@ class Part:
         return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
 
 
-def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> list[Part]:
+def interpret(table: RawTable, stated: ColumnMap, *, split: bool, steps: Mapping[str, float]) -> list[Part]:
     """Interpret a table by what the user states; with `split`, a clock that starts again begins another part.
+
+    `steps` has the resolution of earlier recordings by unit.
 
     Raises:
         InputError: that lists all problems, with a map that solves them.
@@ -77,7 +79,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
         raise InputError(table.file, "has no columns of numbers or texts" if len(table) else "has no rows")
     columns = with_decimal(table, completed(table, stated))
     columns, time, ends = time_axis(table, replace(columns, separator=table.separator), split=split)
-    columns, counts, valid = readings_of(table, columns)
+    columns, counts, valid = readings_of(table, columns, steps)
     velocity, labels = _velocity(table, columns), _labels(table, columns)
     table.stop()
     fingertip, parts = described(columns, columns.rate) if columns.rate else None, list[Part]()
@@ -134,11 +136,15 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
     found = texts.replace_strict(codes, return_dtype=pl.Int8)
     if words := [text for text, code in codes.items() if code is None]:
         listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
-        text = f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
-        slips = [text for text in codes if known.get(label_value(text)) == "slip" and SLIP_WORD.search(text)]
-        fix = None if columns.labels else f"labels.slip={','.join(slips) or 'WORD'}"
-        table.add_problem(text, place, fix=fix)
+        if columns.labels:
+            fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *words))}"
+            table.add_problem(f"has {listed}, which no label in the map has; state {fix}", place, fix=fix)
+        else:
+            usual = [text for text in codes if known.get(label_value(text)) == "slip"]
+            fix = f"labels.slip={','.join(filter(SLIP_WORD.search, usual)) or 'WORD'}"
+            text = f"has {listed}, neither slip nor static by usual words"
+            table.add_problem(f"{text}; state labels.slip=... (others: static)", place, fix=fix)
     given = [(label, [text for text in codes if text and codes[text] == LABELS[label]]) for label in LABELS]
     meanings = "; ".join(f"{label}: {', '.join(words):.100}" for label, words in given if words)
     table.notes += [meanings] if meanings else []

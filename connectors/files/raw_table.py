@@ -16,6 +16,7 @@ VALUES: Final = 1 << 26  # of a file; an import takes about 48 bytes of memory f
 COLUMN_LIMIT: Final = 4096
 
 _SHOWN: Final = 8  # problems in an error
+_NAMES_SHOWN: Final = 20
 
 
 @dataclass
@@ -104,14 +105,10 @@ class RawTable:
             raise InputError(self.file, f"has {len(self.problems)} problems: {text}{remedy}")
 
 
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return names as text, without those beyond `most`.
-
-    >>> listed(["a", "b", "c", "d"], 2)
-    'a b and 2 more'
-    """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return " ".join(names[:most]) + more
+def listed(names: Sequence[str]) -> str:
+    """Return names as text, without those beyond the first `_NAMES_SHOWN`."""
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    return " ".join(names[:_NAMES_SHOWN]) + more
 
 
 def check_size(where: str, values: int, columns: int = 0) -> None:

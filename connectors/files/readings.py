@@ -1,6 +1,6 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -11,7 +11,7 @@ from connectors.files.number_format import reals
 from connectors.files.raw_table import RawTable, listed
 from operators.batch import Counts, Flags, Reals, Times, Touch, s
 from operators.errors import ParameterError
-from operators.fingertip import TAKKTILE, Fingertip, grid
+from operators.fingertip import Fingertip, usual_layout
 
 COUNT_LIMIT: Final = 32767  # largest absolute count
 
@@ -22,16 +22,20 @@ _SENTINELS: Final = (  # usual values for no reading
     *(-99.0, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, -1.0),
     *(32767.0, -32768.0, 65535.0, 4294967295.0, 1e10),
 )
+_MANY, _FEW = 20, 4  # different values of a signal, and what is none any more
 _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
 _ENOUGH: Final = 100  # rows, after which a cell that works has changed
 _FAR: Final = 1 << 53  # counts; larger ones are not exact
 
 
-def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts, Flags]:
+def readings_of(
+    table: RawTable, columns: ColumnMap, steps: Mapping[str, float]
+) -> tuple[ColumnMap, Counts, Flags]:
     """Return the readings of a table as counts (n, cells), and which are valid.
 
     The map gets resolution, offset, missing and zeroed. Readings that mean none become invalid.
+    The resolution is the stated one, else that of earlier files in `steps`, by unit, else concluded.
     """
     names, readings = columns.cell_names, _read(table, columns)
     missing = columns.missing
@@ -47,19 +51,56 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
     if zeroed is None:
         zeroed = _is_zeroed(readings)
         table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
-    resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
-    if columns.resolution is not None and not _is_multiple(readings, resolution):
+    stated = columns.resolution
+    given = stated or steps.get(columns.unit)
+    resolution = given or resolution_of(readings, offset=not zeroed)
+    if given and not _is_multiple(readings, resolution):
         table.warn(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
     offset = columns.offset
     if offset is None and not zeroed and (found := offsets(readings, resolution)).any():
         offset = tuple(map(int, found))
     columns = replace(columns, resolution=resolution, offset=offset, zeroed=zeroed, missing=missing)
+    if stated is None and (lost := _lost_cells(readings, resolution)):
+        _add_lost_signal(table, readings, columns, lost, inherited=bool(given))
     counts, good = counts_of(readings, columns)
     for cell, (name, middle) in enumerate(zip(names, np.resize(offset or 0, len(names)), strict=True)):
         low, high = (middle - COUNT_LIMIT) * resolution, (middle + COUNT_LIMIT) * resolution
         table.check(name, good[:, cell], f"from {low:g} to {high:g} at a resolution of {resolution:g}")
     _warn_of_implausible(table, readings, columns)
     return columns, counts, ~np.isnan(readings)
+
+
+def _lost_cells(readings: Reals, resolution: float) -> list[int]:
+    """Return the cells whose readings (n, cells) have many values, of which steps of a resolution leave few."""
+    low, high = _quantiles(readings, 0.01), _quantiles(readings, 0.99)
+    lost = list[int]()
+    for cell, some in enumerate(readings[:: len(readings) // _SAMPLE + 1].T):
+        values = np.unique(some[(low[cell] <= some) & (some <= high[cell])])
+        if len(values) >= _MANY and len(np.unique(np.rint(values / resolution))) < _FEW:
+            lost.append(cell)
+    return lost
+
+
+def _add_lost_signal(
+    table: RawTable, readings: Reals, columns: ColumnMap, lost: Sequence[int], *, inherited: bool
+) -> None:
+    """Add the problem that the resolution destroys the signal of cells, with its cause and remedy."""
+    names, far = columns.cell_names, np.abs(readings - _quantiles(readings, 0.5))
+    row, cell = divmod(int(np.nanargmax(far)), len(names))  # of the reading farthest from others of its cell
+    cause, remedy, fix = f"for the range of {names[cell]}", "import them as separate sessions", None
+    if inherited:
+        cause, remedy = "as in earlier files", "import this file first, or into another dataset"
+    elif cell in lost:
+        outlier = float(readings[row, cell])
+        missing = [repr(each).removesuffix(".0") for each in (*(columns.missing or ()), outlier)]
+        cause, fix = (
+            f"because {table.place_of(row, names[cell])} is {missing[-1]}",
+            f"missing={','.join(missing)}",
+        )
+        remedy = f"state {fix} if it is no reading"
+    constant = listed([names[each] for each in lost])
+    reason = f"steps of {columns.resolution:g} {columns.unit}, {cause}, make {constant} almost constant"
+    table.add_problem(f"{reason}: {remedy}; resolution={columns.resolution:g} accepts it", fix=fix)
 
 
 def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:
@@ -106,8 +147,6 @@ def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
     """Return the counts (n, cells) of readings, 0 for missing ones, and which readings a count can store."""
     counts = np.rint(readings / (columns.resolution or 1.0) - np.array(columns.offset or (0,)))
     good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
-    if columns.has_counts:
-        good &= ~(readings % 1 > 0)
     stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
     return stored, good
 
@@ -129,7 +168,7 @@ def described(columns: ColumnMap, rate: float) -> Fingertip:
         ParameterError: if the layout does not fit the cells.
     """
     cells = len(next(iter(columns.cells.values())))
-    layout = columns.layout or (TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells))
+    layout = columns.layout or usual_layout(cells)
     if columns.layout is not None and Fingertip(layout, 1.0).cells != cells:
         must_be = f"of {cells} cells, as many as the counts have"
         raise ParameterError("Trace", "layout", layout_text(layout), must_be)

@@ -27,6 +27,7 @@ from connectors.files.column_map import (
     expanded,
 )
 from connectors.files.raw_table import RawTable, listed
+from connectors.files.time_axis import is_text_of_time
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
 
@@ -54,6 +55,10 @@ _WORDS: Final = {  # usual values of labels
     }.items()
 }
 SLIP_WORD: Final = re.compile("slip|slid|rutsch|gleit|schlupf", re.IGNORECASE)
+_FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip measured a row
+    "(finger|fingertip|sensor|side|hand|pad|device)(id|index|name|number|nr|no)?"
+)
+_FINGERTIPS: Final = 16  # at most, in such a column
 _FEW: Final = 20  # values of labels
 _HEAD: Final = 20  # rows that tell what a column is
 _SYNONYMS: Final = {  # of units, in lower case
@@ -112,9 +117,11 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
             reason = "no column is recognised as time; state time=..., or rate=... if it has none"
             table.add_problem(reason, about=TIME)
     found = {key: names for key, names in found.items() if names}
+    used = {name for names in found.values() for name in names}
+    unused = [each for each in free if each not in used]
+    _check_interleaved(table, unused)
     if LABEL not in {*found, *stated.columns} and stated.labelled is None:
-        used = {name for names in found.values() for name in names}
-        for name in [each for each in free if each not in used]:
+        for name in unused:
             words = table.columns[name].unique().cast(pl.String, strict=False).drop_nulls()
             if 1 < len(words) <= _FEW and any(map(SLIP_WORD.search, (name, *words))):
                 table.warn(f"column {name} may have labels: state label={name}")
@@ -128,6 +135,19 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
     wide = len(layout.names) // layout.rows
     table.notes.append(f"layout {layout.rows}x{wide} by the names")
     return replace(columns, layout=grid(len(layout.names), wide))
+
+
+def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
+    """Add the problem that rows of several fingertips alternate, by a column that tells the fingertip."""
+    for name in filter(lambda each: _FINGERTIP.fullmatch(_word(each)), unused):
+        column = table.columns[name]
+        many, changes = column.n_unique(), int(column.rle_id()[-1])
+        if 1 < many <= _FINGERTIPS and changes >= many:
+            split = f"for (one,), rows in frame.group_by({name!r}): import_frame(rows, OUT, f'NAME-{{one}}')"
+            reason = (
+                f"column {name} alternates between {many} fingertips: import each in Python, with {split}"
+            )
+            table.add_problem(f"{reason}; or delete the column, if it does not tell fingertips")
 
 
 def cell_groups(names: Sequence[str]) -> list[CellGroup]:
@@ -244,7 +264,8 @@ def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ..
 
 
 def _has_usual_name(quantity: str, name: str) -> bool:
-    return bool(re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, name)[0])))
+    usual = re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, name)[0]))
+    return bool(usual) and name != "V"  # volts
 
 
 def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
@@ -266,27 +287,43 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
 def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTable) -> dict[str, str]:
     """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
     units = dict(stated.units)
-    for key, names in found.items():
-        if (quantity := _quantity(key)) not in UNITS or quantity in units:
-            continue
-        below = [table.units.get(name, "") for name in names]
-        known = {
-            split_unit(quantity, name)[1] or split_unit(quantity, f"x [{unit}]")[1]
-            for name, unit in zip(names, below, strict=True)
-        }
-        unit = known.pop() if len(known) == 1 else ""
-        if quantity == TIME and not (unit := unit or unit_in(_word(names[0]).removeprefix("time"), (TIME,))):
-            continue
-        like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
-        endings = [_suffix(split_unit(COUNTS, name)[0]) for name in names]
-        if like and unit not in like:
-            table.add_problem(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")
-        elif quantity == COUNTS and any(map(is_temperature, endings)):
-            reason = f"column {names[0]} is a temperature, not a cell (or state units.counts=...)"
-            table.add_problem(reason, about=COUNTS)
-        else:
-            units[quantity] = unit or next(iter(UNITS[quantity]))
+    for quantity in UNITS:
+        names = [name for key, each in found.items() if _quantity(key) == quantity for name in each]
+        if names and quantity not in units and (unit := _common_unit(quantity, names, table)):
+            units[quantity] = unit
     return units
+
+
+def _common_unit(quantity: str, names: Sequence[str], table: RawTable) -> str:
+    """Return the unit of all columns of a quantity; empty: it is a problem, or that of a time is not told."""
+    known = dict[str, str]()  # first column by unit
+    for name in names[:3] if quantity == VELOCITY else names:  # an angular velocity is in rad/s
+        known.setdefault(_unit_of(quantity, name, table), name)
+    unit = next(iter(known))
+    like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
+    state = f"state units.{quantity}="
+    if len(known) > 1:
+        given = " and ".join(f"{name} is in {each or 'no unit'}" for each, name in known.items())
+        table.add_problem(f"column {given}: convert them to one unit, or {state}...")
+    elif like and unit not in like:
+        table.add_problem(f"unit {unit} may be {' or '.join(like)}; {state}{like[0]}")
+    elif quantity == COUNTS and any(is_temperature(_suffix(split_unit(COUNTS, name)[0])) for name in names):
+        table.add_problem(f"column {names[0]} is a temperature, not a cell (or {state}...)", about=COUNTS)
+    elif quantity != COUNTS and unit and not like:
+        choice = ", ".join(UNITS[quantity])
+        table.add_problem(f"unit {unit} of column {names[0]} is none of {choice}: convert it, or {state}...")
+    elif quantity == TIME:
+        return unit or unit_in(_word(names[0]).removeprefix("time"), (TIME,))
+    else:
+        return unit or next(iter(UNITS[quantity]))
+    return ""
+
+
+def _unit_of(quantity: str, name: str, table: RawTable) -> str:
+    """Return the unit in a column's name or below it; empty: it has none."""
+    below = table.units.get(name, "").strip("-")
+    unit = split_unit(quantity, name)[1] or split_unit(quantity, f"x [{below}]")[1]
+    return unit or ("" if is_text_of_time(table.columns[name]) else below)
 
 
 def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable) -> list[str]:

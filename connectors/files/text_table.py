@@ -28,7 +28,7 @@ _DATE: Final = r"\d{1,4}[-/. ](\d{1,2}|[a-z]{3})[-/. ]\d{1,4}"
 _VALUE: Final = re.compile(  # a number, a date, a time, or nothing
     r"|[+\-\u2212]?[\d.,'\u2019\u00a0\u202f ]*\d[\d.,]*(e[+-]?\d+)?"
     rf"|[+-]?(nan|inf|na|n/a|null|none|true|false)|{_DATE}|((\d{{8}}|{_DATE}|\d+ days?)[T_,; ]+)?"
-    r"\d{1,2}:\d{2}[\d:.,]*( ?[ap]m)?( ?(z|utc|gmt|[+-]\d\d:?\d\d))?",
+    r"\d{1,2}:\d{2}[\d:.,]*( ?[ap]m)?( ?(z|utc|gmt|[+-]\d\d(:?\d\d)?))?",
     re.IGNORECASE,
 )
 
@@ -128,8 +128,10 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
         first = min([*rows][1:], default=first + 1)  # names such as t,1,2,3
     above = [number for number in range(begin, first) if lines[number].strip()]
     units = [each.strip("[](){}<> ") for each in _fields(lines[above[-1]], sign)] if above[1:] else []
-    known = {*units} - {"", "-"}
-    units = units if known and all(map(unit_in, known)) and len(units) >= width - 1 else []
+    filled = [each for each in units if each.strip("-")]
+    known = 2 * sum(bool(unit_in(each)) for each in filled) > len(filled)
+    widths = [len(_fields(lines[number], sign)) for number in above[-2:]]  # of the names, and of the units
+    units = units if known and min(widths) >= width - 1 else []
     above = above[:-1] if units else above
     names = _fields(lines[above[-1]], sign) if above else []
     if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):

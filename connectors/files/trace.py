@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
@@ -19,12 +20,13 @@ if TYPE_CHECKING:
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
 _DEFAULT: Final = ColumnMap()
+_NO_STEPS: Final[Mapping[str, float]] = MappingProxyType({})
 
 
 class Trace:
     """`Recording` of fingertips, and of the motion if there is one, loaded completely and checked.
 
-    The file is read at the first access of an attribute, not by the declaration of a flow. Other columns are
+    The file is read at the first access of `part`, not by the declaration of a flow. Other columns are
     ignored. Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an
     offset. A missing reading is an invalid cell. Temperatures are 0 (unknown) and the pose is NaN. A speed
     becomes a velocity along x of the base frame. A row without a velocity adds no row of motion.
@@ -37,8 +39,7 @@ class Trace:
         about: Further entries of the description, such as ``group``, the surface or object.
 
     Attributes:
-        part: All that was read and concluded; its attributes, such as `touch`, `motion`, `labels`, `columns`
-            and `warnings`, are also those of the trace.
+        part: All that was read and concluded: `touch`, `motion`, `labels`, `columns`, `warnings` and more.
 
     Raises:
         InputError: if the file cannot be read, or has invalid values; it lists all problems.
@@ -66,12 +67,6 @@ class Trace:
         """
         [part] = interpreted(self._source, self._columns, name=self.name)
         return part
-
-    def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the part, which is read at the first access."""
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.part, name)
 
     @property
     def kind(self) -> type[Touch]:
@@ -123,9 +118,16 @@ class Trace:
 
 
 def interpreted(
-    source: "Any | Part", columns: ColumnMap = _DEFAULT, *, name: str = "table", split: bool = False
+    source: "Any | Part",
+    columns: ColumnMap = _DEFAULT,
+    *,
+    name: str = "table",
+    split: bool = False,
+    steps: Mapping[str, float] = _NO_STEPS,
 ) -> "list[Part]":
     """Return the parts of a source as of a `Trace`; `split`: a clock that starts again begins another one.
+
+    `steps` has the resolution of earlier recordings by unit, which the map overrides.
 
     Raises:
         InputError: if it cannot be read; it lists all problems.
@@ -139,14 +141,14 @@ def interpreted(
     if isinstance(source, Part):
         return [source]
     if isinstance(source, str | Path):
-        return interpret(read_table(Path(source), columns.separator), columns, split=split)
+        return interpret(read_table(Path(source), columns.separator), columns, split=split, steps=steps)
     try:
         source = _upright(source) if isinstance(source, Mapping) else _with_index(source)
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
-    return interpret(RawTable.of(frame, name), columns, split=split)
+    return interpret(RawTable.of(frame, name), columns, split=split, steps=steps)
 
 
 def _with_index(frame: Any) -> Any:

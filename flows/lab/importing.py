@@ -26,6 +26,7 @@ from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Labelled, Motion, Touch
 from operators.errors import InputError, ParameterError, SlipflowError
+from operators.fingertip import TAKKTILE
 from operators.ports import Description
 from storage import Dataset
 from storage.description import read_session
@@ -130,7 +131,8 @@ class TraceImport:
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:.9g} to {high:.9g}  (readings {way} as the pressure rises)")
         else:
-            assumed = "1023 counts, falling" if found.unit == "count" else "the direction of the training"
+            takktile = found.unit == "count" and part.touch.cells == TAKKTILE.cells
+            assumed = "1023 counts, falling" if takktile else "the direction of the training"
             lines.append(f"  range    unknown: detectors assume {assumed}; state range=LOW:HIGH")
         if part.unused:
             lines.append(f"  not used {listed(part.unused)}")
@@ -265,14 +267,13 @@ def import_files(
 
 
 def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bool) -> list[Part]:
-    """Return the parts of a file; their unit gets the resolution in `steps`, if it is there."""
+    """Return the parts of a file; `steps` has the resolution of earlier files by unit, and gets its own."""
     if path.is_dir():
         raise InputError(str(path), f"is a folder: give {path}/*.csv")
-    found = interpreted(path, columns, split=split)
+    found = interpreted(path, columns, split=split, steps=steps)
     _check_rate(found[0])
-    unit, resolution = found[0].columns.unit, found[0].resolution
-    if columns.resolution is None and steps.setdefault(unit, resolution) != resolution:
-        found = interpreted(path, replace(columns, resolution=steps[unit]), split=split)
+    if columns.resolution is None:
+        steps.setdefault(found[0].columns.unit, found[0].resolution)
     return found
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
+from connectors.files.interpretation import Part
 from connectors.files.number_format import reals, with_decimal
 from connectors.files.raw_table import RawTable
 from connectors.files.time_axis import of_texts
@@ -130,10 +131,10 @@ def test_other_times_are_read_or_refused(text: str, expected: int | None) -> Non
     assert of_texts(pl.Series([text]), "dmy")[0] == expected
 
 
-def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Trace:
+def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Part:
     count = np.arange(len(times))
     cells = {"p0": 500 + count % 5, "p1": 500 - count % 7}
-    found = Trace({name: times, **cells, **more}, ColumnMap.parse(columns))
+    found = Trace({name: times, **cells, **more}, ColumnMap.parse(columns)).part
     assert len(found.touch) == len(times)  # reads it
     return found
 
@@ -285,7 +286,7 @@ def test_the_map_that_an_error_suggests_reads_the_file_and_keeps_what_was_stated
     frame = {**columns, "left": [500 + k % 5 for k in range(60)], "right": [500 - k % 7 for k in range(60)]}
     for _ in range(3):  # of each call, all problems that do not depend on others
         try:
-            assert len((found := Trace(frame, ColumnMap.parse(stated))).touch) == 60
+            assert len((found := Trace(frame, ColumnMap.parse(stated)).part).touch) == 60
             break
         except InputError as error:
             [_, suggested] = shlex.split(str(error).rpartition("; try ")[2])

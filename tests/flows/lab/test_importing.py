@@ -157,10 +157,10 @@ def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Wri
     path = write(f"t,{CELLS},v", lines)
     trace_import = read(path, tmp_path)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
-    [doubt] = trace_import.trace.warnings
+    [doubt] = trace_import.trace.part.warnings
     assert "at up to 40 m/s: is its speed in another unit?" in doubt
-    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).trace.warnings == ()
-    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).trace.warnings
+    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).trace.part.warnings == ()
+    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).trace.part.warnings
     assert "the rate is 1e+05 Hz" in doubt
 
 
@@ -289,7 +289,7 @@ def test_an_index_of_pandas_is_the_time(index: Any, tmp_path: Path) -> None:
     frame = pd.DataFrame({"p0": np.arange(300), "p1": np.arange(300)}, index=index)
     found = import_frame(frame, tmp_path, "pad")
     assert found.trace.part.columns.rate == 100
-    assert found.trace.touch.time[0] == {"t": 0, "stamp": 1777586400 * s}.get(
+    assert found.trace.part.touch.time[0] == {"t": 0, "stamp": 1777586400 * s}.get(
         str(index.name), 1777593600 * s if hasattr(index, "tz") else 0
     )
 
