@@ -139,7 +139,9 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
         if columns.labels:
             fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *words))}"
-            table.add_problem(f"has {listed}, which no label in the map has; state {fix}", place, fix=fix)
+            table.add_problem(
+                f"has {listed}, neither slip nor static by the map; state {fix}", place, fix=fix
+            )
         else:
             usual = [text for text in codes if known.get(label_value(text)) == "slip"]
             fix = f"labels.slip={','.join(filter(SLIP_WORD.search, usual)) or 'WORD'}"

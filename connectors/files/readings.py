@@ -71,7 +71,7 @@ def readings_of(
 
 
 def _lost_cells(readings: Reals, resolution: float) -> list[int]:
-    """Return the cells whose readings (n, cells) have many values, of which steps of a resolution leave few."""
+    """Return the cells whose readings (n, cells) have many values, of which a resolution leaves few."""
     low, high = _quantiles(readings, 0.01), _quantiles(readings, 0.99)
     lost = list[int]()
     for cell, some in enumerate(readings[:: len(readings) // _SAMPLE + 1].T):

@@ -24,7 +24,7 @@ from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
-from operators.batch import Labelled, Motion, Touch
+from operators.batch import Codes, Labelled, Motion, Sample, Touch, concat
 from operators.errors import InputError, ParameterError, SlipflowError
 from operators.fingertip import TAKKTILE
 from operators.ports import Description
@@ -34,6 +34,7 @@ from storage.layout import SESSIONS, session_folders
 
 _DEFAULT: Final = ColumnMap()
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
+_WITHIN: Final = 20 * ms  # of a sample, its motion
 
 
 @dataclass
@@ -82,6 +83,16 @@ class TraceImport:
         columns = self.trace.part.columns
         return "the file" if LABEL in columns.columns else "the map" if columns.labelled else ""
 
+    def labels(self) -> Codes:
+        """Return the labels of the samples of a fingertip (n,), those of the trace or by the arm's speed."""
+        part, align = self.trace.part, Align(within=_WITHIN)
+        if self.label_source or not len(part.motion):
+            return part.labels if self.label_source else part.labels[:0]
+        touch = part.touch
+        zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid, finger=touch.finger)
+        samples = concat(Sample, [align.push(zeroed, part.motion), align.flush()])
+        return replace(_LABEL).push(samples).label
+
     def flow(self, out: Path) -> Flow:
         """Return the flow that writes the dataset `out`."""
         flow, dataset, part = Flow("import"), Dataset(out), self.trace.part
@@ -91,7 +102,7 @@ class TraceImport:
         if len(part.motion):
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
-            samples = (touch | Zero()) & motion | Align(within=20 * ms) | replace(_LABEL)
+            samples = (touch | Zero()) & motion | Align(within=_WITHIN) | replace(_LABEL)
             (samples | attach if self.label_source else samples).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
@@ -154,15 +165,17 @@ class TraceImport:
             moving = f"{np.sum(speeds > _LABEL.speed)} of {len(speeds)} rows"
             moving += f", above {_LABEL.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")
-        if self.label_source:
-            many = {name: int((part.labels == code).sum()) for name, code in LABELS.items()}
-            labels = ", ".join(f"{count} {name}" for name, count in many.items() if count)
-            lines.append(f"  labels of {self.label_source}: {labels}")
-        elif len(part.motion):
-            lines.append(f"  labels by arm speed, slip above {1000 * _LABEL.speed:g} mm/s")
-        else:
-            lines.append("  no labels and no motion: no samples")
+        labels = self.labels()
+        many = {name: int((labels == code).sum()) for name, code in LABELS.items()}
+        by_speed = f"by arm speed, slip above {1000 * _LABEL.speed:g} mm/s"
+        origin = f"of {self.label_source}" if self.label_source else by_speed
+        counted = ", ".join(f"{count} {name}" for name, count in many.items() if count)
+        lines.append(f"  labels {origin}: {counted}" if counted else "  no labels and no motion: no samples")
         lines += [f"  warning: {each}" for each in part.warnings]
+        absent = [name for name in ("slip", "static") if not many[name]]
+        if absent and not self.label_source and np.any(speeds > _LABEL.speed):
+            limits = f"above {_LABEL.speed:g} and below {_LABEL.limit:g} m/s in the base's x-y plane"
+            lines.append(f"  warning: no row is {absent[0]}, but the arm moves: slip is a speed {limits}")
         about = self.trace.describe()
         stated = "".join(f", {name} {about[name]}" for name in ("group", "split") if name in about)
         fingers = " and ".join(map(str, self.trace.fingers(Touch)))

@@ -111,6 +111,7 @@ def test_dates_are_read_in_each_order(
         ("2025-03-26T14:29:06.123456789Z", 1742999346123456789),
         ("2025-03-26 14:29:06+01:00", 1742995746 * s),
         ("2025-03-26 14:29:06.5+05:30", 1742979546500 * ms),
+        ("2025-03-26 14:29:06.5+01", 1742995746500 * ms),  # PostgreSQL
         ("26-Mar-2025 14:29:06", 1742999346 * s),
         ("14:29:60", 52200 * s),
         ("14:29:61", None),
@@ -228,10 +229,14 @@ def test_lost_samples_do_not_lower_the_rate_and_are_counted(
     assert trace([*given.tolist()], f"rate={rate}", "time_ns").columns.rate == rate
 
 
-def test_a_stated_rate_that_the_rows_miss_is_a_warning() -> None:
-    found = trace([k / 60 for k in range(60)], "rate=100")
-    assert "has 60 rows per second, not 100: wrong unit of the time, or lost rows?" in found.warnings
+def test_a_stated_rate_that_the_rows_miss_is_a_warning_only_if_gaps_show_the_loss() -> None:
+    lossy = np.delete(np.arange(1000) / 100, SOME[:400])
+    found = trace([*lossy.tolist()], "rate=100")
+    assert "has 59.96 rows per second, not 100: wrong unit of the time, or lost rows?" in found.warnings
     assert found.columns.rate == 100
+    for rate in (60, 90, 112, 190):
+        with pytest.raises(InputError, match=rf"has 100 rows per second, not {rate}: wrong unit"):
+            trace([k / 100 for k in range(600)], f"rate={rate}")
 
 
 def test_times_in_whole_seconds_are_no_pauses() -> None:

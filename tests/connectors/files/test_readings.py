@@ -1,5 +1,8 @@
 """Readings in any unit as counts of 16 bits, and their fingertip."""
 
+import re
+import shlex
+
 import numpy as np
 import polars as pl
 import pytest
@@ -107,6 +110,34 @@ def test_a_given_resolution_is_kept_and_must_fit() -> None:
     assert Trace(table([2.5, 1000]), columns(resolution=0.5)).part.touch.counts[:, 0].tolist() == [5, 2000]
     with pytest.raises(InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a"):
         _ = Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4)).part.touch
+
+
+@pytest.mark.parametrize(
+    ("cell", "value", "message"),
+    [
+        (0, 3.2e6, "because row 40, column p0 is 3200000, make p0 p1 almost constant: state missing=3200000"),
+        (1, 7e6, "steps of 250 kPa, because row 40, column p1 is 7000000, make p0 p1 almost constant: state"),
+        (
+            2,
+            2e8,
+            "steps of 10000 kPa, for the range of p2, make p0 p1 almost constant: import them as separate",
+        ),
+    ],
+)
+def test_an_automatic_resolution_that_destroys_a_signal_is_refused_with_its_cause(
+    cell: int, value: float, message: str
+) -> None:
+    cells = np.round(101 + np.random.default_rng(0).random((3, 200)), 3)
+    cells[2] = 1.0  # broken
+    cells[cell, 40 if cell < 2 else slice(40, 200)] = value
+    frame, text = table(*cells.tolist()), "counts=p0..p2,units.counts=kPa"
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        _ = Trace(frame, ColumnMap.parse(text)).part
+    if cell < 2:
+        [_, suggested] = shlex.split(str(caught.value).rpartition("; try ")[2])
+        assert Trace(frame, ColumnMap.parse(suggested)).part.resolution == 0.001
+    rounded = Trace(frame, ColumnMap.parse(f"{text},resolution=10000")).part
+    assert "the readings are rounded to steps of 10000 kPa" in rounded.warnings
 
 
 def described(text: str, cells: int = 4, base: float = 100) -> Fingertip:

@@ -1,5 +1,6 @@
 """Roles, units and layouts by the names of columns."""
 
+import re
 from collections.abc import Sequence
 
 import polars as pl
@@ -31,7 +32,7 @@ def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
         ),
         (("t", *CELLS, "Slip", "v", "other"), {"label": ("Slip",), "speed": ("v",)}),
         (("t", *CELLS, "vx", "vy", "vz", "v"), {"velocity": ("vx", "vy", "vz")}),
-        (("t", *CELLS, "vx", "vy", "v"), {"speed": ("v",)}),
+        (("t", *CELLS, "vx", "vy", "v", "V"), {"speed": ("v",)}),  # V are volts
         # T is a temperature, b1 alone no fingertip
         (("t", "T", *CELLS, "b1"), {"time": ("t",), "counts": CELLS}),
         (("Date", "Time", *CELLS), {"date": ("Date",), "time": ("Time",)}),
@@ -116,6 +117,61 @@ def test_an_error_lists_all_problems_with_a_map_of_the_columns(
 )
 def test_units_are_read_from_the_names(names: tuple[str, ...], units: dict[str, str]) -> None:
     assert roles(names).units == units
+
+
+@pytest.mark.parametrize(
+    ("names", "columns", "complaint"),
+    [
+        (
+            ("t", "a0 [kPa]", "a1 [kPa]", "b0 [mbar]", "b1 [mbar]"),
+            "counts.0=a0 [kPa],a1 [kPa],counts.1=b0 [mbar],b1 [mbar]",
+            "column a0 [kPa] is in kPa and b0 [mbar] is in mbar: convert them to one unit, or state",
+        ),
+        (
+            ("t", "left [kPa]", "right"),
+            "counts=left [kPa],right",
+            "left [kPa] is in kPa and right is in no unit",
+        ),
+        (
+            ("t", *CELLS, "vx [mm/s]", "vy [mm/s]", "vz"),
+            "velocity=vx [mm/s],vy [mm/s],vz",
+            "column vx [mm/s] is in mm/s and vz is in no unit: convert them",
+        ),
+    ],
+)
+def test_columns_of_one_quantity_with_different_units_are_refused(
+    names: tuple[str, ...], columns: str, complaint: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(complaint)):
+        roles(names, columns)
+    quantity = columns.partition("=")[0].partition(".")[0]
+    unit = "kPa" if quantity == "counts" else "mm/s"
+    assert roles(names, f"{columns},units.{quantity}={unit}").units[quantity] == unit
+
+
+def test_the_angular_velocity_may_have_a_unit_of_its_own() -> None:
+    axes = [f"v{axis} [mm/s]" for axis in "xyz"] + [f"w{axis} [rad/s]" for axis in "xyz"]
+    assert roles(("t", *CELLS, *axes), f"velocity={','.join(axes)}").units["velocity"] == "mm/s"
+
+
+@pytest.mark.parametrize(
+    ("fingers", "refused"),
+    [
+        ([0, 1] * 30, True),
+        ([*["left"] * 20, *["right"] * 20, *["left"] * 20], True),
+        ([*["left"] * 30, *["right"] * 30], False),
+        ([0] * 60, False),
+        ([*range(60)], False),
+    ],
+)
+def test_rows_of_fingertips_that_alternate_are_refused(fingers: list[object], *, refused: bool) -> None:
+    frame = {"t": [*range(60)], "p0": [*range(60)], "p1": [*range(60)], "sensor_id": fingers}
+    table = RawTable.of(pl.DataFrame(frame), "pad")
+    completed(table, ColumnMap())
+    reasons = [reason for _, reason in table.problems.values()]
+    assert len(reasons) == refused
+    for reason in reasons:
+        assert reason.startswith("column sensor_id alternates between 2 fingertips: import each in Python")
 
 
 @pytest.mark.parametrize(

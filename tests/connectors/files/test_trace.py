@@ -103,6 +103,10 @@ def test_the_batches_of_any_size_are_the_whole_trace(write: Write, length: int, 
 
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
 LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
+UNKNOWN = (
+    "neither slip nor static by the map; state labels.unknown=west; try --map time=t,counts=s1,label=state,"
+    "labels.slip=north,labels.static=none,labels.unknown=west"
+)
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
 ORDER = "in order: sort the rows by time, or delete this one"
@@ -167,7 +171,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         (
             "t,s1,state|0,1,north|1,1,west",
             "label=state,labels.slip=north,labels.static=none",
-            ", line 3, column state: has 'west', " + LABEL,
+            f", line 3, column state: has 'west', {UNKNOWN}",
         ),
         ("", "", ": is empty: its first line must name the columns"),
         ("sep=;", "", f": {NO_ROWS}"),
