@@ -66,10 +66,8 @@ class Part:
         return float(readings.min() * self.resolution), float(readings.max() * self.resolution)
 
 
-def interpret(table: RawTable, stated: ColumnMap, *, split: bool, steps: Mapping[str, float]) -> list[Part]:
+def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> list[Part]:
     """Interpret a table by what the user states; with `split`, a clock that starts again begins another part.
-
-    `steps` has the resolution of earlier recordings by unit.
 
     Raises:
         InputError: that lists all problems, with a map that solves them.
@@ -79,7 +77,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool, steps: Mapping
         raise InputError(table.file, "has no columns of numbers or texts" if len(table) else "has no rows")
     columns = with_decimal(table, completed(table, stated))
     columns, time, ends = time_axis(table, replace(columns, separator=table.separator), split=split)
-    columns, counts, valid = readings_of(table, columns, steps)
+    columns, counts, valid = readings_of(table, columns)
     velocity, labels = _velocity(table, columns), _labels(table, columns)
     table.stop()
     fingertip, parts = described(columns, columns.rate) if columns.rate else None, list[Part]()
@@ -95,7 +93,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool, steps: Mapping
             where = f"{table.file}, {table.place} {table.numbers[start]}"
             raise InputError(where, "begins a part without readings: delete the part")
         doubts = [text for row, text in table.warnings if row is None or start <= row < stop]
-        warnings = [*doubts, *doubts_at_rest(touch)]
+        warnings = [*doubts, *doubts_at_rest(time[rows], np.where(valid[rows], counts[rows], np.nan))]
         if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
             warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):

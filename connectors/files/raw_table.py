@@ -91,10 +91,8 @@ class RawTable:
         Raises:
             InputError: that lists all problems, and a map that solves them.
         """
-        solved = {fix.partition("=")[0] for fix in self.fixes}
-        items = [each for each in self.suggested if each.partition("=")[0] not in solved]
-        items += [fix for fix in self.fixes if fix]
-        remedy = f"; try --map {quote(','.join(items))}" if self.fixes else ""
+        items = {item.partition("=")[0]: item for item in (*self.suggested, *self.fixes) if item}
+        remedy = f"; try --map {quote(','.join(items.values()))}" if self.fixes else ""
         if len(self.problems) == 1:
             [(place, reason)] = self.problems.values()
             raise InputError(f"{self.file}, {place}" if place else self.file, f"{reason}{remedy}")

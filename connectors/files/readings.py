@@ -1,6 +1,5 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -9,7 +8,7 @@ import numpy as np
 from connectors.files.column_map import COUNTS, ColumnMap, layout_text
 from connectors.files.number_format import reals
 from connectors.files.raw_table import RawTable, listed
-from operators.batch import Counts, Flags, Reals, Times, Touch, s
+from operators.batch import Counts, Flags, Reals, Times, Touch, Zeroed, s
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip, usual_layout
 
@@ -29,13 +28,10 @@ _ENOUGH: Final = 100  # rows, after which a cell that works has changed
 _FAR: Final = 1 << 53  # counts; larger ones are not exact
 
 
-def readings_of(
-    table: RawTable, columns: ColumnMap, steps: Mapping[str, float]
-) -> tuple[ColumnMap, Counts, Flags]:
+def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts, Flags]:
     """Return the readings of a table as counts (n, cells), and which are valid.
 
     The map gets resolution, offset, missing and zeroed. Readings that mean none become invalid.
-    The resolution is the stated one, else that of earlier files in `steps`, by unit, else concluded.
     """
     names, readings = columns.cell_names, _read(table, columns)
     missing = columns.missing
@@ -52,7 +48,7 @@ def readings_of(
         zeroed = _is_zeroed(readings)
         table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
     stated = columns.resolution
-    given = stated or steps.get(columns.unit)
+    given = stated or columns.steps.get(columns.unit)
     resolution = given or resolution_of(readings, offset=not zeroed)
     if given and not _is_multiple(readings, resolution):
         table.warn(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
@@ -60,47 +56,42 @@ def readings_of(
     if offset is None and not zeroed and (found := offsets(readings, resolution)).any():
         offset = tuple(map(int, found))
     columns = replace(columns, resolution=resolution, offset=offset, zeroed=zeroed, missing=missing)
-    if stated is None and (lost := _lost_cells(readings, resolution)):
-        _add_lost_signal(table, readings, columns, lost, inherited=bool(given))
-    counts, good = counts_of(readings, columns)
+    if stated is None:
+        _check_signal(table, readings, columns, inherited=given is not None)
+    counts = np.rint(readings / resolution - np.array(offset or (0,)))
+    good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
     for cell, (name, middle) in enumerate(zip(names, np.resize(offset or 0, len(names)), strict=True)):
         low, high = (middle - COUNT_LIMIT) * resolution, (middle + COUNT_LIMIT) * resolution
         table.check(name, good[:, cell], f"from {low:g} to {high:g} at a resolution of {resolution:g}")
     _warn_of_implausible(table, readings, columns)
-    return columns, counts, ~np.isnan(readings)
+    stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
+    return columns, stored, ~np.isnan(readings)
 
 
-def _lost_cells(readings: Reals, resolution: float) -> list[int]:
-    """Return the cells whose readings (n, cells) have many values, of which a resolution leaves few."""
-    low, high = _quantiles(readings, 0.01), _quantiles(readings, 0.99)
-    lost = list[int]()
+def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inherited: bool) -> None:
+    """Add the problem that a concluded resolution leaves few of many different readings of a cell."""
+    names, step, lost = columns.cell_names, columns.resolution or 1.0, list[int]()
+    low, middle, high = (_quantiles(readings, share) for share in (0.01, 0.5, 0.99))
     for cell, some in enumerate(readings[:: len(readings) // _SAMPLE + 1].T):
         values = np.unique(some[(low[cell] <= some) & (some <= high[cell])])
-        if len(values) >= _MANY and len(np.unique(np.rint(values / resolution))) < _FEW:
+        if len(values) >= _MANY and len(np.unique(np.rint(values / step))) < _FEW:
             lost.append(cell)
-    return lost
-
-
-def _add_lost_signal(
-    table: RawTable, readings: Reals, columns: ColumnMap, lost: Sequence[int], *, inherited: bool
-) -> None:
-    """Add the problem that the resolution destroys the signal of cells, with its cause and remedy."""
-    names, far = columns.cell_names, np.abs(readings - _quantiles(readings, 0.5))
-    row, cell = divmod(int(np.nanargmax(far)), len(names))  # of the reading farthest from others of its cell
+    if not lost:
+        return
+    row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))  # farthest from its others
     cause, remedy, fix = f"for the range of {names[cell]}", "import them as separate sessions", None
     if inherited:
         cause, remedy = "as in earlier files", "import this file first, or into another dataset"
     elif cell in lost:
-        outlier = float(readings[row, cell])
-        missing = [repr(each).removesuffix(".0") for each in (*(columns.missing or ()), outlier)]
-        cause, fix = (
-            f"because {table.place_of(row, names[cell])} is {missing[-1]}",
-            f"missing={','.join(missing)}",
-        )
+        missing = [*(columns.missing or ()), float(readings[row, cell])]
+        fix = f"missing={','.join(repr(each).removesuffix('.0') for each in missing)}"
+        cause = f"because {table.place_of(row, names[cell])} is {missing[-1]:.10g}"
         remedy = f"state {fix} if it is no reading"
-    constant = listed([names[each] for each in lost])
-    reason = f"steps of {columns.resolution:g} {columns.unit}, {cause}, make {constant} almost constant"
-    table.add_problem(f"{reason}: {remedy}; resolution={columns.resolution:g} accepts it", fix=fix)
+    constant = f"make {listed([names[each] for each in lost])} almost constant"
+    reason = (
+        f"steps of {step:g} {columns.unit}, {cause}, {constant}: {remedy}; resolution={step:g} accepts it"
+    )
+    table.add_problem(reason, fix=fix)
 
 
 def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:
@@ -143,21 +134,13 @@ def reals_of(table: RawTable, name: str, columns: ColumnMap) -> Reals:
     return found
 
 
-def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
-    """Return the counts (n, cells) of readings, 0 for missing ones, and which readings a count can store."""
-    counts = np.rint(readings / (columns.resolution or 1.0) - np.array(columns.offset or (0,)))
-    good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
-    stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
-    return stored, good
-
-
 def touch_of(columns: ColumnMap, time: Times, counts: Counts, valid: Flags) -> dict[int, Touch]:
     """Return rows with times (n,), counts and valid (n, cells of all fingertips) by fingertip."""
-    found, first = dict[int, Touch](), 0
+    found, first, kind = dict[int, Touch](), 0, Zeroed if columns.zeroed else Touch
     for finger, names in columns.cells.items():
         own = slice(first, first := first + len(names))
         temperature = np.zeros_like(counts[:, own])
-        found[finger] = columns.kind(time, counts[:, own], temperature, valid[:, own], finger=finger)
+        found[finger] = kind(time, counts[:, own], temperature, valid[:, own], finger=finger)
     return found
 
 
@@ -254,10 +237,8 @@ def _sentinels(readings: Reals) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def doubts_at_rest(touch: Mapping[int, Touch]) -> list[str]:
-    """Return the doubt that a fingertip is loaded in the first second of its rows."""
-    time = next(iter(touch.values())).time
-    readings = np.hstack([np.where(each.valid, each.counts, np.nan) for each in touch.values()])
+def doubts_at_rest(time: Times, readings: Reals) -> list[str]:
+    """Return the doubt that a fingertip is loaded in the first second of its readings (n, cells)."""
     start = readings[time <= time[0] + s]
     halves = start[: len(start) // 2 + 1], start[len(start) // 2 :]
     if len(readings) > len(start) and not any(np.isnan(half).all(axis=0).any() for half in halves):

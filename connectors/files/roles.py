@@ -4,7 +4,7 @@ Case counts where it carries meaning: mPa is not MPa, and T is not t.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -24,11 +24,10 @@ from connectors.files.column_map import (
     UNITS,
     VELOCITY,
     ColumnMap,
-    expanded,
+    shortened,
 )
 from connectors.files.raw_table import RawTable, listed
 from connectors.files.time_axis import is_text_of_time
-from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
 
 _NAMES: Final = {  # usual names, without blanks and signs, in lower case
@@ -61,6 +60,7 @@ _FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip me
 _FINGERTIPS: Final = 16  # at most, in such a column
 _FEW: Final = 20  # values of labels
 _HEAD: Final = 20  # rows that tell what a column is
+_NUMBER: Final = r"^[+-]?[\d.,]*\d[\deE.,+-]*$"
 _SYNONYMS: Final = {  # of units, in lower case
     "s": "sec secs second seconds sek sekunden",
     "ms": "msec millis millisecond milliseconds",
@@ -119,6 +119,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
     found = {key: names for key, names in found.items() if names}
     used = {name for names in found.values() for name in names}
     unused = [each for each in free if each not in used]
+    table.fixes += [""] if table.problems else []
     _check_interleaved(table, unused)
     if LABEL not in {*found, *stated.columns} and stated.labelled is None:
         for name in unused:
@@ -127,8 +128,7 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
                 table.warn(f"column {name} may have labels: state label={name}")
     units = _units(found, stated, table)
     columns = replace(stated, columns=found, units=units)
-    table.fixes += [""] if table.problems else []
-    table.suggested = [*_suggested(columns, groups, table), *stated.stated]
+    table.suggested = [*_suggested(columns, unused, groups, table), *stated.stated]
     layout = next((group for group in groups if group.rows and group.names in found.values()), None)
     if layout is None or stated.layout is not None:
         return columns
@@ -171,7 +171,7 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
     return [group for group in groups if not _word(group.names[0]).startswith("temp")]
 
 
-def unit_in(text: str, quantities: tuple[str, ...] = (TIME, COUNTS, SPEED, VELOCITY)) -> str:
+def unit_in(text: str, quantities: Collection[str] = UNITS.keys()) -> str:
     r"""Return the unit that a text is; empty if it is none of the quantities.
 
     >>> unit_in("KPA"), unit_in("mPa"), unit_in("MPA"), unit_in("\u00b5s"), unit_in("seconds")
@@ -274,7 +274,7 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     sure = [group for group in sure if len(group.names) > 1] or sure
     if len(sure) == 1:
         return _matched(COUNTS, sure[0].names, table)
-    several = [_short(group.names) for group in sure or groups]
+    several = [shortened(group.names) for group in sure or groups]
     two = ", or counts.0=... and counts.1=... of two fingertips" if len(several) > 1 else ""
     left_out = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())
     who = f"{' or '.join(several):.200} may be the cells" if several else "no columns are recognised as cells"
@@ -287,36 +287,34 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
 def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTable) -> dict[str, str]:
     """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
     units = dict(stated.units)
-    for quantity in UNITS:
+    for quantity, usual in UNITS.items():
         names = [name for key, each in found.items() if _quantity(key) == quantity for name in each]
-        if names and quantity not in units and (unit := _common_unit(quantity, names, table)):
-            units[quantity] = unit
+        if not names or quantity in units:
+            continue
+        known = dict[str, str]()  # first column by unit
+        for name in names[:3] if quantity == VELOCITY else names:  # an angular velocity is in rad/s
+            known.setdefault(_unit_of(quantity, name, table), name)
+        unit = next(filter(None, known), "")
+        like = [each for each in usual if each.casefold() == unit.casefold()]
+        choices, problem = like or ([] if quantity == COUNTS else [*usual]), ""
+        if len(known) > 1:
+            columns = " and ".join(f"{name} is in {each or 'no unit'}" for each, name in known.items())
+            problem = f"column {columns}: convert them to one unit, or state units.{quantity}=..."
+        elif quantity == COUNTS and any(
+            is_temperature(_suffix(split_unit(COUNTS, each)[0])) for each in names
+        ):
+            problem = f"column {names[0]} is a temperature, not a cell (or state units.counts=...)"
+        elif unit and choices and unit not in choices:
+            must_be = f"must be {' or '.join(choices)}"
+            problem = f"unit {unit} of column {names[0]} {must_be}: state units.{quantity}=..., or convert it"
+        elif quantity == TIME and not unit:
+            unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
+        if problem:
+            table.add_problem(problem, about=quantity)
+            unit = next(iter(like or usual))
+        if unit or quantity != TIME:
+            units[quantity] = unit or next(iter(usual))
     return units
-
-
-def _common_unit(quantity: str, names: Sequence[str], table: RawTable) -> str:
-    """Return the unit of all columns of a quantity; empty: it is a problem, or that of a time is not told."""
-    known = dict[str, str]()  # first column by unit
-    for name in names[:3] if quantity == VELOCITY else names:  # an angular velocity is in rad/s
-        known.setdefault(_unit_of(quantity, name, table), name)
-    unit = next(iter(known))
-    like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
-    state = f"state units.{quantity}="
-    if len(known) > 1:
-        given = " and ".join(f"{name} is in {each or 'no unit'}" for each, name in known.items())
-        table.add_problem(f"column {given}: convert them to one unit, or {state}...")
-    elif like and unit not in like:
-        table.add_problem(f"unit {unit} may be {' or '.join(like)}; {state}{like[0]}")
-    elif quantity == COUNTS and any(is_temperature(_suffix(split_unit(COUNTS, name)[0])) for name in names):
-        table.add_problem(f"column {names[0]} is a temperature, not a cell (or {state}...)", about=COUNTS)
-    elif quantity != COUNTS and unit and not like:
-        choice = ", ".join(UNITS[quantity])
-        table.add_problem(f"unit {unit} of column {names[0]} is none of {choice}: convert it, or {state}...")
-    elif quantity == TIME:
-        return unit or unit_in(_word(names[0]).removeprefix("time"), (TIME,))
-    else:
-        return unit or next(iter(UNITS[quantity]))
-    return ""
 
 
 def _unit_of(quantity: str, name: str, table: RawTable) -> str:
@@ -326,11 +324,11 @@ def _unit_of(quantity: str, name: str, table: RawTable) -> str:
     return unit or ("" if is_text_of_time(table.columns[name]) else below)
 
 
-def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable) -> list[str]:
+def _suggested(
+    columns: ColumnMap, free: Sequence[str], groups: Sequence[CellGroup], table: RawTable
+) -> list[str]:
     """Return the items of a map that is made of the table's own columns."""
-    items = [f"{key}={_short(names)}" for key, names in columns.columns.items()]
-    taken = {name for names in columns.columns.values() for name in names}
-    free = [name for name in table.columns if name not in taken]
+    items = [f"{key}={shortened(names)}" for key, names in columns.columns.items()]
     if TIME not in columns.columns and columns.rate is None:
         name = next((name for name in free if _rises(table.columns[name])), "")
         items.insert(0, f"time={name}" if name else "rate=ROWS_PER_SECOND")
@@ -340,30 +338,19 @@ def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable)
         free = [name for name in free if {*values[name]} != {0, 1}]  # those may be labels
         several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
         others = {name for name in free for quantity in _NAMES if _has_usual_name(quantity, name)}
-        numbers = tuple(name for name in free if name not in others and _is_number(table.columns[name]))
+        heads = {name: table.columns[name].head(_HEAD).cast(pl.String) for name in free if name not in others}
+        numbers = tuple(name for name, head in heads.items() if head.str.contains(_NUMBER).all())
         numbers = () if table.left_out else numbers[:CELL_LIMIT]  # rather no list than one without a cell
         if [len(each) for each in several] == 2 * [len(several[0]) if several else 0]:
-            items += [f"counts.{finger}={_short(names)}" for finger, names in enumerate(several)]
+            items += [f"counts.{finger}={shortened(names)}" for finger, names in enumerate(several)]
         else:
-            items.append(f"counts={_short(several[0] if several else numbers) or 'NAME,NAME'}")
+            items.append(f"counts={shortened(several[0] if several else numbers) or 'NAME,NAME'}")
     return items
-
-
-def _short(names: Sequence[str]) -> str:
-    """Return columns as a map states them: a range if they are one."""
-    with suppress(ParameterError):
-        if names[2:] and expanded(text := f"{names[0]}..{names[-1]}") == [*names]:
-            return text
-    return ",".join(names)
 
 
 def _rises(column: pl.Series) -> bool:
     values = column.head(_HEAD).cast(pl.Float64, strict=False).drop_nulls()
     return len(values) > 1 and bool((values.diff().drop_nulls() > 0).all())
-
-
-def _is_number(column: pl.Series) -> bool:
-    return column.head(_HEAD).cast(pl.String).str.contains(r"^[+-]?[\d.,]*\d[\deE.,+-]*$").all()
 
 
 def _quantity(key: str) -> str:

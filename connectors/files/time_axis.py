@@ -87,20 +87,15 @@ def time_axis(table: RawTable, columns: ColumnMap, *, split: bool) -> tuple[Colu
     if not plausible:
         table.warn(f"the rate is {rate:.4g} Hz: is the time in another unit?")
     if columns.rate and rate and abs(rate - columns.rate) > RATE_TOLERANCE * columns.rate:
-        lost = columns.rate / _LOST < rate < columns.rate and _has_gaps(time, columns.rate)
-        add = table.warn if lost else table.add_problem
+        usual = float(np.quantile(np.diff(time), 0.25))  # of a stated rate, unless the clock has another one
+        gaps = usual * columns.rate < (1 + RATE_TOLERANCE) * s
+        add = table.warn if gaps and columns.rate / _LOST < rate < columns.rate else table.add_problem
         add(f"has {rate:.4g} rows per second, not {columns.rate:g}: wrong unit of the time, or lost rows?")
     columns = replace(columns, rate=columns.rate or rate)
     for start, stop in parts if columns.rate else ():
         part = time[start:stop]
         _warn_of_gaps(table, part, start, rows_per_second(part) or columns.rate or 1.0)
     return columns, time, parts
-
-
-def _has_gaps(time: Times, rate: float) -> bool:
-    """Return True if many intervals of times (n,) are those of a rate, so that longer ones are gaps."""
-    usual = float(np.quantile(np.diff(time), 0.25))
-    return usual < (1 + RATE_TOLERANCE) * s / rate
 
 
 def _warn_of_gaps(table: RawTable, time: Times, start: int, rate: float) -> None:

@@ -3,13 +3,12 @@
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
 
 from connectors.files.column_map import LABEL, ColumnMap
-from operators.batch import EVERY, Batch, Motion, Touch, Zeroed
+from operators.batch import EVERY, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.ports import Description, Json
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
 _DEFAULT: Final = ColumnMap()
-_NO_STEPS: Final[Mapping[str, float]] = MappingProxyType({})
 
 
 class Trace:
@@ -68,11 +66,6 @@ class Trace:
         [part] = interpreted(self._source, self._columns, name=self.name)
         return part
 
-    @property
-    def kind(self) -> type[Touch]:
-        """Type of the touch stream: Touch or Zeroed."""
-        return self.part.columns.kind
-
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
         return self.part.fingertip if issubclass(kind, Touch) else None
@@ -103,7 +96,7 @@ class Trace:
             "trace": Path(self.name).name,
             "sha256": part.sha256,
             "rows": len(part.touch),
-            "zeroed": self.kind is Zeroed,
+            "zeroed": bool(found.zeroed),
             "columns": {name: list(names) for name, names in found.columns.items()},
             "units": dict(found.units),
             **self._about,
@@ -118,16 +111,9 @@ class Trace:
 
 
 def interpreted(
-    source: "Any | Part",
-    columns: ColumnMap = _DEFAULT,
-    *,
-    name: str = "table",
-    split: bool = False,
-    steps: Mapping[str, float] = _NO_STEPS,
+    source: "Any | Part", columns: ColumnMap = _DEFAULT, *, name: str = "table", split: bool = False
 ) -> "list[Part]":
     """Return the parts of a source as of a `Trace`; `split`: a clock that starts again begins another one.
-
-    `steps` has the resolution of earlier recordings by unit, which the map overrides.
 
     Raises:
         InputError: if it cannot be read; it lists all problems.
@@ -141,14 +127,14 @@ def interpreted(
     if isinstance(source, Part):
         return [source]
     if isinstance(source, str | Path):
-        return interpret(read_table(Path(source), columns.separator), columns, split=split, steps=steps)
+        return interpret(read_table(Path(source), columns.separator), columns, split=split)
     try:
         source = _upright(source) if isinstance(source, Mapping) else _with_index(source)
         frame = source if isinstance(source, pl.DataFrame) else pl.DataFrame(source)
     except (TypeError, ValueError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(name, f"cannot become a DataFrame of polars: {reason:.200}") from None
-    return interpret(RawTable.of(frame, name), columns, split=split, steps=steps)
+    return interpret(RawTable.of(frame, name), columns, split=split)
 
 
 def _with_index(frame: Any) -> Any:

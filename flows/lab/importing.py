@@ -128,7 +128,7 @@ class TraceImport:
     def interpretation(self) -> list[str]:
         """Return a line for each quantity, with its columns and their unit."""
         part, found, lines = self.trace.part, self.trace.part.columns, list[str]()
-        way = "zeroed" if self.trace.kind is Zeroed else "raw"
+        way = "zeroed" if found.zeroed else "raw"
         units = {**found.units, COUNTS: way if found.unit == "count" else f"{way}, {found.unit}"}
         for name, columns in found.columns.items():
             notes = [units[each] for each in [name.partition(".")[0]] if each in units]
@@ -283,7 +283,7 @@ def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bo
     """Return the parts of a file; `steps` has the resolution of earlier files by unit, and gets its own."""
     if path.is_dir():
         raise InputError(str(path), f"is a folder: give {path}/*.csv")
-    found = interpreted(path, columns, split=split, steps=steps)
+    found = interpreted(path, replace(columns, steps=steps), split=split)
     _check_rate(found[0])
     if columns.resolution is None:
         steps.setdefault(found[0].columns.unit, found[0].resolution)

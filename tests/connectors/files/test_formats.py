@@ -174,7 +174,7 @@ def test_a_time_without_resolution_is_refused(digits: int) -> None:
         InputError, match=r"column t has only \d values? in 240 rows.*: it tells no rate; state time=,rate="
     ):
         trace([*times])
-    with pytest.raises(InputError, match=r"; try --map counts=p0,p1,rate=100,time=$"):
+    with pytest.raises(InputError, match=r"; try --map time=,counts=p0,p1,rate=100$"):
         trace([*times], "rate=100")
     assert trace([*times], "time=,rate=100").columns.rate == 100
 

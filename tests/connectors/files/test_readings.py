@@ -87,11 +87,11 @@ def test_readings_relative_to_the_unloaded_fingertip_have_no_offset() -> None:
     pressures = table([98270.25, 143262.0, 98000.75])
     for zeroed, resolution in ((True, 5), (False, 1)):
         trace = Trace(pressures, columns("Pa", zeroed=zeroed))
-        assert trace.kind is (Zeroed if zeroed else Touch)
+        assert type(trace.part.touch) is (Zeroed if zeroed else Touch)
         assert trace.part.resolution == resolution
         assert trace.part.offset.any() != zeroed
-    assert Trace(table([-0.5, 2.0]), columns("N")).kind is Zeroed
-    assert Trace(table([-0.5, 2.0]), columns("N", zeroed=False)).kind is Touch
+    assert type(Trace(table([-0.5, 2.0]), columns("N")).part.touch) is Zeroed
+    assert type(Trace(table([-0.5, 2.0]), columns("N", zeroed=False)).part.touch) is Touch
 
 
 def test_a_part_that_begins_loaded_is_a_warning_of_this_part_only() -> None:

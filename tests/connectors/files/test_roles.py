@@ -206,7 +206,7 @@ def test_case_counts_where_it_carries_meaning() -> None:
         *("mPa", "MPa", "mN", "T", "kPa", "Pa", "psi", "ms")
     ]
     assert not any(map(unit_in, ("MPA", "MN", "t", "g", "v", "Mv")))
-    with pytest.raises(InputError, match=r"unit MPA may be mPa or MPa; state units\.counts=mPa"):
+    with pytest.raises(InputError, match=r"unit MPA of column p0 \[MPA\] must be mPa or MPa: state units\.counts="):
         roles(("t", "p0 [MPA]", "p1 [MPA]"))
 
 

@@ -35,7 +35,7 @@ def test_a_case_gives_the_right_value(path: str, start: int, unit: str, lowest: 
     assert np.ptp(found.time) / 1e9 == pytest.approx(2.4, abs=0.02)
     assert trace.part.columns.rate == pytest.approx(100, abs=0.1)
     assert int(found.time[0]) // 10**9 == start
-    assert trace.extent[0] == pytest.approx(lowest, rel=0.01)
+    assert trace.part.extent[0] == pytest.approx(lowest, rel=0.01)
 
 
 @pytest.mark.parametrize(

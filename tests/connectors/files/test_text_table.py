@@ -79,7 +79,7 @@ def test_an_unknown_unit_matters_only_if_its_column_is_used(write: Write) -> Non
     text = "t,p0,p1,temp,speed\nms,kPa,kPa,\u00b0C,rad/s\n0,500,501,20,1\n10,500,501,20,1\n"
     path = write(text)
     assert Trace(path, ColumnMap.parse("speed=")).part.columns.unit == "kPa"
-    reason = "unit rad/s of column speed is none of m/s cm/s mm/s: convert it, or state units.speed="
+    reason = "unit rad/s of column speed must be m/s or cm/s or mm/s: state units.speed=..., or convert it"
     with pytest.raises(InputError, match=reason):
         _ = Trace(path).part
     assert list(read_table(write(f"A title,of 3 fields,\nms,N,slip\n{BODY}")).columns) == ["ms", "N", "slip"]

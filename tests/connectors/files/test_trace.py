@@ -74,7 +74,7 @@ def test_the_range_of_the_cells_and_not_one_reading_decides_whether_they_are_zer
     rows[70][1] = -999 if faulty else rows[70][1]
     path = write("t,p0,p1", *(f"{k / 100},{a},{b}" for k, (a, b) in enumerate(rows)))
     trace = Trace(path, ColumnMap(zeroed=zeroed))
-    assert trace.kind is type(trace.part.touch) is kind
+    assert type(trace.part.touch) is kind
     assert trace.fingers(Touch) == (0,)
     assert trace.fingers(Zeroed) == ((0,) if kind is Zeroed else ())
     assert trace.fingers(Motion) == ()
@@ -254,7 +254,11 @@ def test_the_real_trace_is_read_whole() -> None:
     if not MAT.exists():
         pytest.skip(f"{MAT} is missing: the shared material belongs next to the checkout")
     trace = Trace(MAT)
-    assert (len(trace.part.touch), trace.kind, trace.part.touch.time[0]) == (377, Zeroed, 6_569_355_000)
+    assert (len(trace.part.touch), type(trace.part.touch), trace.part.touch.time[0]) == (
+        377,
+        Zeroed,
+        6_569_355_000,
+    )
     assert set(trace.part.labels.tolist()) == {0, 1}
     assert trace.part.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
 

@@ -321,7 +321,7 @@ def test_an_index_of_pandas_is_the_time(index: Any, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("unit", "cells"), [("count", 6), ("kPa", 6), ("count", 5)])
 def test_what_is_assumed_is_printed(unit: str, cells: int, tmp_path: Path) -> None:
-    frame = {f"p{cell}": 16_777_216 + np.arange(300) for cell in range(cells)}
+    frame = {f"p{cell}": 16_777_216 + np.arange(300.0) for cell in range(cells)}
     frame["t"] = np.arange(300) / 100
     report = TraceImport(Trace(frame, ColumnMap.parse(f"units.counts={unit}")), tmp_path, "pad").report()
     layout = "5,4,3/0,1,2" if cells == 6 else "0,1,2/3,4,-1"
