@@ -79,19 +79,13 @@ def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inher
     if not lost:
         return
     row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))  # farthest from its others
-    cause, remedy, fix = f"for the range of {names[cell]}", "import them as separate sessions", None
-    if inherited:
-        cause, remedy = "as in earlier files", "import this file first, or into another dataset"
-    elif cell in lost:
-        missing = [*(columns.missing or ()), float(readings[row, cell])]
-        fix = f"missing={','.join(repr(each).removesuffix('.0') for each in missing)}"
-        cause = f"because {table.place_of(row, names[cell])} is {missing[-1]:.10g}"
-        remedy = f"state {fix} if it is no reading"
-    constant = f"make {listed([names[each] for each in lost])} almost constant"
-    reason = (
-        f"steps of {step:g} {columns.unit}, {cause}, {constant}: {remedy}; resolution={step:g} accepts it"
-    )
-    table.add_problem(reason, fix=fix)
+    farthest = repr(float(readings[row, cell])).removesuffix(".0")
+    remedy = f"state missing={farthest} if that is no reading, import cells of other units apart"
+    remedy = "import this file first, or into another dataset" if inherited else remedy
+    steps = f"steps of {step:g} {columns.unit}{', as in earlier files,' if inherited else ''}"
+    constant = f"{steps} make {listed([names[each] for each in lost])} almost constant"
+    place = table.place_of(row, names[cell])
+    table.add_problem(f"{constant}; {place} is {farthest}: {remedy}, or state resolution={step:g}")
 
 
 def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:

@@ -298,8 +298,8 @@ def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTabl
         like = [each for each in usual if each.casefold() == unit.casefold()]
         choices, problem = like or ([] if quantity == COUNTS else [*usual]), ""
         if len(known) > 1:
-            columns = " and ".join(f"{name} is in {each or 'no unit'}" for each, name in known.items())
-            problem = f"column {columns}: convert them to one unit, or state units.{quantity}=..."
+            columns = " and ".join(f"{name} has {each or 'no unit'}" for each, name in known.items())
+            problem = f"units differ, {columns}: convert them to one, or state units.{quantity}=..."
         elif quantity == COUNTS and any(
             is_temperature(_suffix(split_unit(COUNTS, each)[0])) for each in names
         ):

@@ -125,17 +125,17 @@ def test_units_are_read_from_the_names(names: tuple[str, ...], units: dict[str, 
         (
             ("t", "a0 [kPa]", "a1 [kPa]", "b0 [mbar]", "b1 [mbar]"),
             "counts.0=a0 [kPa],a1 [kPa],counts.1=b0 [mbar],b1 [mbar]",
-            "column a0 [kPa] is in kPa and b0 [mbar] is in mbar: convert them to one unit, or state",
+            "units differ, a0 [kPa] has kPa and b0 [mbar] has mbar: convert them to one, or state units",
         ),
         (
             ("t", "left [kPa]", "right"),
             "counts=left [kPa],right",
-            "left [kPa] is in kPa and right is in no unit",
+            "left [kPa] has kPa and right has no unit",
         ),
         (
             ("t", *CELLS, "vx [mm/s]", "vy [mm/s]", "vz"),
             "velocity=vx [mm/s],vy [mm/s],vz",
-            "column vx [mm/s] is in mm/s and vz is in no unit: convert them",
+            "units differ, vx [mm/s] has mm/s and vz has no unit: convert them",
         ),
     ],
 )
@@ -206,7 +206,9 @@ def test_case_counts_where_it_carries_meaning() -> None:
         *("mPa", "MPa", "mN", "T", "kPa", "Pa", "psi", "ms")
     ]
     assert not any(map(unit_in, ("MPA", "MN", "t", "g", "v", "Mv")))
-    with pytest.raises(InputError, match=r"unit MPA of column p0 \[MPA\] must be mPa or MPa: state units\.counts="):
+    with pytest.raises(
+        InputError, match=r"unit MPA of column p0 \[MPA\] must be mPa or MPa: state units\.counts="
+    ):
         roles(("t", "p0 [MPA]", "p1 [MPA]"))
 
 
