@@ -58,11 +58,7 @@ class Trace:
 
     @cached_property
     def part(self) -> "Part":
-        """All that was read and concluded.
-
-        Raises:
-            InputError: as for the class.
-        """
+        """All that was read and concluded."""
         [part] = interpreted(self._source, self._columns, name=self.name)
         return part
 
