@@ -78,10 +78,8 @@ class Replay(Source[Given], Generic[Given]):
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Yield the whole stream, with the fingertips merged in the order of their timestamps."""
         recording = self._recording
-        all_streams = [
-            (kind, each) for kind in (self._kind, Touch, Motion) for each in recording.fingers(kind)
-        ]
-        first = [_time(row) for stream in all_streams for row in islice(recording.read(*stream, 1), 1)]
+        keys = [(kind, each) for kind in (self._kind, Touch, Motion) for each in recording.fingers(kind)]
+        first = [_time(row) for key in keys for row in islice(recording.read(*key, 1), 1)]
         start = clock.now() - min(first, default=0)
         streams = [_rows(recording.read(self._kind, finger)) for finger in self.fingers]
         for row in merge(*streams, key=_time):

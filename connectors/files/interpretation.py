@@ -135,16 +135,14 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
     if words := [text for text, code in codes.items() if code is None]:
         listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
+        text = f"has {listed}, neither slip nor static by"
         if columns.labels:
             fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *words))}"
-            table.add_problem(
-                f"has {listed}, neither slip nor static by the map; state {fix}", place, fix=fix
-            )
+            table.add_problem(f"{text} the map; state {fix}", place, fix=fix)
         else:
             usual = [text for text in codes if known.get(label_value(text)) == "slip"]
             fix = f"labels.slip={','.join(filter(SLIP_WORD.search, usual)) or 'WORD'}"
-            text = f"has {listed}, neither slip nor static by usual words"
-            table.add_problem(f"{text}; state labels.slip=... (others: static)", place, fix=fix)
+            table.add_problem(f"{text} usual words; state labels.slip=... (others: static)", place, fix=fix)
     given = [(label, [text for text in codes if text and codes[text] == LABELS[label]]) for label in LABELS]
     meanings = "; ".join(f"{label}: {', '.join(words):.100}" for label, words in given if words)
     table.notes += [meanings] if meanings else []

@@ -85,10 +85,9 @@ class TraceImport:
 
     def labels(self) -> Codes:
         """Return the labels of the samples of a fingertip (n,), those of the trace or by the arm's speed."""
-        part, align = self.trace.part, Align(within=_WITHIN)
+        part, touch, align = self.trace.part, self.trace.part.touch, Align(within=_WITHIN)
         if self.label_source or not len(part.motion):
-            return part.labels if self.label_source else part.labels[:0]
-        touch = part.touch
+            return part.labels
         zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid, finger=touch.finger)
         samples = concat(Sample, [align.push(zeroed, part.motion), align.flush()])
         return replace(_LABEL).push(samples).label
@@ -167,10 +166,13 @@ class TraceImport:
             lines.append(f"  the arm moves in {moving}")
         labels = self.labels()
         many = {name: int((labels == code).sum()) for name, code in LABELS.items()}
-        by_speed = f"by arm speed, slip above {1000 * _LABEL.speed:g} mm/s"
-        origin = f"of {self.label_source}" if self.label_source else by_speed
         counted = ", ".join(f"{count} {name}" for name, count in many.items() if count)
-        lines.append(f"  labels {origin}: {counted}" if counted else "  no labels and no motion: no samples")
+        if self.label_source:
+            lines.append(f"  labels of {self.label_source}: {counted}")
+        elif len(part.motion):
+            lines.append(f"  labels by arm speed, slip above {1000 * _LABEL.speed:g} mm/s: {counted}")
+        else:
+            lines.append("  no labels and no motion: no samples")
         lines += [f"  warning: {each}" for each in part.warnings]
         absent = [name for name in ("slip", "static") if not many[name]]
         if absent and not self.label_source and np.any(speeds > _LABEL.speed):
