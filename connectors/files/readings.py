@@ -42,7 +42,7 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
             many, place = int((readings == value).sum()), table.place_of(row, names[cell])
             text = f"{place} is {value:.10g}, far from all others: taken as missing"
             table.warn(f"{text} ({many} in all; missing= keeps it)", row)
-    readings[np.isin(readings, missing)] = np.nan
+        readings[np.isin(readings, missing)] = np.nan
     zeroed = columns.zeroed
     if zeroed is None:
         zeroed = _is_zeroed(readings)
@@ -108,6 +108,7 @@ def _read(table: RawTable, columns: ColumnMap) -> Reals:
         if columns.has_counts:
             fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
             table.check(name, ~(readings[:, cell] % 1 > 0), fix)
+    readings[np.isin(readings, columns.missing or ())] = np.nan
     empty = np.isnan(readings).all(axis=0)
     for cell in np.flatnonzero(empty).tolist():
         table.add_problem(f"column {names[cell]} has no readings")

@@ -168,6 +168,7 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         ),
         ("t,s1|1,1", "label=truth", f": there is no column truth; {T_S1}; try --map time=t,counts=s1"),
         ("t,s1,s2|0,1,|1,1,", "", ": column s2 has no readings"),
+        ("t,s1,s2|0,1,7|1,1,7", "missing=7", ": column s2 has no readings"),
         (
             "t,s1,state|0,1,north|1,1,west",
             "label=state,labels.slip=north,labels.static=none",
