@@ -3,10 +3,11 @@
 from collections.abc import AsyncIterator, Iterator
 from functools import cached_property
 from heapq import merge
+from itertools import islice
 from pathlib import PurePath
 from typing import Generic, TypeVar
 
-from operators.batch import ANNOTATIONS, Batch, Touch
+from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.ports import Clock, Description, Recording, Source, TouchRecording
@@ -17,29 +18,24 @@ Given = TypeVar("Given", bound=Batch)
 class Replay(Source[Given], Generic[Given]):
     """Recorded stream as a source: each row is a batch, due at its recorded time on the clock of the run.
 
-    Rows keep their recorded timestamps. The declaration of a flow does not read the recording.
+    Rows keep their recorded timestamps. The first row of touch or motion, or of this stream, is due at the
+    start of the run: sources of one recording are synchronous. The declaration of a flow does not read the
+    recording.
 
     Args:
         recording: Recording to replay.
         kind: Type of the batches.
         fingers: Fingertips to replay (default: all recorded ones). The recording may lack annotations
             (episodes, truth).
-        origin: Recorded time (ns) of the start of the run (default: the first timestamp of this stream). Set
-            the same origin for all streams of a recording, to keep them synchronous.
     """
 
     stale_after = None  # a recording may have gaps
     in_run_time = False
 
     def __init__(
-        self,
-        recording: Recording,
-        kind: type[Given],
-        fingers: tuple[int, ...] | None = None,
-        *,
-        origin: int | None = None,
+        self, recording: Recording, kind: type[Given], fingers: tuple[int, ...] | None = None
     ) -> None:
-        self._recording, self._kind, self._chosen, self._origin = recording, kind, fingers, origin
+        self._recording, self._kind, self._chosen = recording, kind, fingers
 
     @property
     def kind(self) -> type[Given]:
@@ -81,12 +77,13 @@ class Replay(Source[Given], Generic[Given]):
 
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Yield the whole stream, with the fingertips merged in the order of their timestamps."""
-        start, origin = clock.now(), self._origin
-        streams = [_rows(self._recording.read(self._kind, finger)) for finger in self.fingers]
+        recording = self._recording
+        keys = [(kind, each) for kind in (self._kind, Touch, Motion) for each in recording.fingers(kind)]
+        first = [_time(row) for key in keys for row in islice(recording.read(*key, 1), 1)]
+        start = clock.now() - min(first, default=0)
+        streams = [_rows(recording.read(self._kind, finger)) for finger in self.fingers]
         for row in merge(*streams, key=_time):
-            if origin is None:
-                origin = _time(row)
-            await clock.sleep_until(start + _time(row) - origin)
+            await clock.sleep_until(start + _time(row))
             yield row
 
     def describe(self) -> Description:

@@ -192,6 +192,11 @@ def grid(cells: int, columns: int | None = None) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(i if i < cells else NO_CELL for i in range(row, row + wide)) for row in rows)
 
 
+def usual_layout(cells: int) -> tuple[tuple[int, ...], ...]:
+    """Return the layout that is assumed if none is stated: that of a TakkTile for six cells, else a grid."""
+    return TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells)
+
+
 def rows_per_second(time: Times) -> float | None:
     """Return the rate of rows with times (n,) in ns, in any order: rows over time, without pauses.
 
@@ -220,7 +225,7 @@ def rows_per_second(time: Times) -> float | None:
         near = steps <= longest
         mean = steps[near].sum() / rows[near].sum()
         drift = np.ptp(np.cumsum(steps[near] - mean * rows[near]))
-        if drift <= 3 * usual and 2 * steps[near].sum() > steps.sum():
+        if drift <= 3 * usual and steps[near].sum() > steps.sum() / 2:
             return float(s / mean)
     samples = float(np.maximum(np.rint(steps / usual), 1).sum())
     equal = np.mean(np.abs(steps - usual) <= usual / 10)
@@ -235,8 +240,7 @@ def measured(batch: Touch) -> Fingertip | None:
         None if all rows have the same time, which tells no rate.
     """
     rate = rows_per_second(batch.time)
-    layout = TAKKTILE.layout if batch.cells == TAKKTILE.cells else grid(batch.cells)
-    return None if rate is None else Fingertip(layout, rate)
+    return None if rate is None else Fingertip(usual_layout(batch.cells), rate)
 
 
 def _scale(fingertip: Fingertip) -> str:

@@ -2,12 +2,13 @@
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import isfinite
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias
 
-from operators.batch import SLIP, STATIC, UNKNOWN, Touch, Zeroed, s
+from operators.batch import SLIP, STATIC, UNKNOWN, s
 from operators.checks import check_above, check_between, check_choice
 from operators.errors import ParameterError
 from operators.fingertip import CELL_LIMIT, grid
@@ -64,6 +65,7 @@ class ColumnMap:
             slip are given, all others are static.
         labelled: Label of all rows, of a file without a column of labels.
         resolution: Units per stored count.
+        steps: Resolution of earlier files by unit, for files of one dataset whose resolution is not stated.
         offset: Counts that were subtracted from each cell, so that 16 bits suffice.
         layout: Rows of cell numbers, the top row first, as of a `Fingertip`.
         range: Readings at the lowest and at the highest pressure, in the unit of the cells.
@@ -92,6 +94,7 @@ class ColumnMap:
     separator: str | None = None
     decimal: str | None = None
     dates: str | None = None
+    steps: Mapping[str, float] = field(default_factory=dict[str, float], compare=False, repr=False)
     stated: tuple[str, ...] = field(default=(), compare=False, repr=False)  # other items of the parsed text
 
     def __post_init__(self) -> None:
@@ -174,11 +177,6 @@ class ColumnMap:
         return [name for names in self.cells.values() for name in names]
 
     @property
-    def kind(self) -> type[Touch]:
-        """Type of the touch: raw, or zeroed."""
-        return Zeroed if self.zeroed else Touch
-
-    @property
     def has_counts(self) -> bool:
         """Whether the readings are stored as they are, and so must be whole numbers."""
         return self.unit == "count" and self.resolution is None
@@ -215,6 +213,14 @@ def expanded(text: str) -> list[str]:
     step = 1 if high >= low else -1
     wide = len(first) if first[0] == "0" else 1
     return [f"{prefix}{number:0{wide}}{suffix}" for number in range(low, high + step, step)]
+
+
+def shortened(names: Sequence[str]) -> str:
+    """Return columns as a map states them: a range if they are one."""
+    with suppress(ParameterError):
+        if names[2:] and expanded(text := f"{names[0]}..{names[-1]}") == [*names]:
+            return text
+    return ",".join(names)
 
 
 def layout_text(layout: Layout) -> str:

@@ -16,7 +16,6 @@ from operators.errors import InputError
 from storage.arrow import pa, pq
 from storage.files import read
 
-ENDINGS: Final = (".csv", ".csv.gz", ".tsv", ".txt", ".parquet")  # of recordings that can be replayed
 LIMIT: Final = 1 << 29  # bytes of a file, packed or unpacked
 
 _PARQUET: Final = b"PAR1"

@@ -93,7 +93,7 @@ def interpret(table: RawTable, stated: ColumnMap, *, split: bool = False) -> lis
             where = f"{table.file}, {table.place} {table.numbers[start]}"
             raise InputError(where, "begins a part without readings: delete the part")
         doubts = [text for row, text in table.warnings if row is None or start <= row < stop]
-        warnings = [*doubts, *doubts_at_rest(touch)]
+        warnings = [*doubts, *doubts_at_rest(time[rows], np.where(valid[rows], counts[rows], np.nan))]
         if (fastest := speeds_of(motion).max(initial=0.0)) > _MAX_SPEED:
             warnings.insert(0, f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit?")
         if bad := int(np.count_nonzero(~np.all(valid[rows], axis=1))):
@@ -134,11 +134,15 @@ def _labels(table: RawTable, columns: ColumnMap) -> Codes:
     found = texts.replace_strict(codes, return_dtype=pl.Int8)
     if words := [text for text, code in codes.items() if code is None]:
         listed = ", ".join(map(repr, words[:_WORDS_SHOWN])) + ", ..." * (len(words) > _WORDS_SHOWN)
-        text = f"has {listed}, neither slip nor static by usual words; state labels.slip=... (others: static)"
         place = table.place_of(int(found.is_null().arg_true()[0]), name)
-        slips = [text for text in codes if known.get(label_value(text)) == "slip" and SLIP_WORD.search(text)]
-        fix = None if columns.labels else f"labels.slip={','.join(slips) or 'WORD'}"
-        table.add_problem(text, place, fix=fix)
+        text = f"has {listed}, neither slip nor static by"
+        if columns.labels:
+            fix = f"labels.unknown={','.join((*columns.labels.get('unknown', ()), *words))}"
+            table.add_problem(f"{text} the map; state {fix}", place, fix=fix)
+        else:
+            usual = [text for text in codes if known.get(label_value(text)) == "slip"]
+            fix = f"labels.slip={','.join(filter(SLIP_WORD.search, usual)) or 'WORD'}"
+            table.add_problem(f"{text} usual words; state labels.slip=... (others: static)", place, fix=fix)
     given = [(label, [text for text in codes if text and codes[text] == LABELS[label]]) for label in LABELS]
     meanings = "; ".join(f"{label}: {', '.join(words):.100}" for label, words in given if words)
     table.notes += [meanings] if meanings else []

@@ -16,6 +16,7 @@ VALUES: Final = 1 << 26  # of a file; an import takes about 48 bytes of memory f
 COLUMN_LIMIT: Final = 4096
 
 _SHOWN: Final = 8  # problems in an error
+_NAMES_SHOWN: Final = 20
 
 
 @dataclass
@@ -90,10 +91,8 @@ class RawTable:
         Raises:
             InputError: that lists all problems, and a map that solves them.
         """
-        solved = {fix.partition("=")[0] for fix in self.fixes}
-        items = [each for each in self.suggested if each.partition("=")[0] not in solved]
-        items += [fix for fix in self.fixes if fix]
-        remedy = f"; try --map {quote(','.join(items))}" if self.fixes else ""
+        items = {item.partition("=")[0]: item for item in (*self.suggested, *self.fixes) if item}
+        remedy = f"; try --map {quote(','.join(items.values()))}" if self.fixes else ""
         if len(self.problems) == 1:
             [(place, reason)] = self.problems.values()
             raise InputError(f"{self.file}, {place}" if place else self.file, f"{reason}{remedy}")
@@ -104,14 +103,10 @@ class RawTable:
             raise InputError(self.file, f"has {len(self.problems)} problems: {text}{remedy}")
 
 
-def listed(names: Sequence[str], most: int = 20) -> str:
-    """Return names as text, without those beyond `most`.
-
-    >>> listed(["a", "b", "c", "d"], 2)
-    'a b and 2 more'
-    """
-    more = f" and {len(names) - most} more" if len(names) > most else ""
-    return " ".join(names[:most]) + more
+def listed(names: Sequence[str]) -> str:
+    """Return names as text, without those beyond the first `_NAMES_SHOWN`."""
+    more = f" and {len(names) - _NAMES_SHOWN} more" if len(names) > _NAMES_SHOWN else ""
+    return " ".join(names[:_NAMES_SHOWN]) + more
 
 
 def check_size(where: str, values: int, columns: int = 0) -> None:

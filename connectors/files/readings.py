@@ -1,6 +1,5 @@
 """Readings as counts of 16 bits: missing ones, the unloaded start, the resolution and the fingertip."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -9,9 +8,9 @@ import numpy as np
 from connectors.files.column_map import COUNTS, ColumnMap, layout_text
 from connectors.files.number_format import reals
 from connectors.files.raw_table import RawTable, listed
-from operators.batch import Counts, Flags, Reals, Times, Touch, s
+from operators.batch import Counts, Flags, Reals, Times, Touch, Zeroed, s
 from operators.errors import ParameterError
-from operators.fingertip import TAKKTILE, Fingertip, grid
+from operators.fingertip import Fingertip, usual_layout
 
 COUNT_LIMIT: Final = 32767  # largest absolute count
 
@@ -22,6 +21,7 @@ _SENTINELS: Final = (  # usual values for no reading
     *(-99.0, -999.0, -9999.0, -99999.0, 9999.0, 99999.0, -1.0),
     *(32767.0, -32768.0, 65535.0, 4294967295.0, 1e10),
 )
+_MANY, _FEW = 20, 4  # different values of a signal, and what is none any more
 _MOVES: Final = 0.25  # of the range of a cell, in the first second
 _SAMPLE: Final = 10_000  # rows for quantiles
 _ENOUGH: Final = 100  # rows, after which a cell that works has changed
@@ -42,24 +42,50 @@ def readings_of(table: RawTable, columns: ColumnMap) -> tuple[ColumnMap, Counts,
             many, place = int((readings == value).sum()), table.place_of(row, names[cell])
             text = f"{place} is {value:.10g}, far from all others: taken as missing"
             table.warn(f"{text} ({many} in all; missing= keeps it)", row)
-    readings[np.isin(readings, missing)] = np.nan
+        readings[np.isin(readings, missing)] = np.nan
     zeroed = columns.zeroed
     if zeroed is None:
         zeroed = _is_zeroed(readings)
         table.notes += ["readings relative to the unloaded fingertip"] if zeroed else []
-    resolution = columns.resolution or resolution_of(readings, offset=not zeroed)
-    if columns.resolution is not None and not _is_multiple(readings, resolution):
+    stated = columns.resolution
+    given = stated or columns.steps.get(columns.unit)
+    resolution = given or resolution_of(readings, offset=not zeroed)
+    if given and not _is_multiple(readings, resolution):
         table.warn(f"the readings are rounded to steps of {resolution:g} {columns.unit}")
     offset = columns.offset
     if offset is None and not zeroed and (found := offsets(readings, resolution)).any():
         offset = tuple(map(int, found))
     columns = replace(columns, resolution=resolution, offset=offset, zeroed=zeroed, missing=missing)
-    counts, good = counts_of(readings, columns)
+    if stated is None:
+        _check_signal(table, readings, columns, inherited=given is not None)
+    counts = np.rint(readings / resolution - np.array(offset or (0,)))
+    good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
     for cell, (name, middle) in enumerate(zip(names, np.resize(offset or 0, len(names)), strict=True)):
         low, high = (middle - COUNT_LIMIT) * resolution, (middle + COUNT_LIMIT) * resolution
         table.check(name, good[:, cell], f"from {low:g} to {high:g} at a resolution of {resolution:g}")
     _warn_of_implausible(table, readings, columns)
-    return columns, counts, ~np.isnan(readings)
+    stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
+    return columns, stored, ~np.isnan(readings)
+
+
+def _check_signal(table: RawTable, readings: Reals, columns: ColumnMap, *, inherited: bool) -> None:
+    """Add the problem that a concluded resolution leaves few of many different readings of a cell."""
+    names, step, lost = columns.cell_names, columns.resolution or 1.0, list[int]()
+    low, middle, high = (_quantiles(readings, share) for share in (0.01, 0.5, 0.99))
+    for cell, some in enumerate(readings[:: len(readings) // _SAMPLE + 1].T):
+        values = np.unique(some[(low[cell] <= some) & (some <= high[cell])])
+        if len(values) >= _MANY and len(np.unique(np.rint(values / step))) < _FEW:
+            lost.append(cell)
+    if not lost:
+        return
+    row, cell = divmod(int(np.nanargmax(np.abs(readings - middle))), len(names))  # farthest from its others
+    farthest = repr(float(readings[row, cell])).removesuffix(".0")
+    remedy = f"state missing={farthest} if that is no reading, import cells of other units apart"
+    remedy = "import this file first, or into another dataset" if inherited else remedy
+    steps = f"steps of {step:g} {columns.unit}{', as in earlier files,' if inherited else ''}"
+    constant = f"{steps} make {listed([names[each] for each in lost])} almost constant"
+    place = table.place_of(row, names[cell])
+    table.add_problem(f"{constant}; {place} is {farthest}: {remedy}, or state resolution={step:g}")
 
 
 def _warn_of_implausible(table: RawTable, readings: Reals, columns: ColumnMap) -> None:
@@ -82,6 +108,7 @@ def _read(table: RawTable, columns: ColumnMap) -> Reals:
         if columns.has_counts:
             fix = "a whole number (or state a unit, as units.counts=kPa, or a resolution)"
             table.check(name, ~(readings[:, cell] % 1 > 0), fix)
+    readings[np.isin(readings, columns.missing or ())] = np.nan
     empty = np.isnan(readings).all(axis=0)
     for cell in np.flatnonzero(empty).tolist():
         table.add_problem(f"column {names[cell]} has no readings")
@@ -102,23 +129,13 @@ def reals_of(table: RawTable, name: str, columns: ColumnMap) -> Reals:
     return found
 
 
-def counts_of(readings: Reals, columns: ColumnMap) -> tuple[Counts, Flags]:
-    """Return the counts (n, cells) of readings, 0 for missing ones, and which readings a count can store."""
-    counts = np.rint(readings / (columns.resolution or 1.0) - np.array(columns.offset or (0,)))
-    good: Flags = ~(np.abs(counts) > COUNT_LIMIT)
-    if columns.has_counts:
-        good &= ~(readings % 1 > 0)
-    stored = np.nan_to_num(np.clip(counts, -COUNT_LIMIT, COUNT_LIMIT)).astype(np.int16)
-    return stored, good
-
-
 def touch_of(columns: ColumnMap, time: Times, counts: Counts, valid: Flags) -> dict[int, Touch]:
     """Return rows with times (n,), counts and valid (n, cells of all fingertips) by fingertip."""
-    found, first = dict[int, Touch](), 0
+    found, first, kind = dict[int, Touch](), 0, Zeroed if columns.zeroed else Touch
     for finger, names in columns.cells.items():
         own = slice(first, first := first + len(names))
         temperature = np.zeros_like(counts[:, own])
-        found[finger] = columns.kind(time, counts[:, own], temperature, valid[:, own], finger=finger)
+        found[finger] = kind(time, counts[:, own], temperature, valid[:, own], finger=finger)
     return found
 
 
@@ -129,7 +146,7 @@ def described(columns: ColumnMap, rate: float) -> Fingertip:
         ParameterError: if the layout does not fit the cells.
     """
     cells = len(next(iter(columns.cells.values())))
-    layout = columns.layout or (TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells))
+    layout = columns.layout or usual_layout(cells)
     if columns.layout is not None and Fingertip(layout, 1.0).cells != cells:
         must_be = f"of {cells} cells, as many as the counts have"
         raise ParameterError("Trace", "layout", layout_text(layout), must_be)
@@ -215,10 +232,8 @@ def _sentinels(readings: Reals) -> tuple[float, ...]:
     return tuple(sorted(found))
 
 
-def doubts_at_rest(touch: Mapping[int, Touch]) -> list[str]:
-    """Return the doubt that a fingertip is loaded in the first second of its rows."""
-    time = next(iter(touch.values())).time
-    readings = np.hstack([np.where(each.valid, each.counts, np.nan) for each in touch.values()])
+def doubts_at_rest(time: Times, readings: Reals) -> list[str]:
+    """Return the doubt that a fingertip is loaded in the first second of its readings (n, cells)."""
     start = readings[time <= time[0] + s]
     halves = start[: len(start) // 2 + 1], start[len(start) // 2 :]
     if len(readings) > len(start) and not any(np.isnan(half).all(axis=0).any() for half in halves):

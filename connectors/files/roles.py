@@ -4,7 +4,7 @@ Case counts where it carries meaning: mPa is not MPa, and T is not t.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -24,10 +24,10 @@ from connectors.files.column_map import (
     UNITS,
     VELOCITY,
     ColumnMap,
-    expanded,
+    shortened,
 )
 from connectors.files.raw_table import RawTable, listed
-from operators.errors import ParameterError
+from connectors.files.time_axis import is_text_of_time
 from operators.fingertip import CELL_LIMIT, grid
 
 _NAMES: Final = {  # usual names, without blanks and signs, in lower case
@@ -54,8 +54,13 @@ _WORDS: Final = {  # usual values of labels
     }.items()
 }
 SLIP_WORD: Final = re.compile("slip|slid|rutsch|gleit|schlupf", re.IGNORECASE)
+_FINGERTIP: Final = re.compile(  # names of columns that tell which fingertip measured a row
+    "(finger|fingertip|sensor|side|hand|pad|device)(id|index|name|number|nr|no)?"
+)
+_FINGERTIPS: Final = 16  # at most, in such a column
 _FEW: Final = 20  # values of labels
 _HEAD: Final = 20  # rows that tell what a column is
+_NUMBER: Final = r"^[+-]?[\d.,]*\d[\deE.,+-]*$"
 _SYNONYMS: Final = {  # of units, in lower case
     "s": "sec secs second seconds sek sekunden",
     "ms": "msec millis millisecond milliseconds",
@@ -112,22 +117,37 @@ def completed(table: RawTable, stated: ColumnMap) -> ColumnMap:
             reason = "no column is recognised as time; state time=..., or rate=... if it has none"
             table.add_problem(reason, about=TIME)
     found = {key: names for key, names in found.items() if names}
+    used = {name for names in found.values() for name in names}
+    unused = [each for each in free if each not in used]
+    table.fixes += [""] if table.problems else []
+    _check_interleaved(table, unused)
     if LABEL not in {*found, *stated.columns} and stated.labelled is None:
-        used = {name for names in found.values() for name in names}
-        for name in [each for each in free if each not in used]:
+        for name in unused:
             words = table.columns[name].unique().cast(pl.String, strict=False).drop_nulls()
             if 1 < len(words) <= _FEW and any(map(SLIP_WORD.search, (name, *words))):
                 table.warn(f"column {name} may have labels: state label={name}")
     units = _units(found, stated, table)
     columns = replace(stated, columns=found, units=units)
-    table.fixes += [""] if table.problems else []
-    table.suggested = [*_suggested(columns, groups, table), *stated.stated]
+    table.suggested = [*_suggested(columns, unused, groups, table), *stated.stated]
     layout = next((group for group in groups if group.rows and group.names in found.values()), None)
     if layout is None or stated.layout is not None:
         return columns
     wide = len(layout.names) // layout.rows
     table.notes.append(f"layout {layout.rows}x{wide} by the names")
     return replace(columns, layout=grid(len(layout.names), wide))
+
+
+def _check_interleaved(table: RawTable, unused: Sequence[str]) -> None:
+    """Add the problem that rows of several fingertips alternate, by a column that tells the fingertip."""
+    for name in filter(lambda each: _FINGERTIP.fullmatch(_word(each)), unused):
+        column = table.columns[name]
+        many, changes = column.n_unique(), int(column.rle_id()[-1])
+        if 1 < many <= _FINGERTIPS and changes >= many:
+            split = f"for (one,), rows in frame.group_by({name!r}): import_frame(rows, OUT, f'NAME-{{one}}')"
+            reason = (
+                f"column {name} alternates between {many} fingertips: import each in Python, with {split}"
+            )
+            table.add_problem(f"{reason}; or delete the column, if it does not tell fingertips")
 
 
 def cell_groups(names: Sequence[str]) -> list[CellGroup]:
@@ -151,7 +171,7 @@ def cell_groups(names: Sequence[str]) -> list[CellGroup]:
     return [group for group in groups if not _word(group.names[0]).startswith("temp")]
 
 
-def unit_in(text: str, quantities: tuple[str, ...] = (TIME, COUNTS, SPEED, VELOCITY)) -> str:
+def unit_in(text: str, quantities: Collection[str] = UNITS.keys()) -> str:
     r"""Return the unit that a text is; empty if it is none of the quantities.
 
     >>> unit_in("KPA"), unit_in("mPa"), unit_in("MPA"), unit_in("\u00b5s"), unit_in("seconds")
@@ -244,7 +264,8 @@ def _usual(quantity: str, free: Sequence[str], table: RawTable) -> tuple[str, ..
 
 
 def _has_usual_name(quantity: str, name: str) -> bool:
-    return bool(re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, name)[0])))
+    usual = re.fullmatch(_NAMES[quantity], _word(split_unit(quantity, name)[0]))
+    return bool(usual) and name != "V"  # volts
 
 
 def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
@@ -253,7 +274,7 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
     sure = [group for group in sure if len(group.names) > 1] or sure
     if len(sure) == 1:
         return _matched(COUNTS, sure[0].names, table)
-    several = [_short(group.names) for group in sure or groups]
+    several = [shortened(group.names) for group in sure or groups]
     two = ", or counts.0=... and counts.1=... of two fingertips" if len(several) > 1 else ""
     left_out = "; ".join(f"{name} cannot be used: {reason}" for name, reason in table.left_out.items())
     who = f"{' or '.join(several):.200} may be the cells" if several else "no columns are recognised as cells"
@@ -266,34 +287,48 @@ def _cells(groups: Sequence[CellGroup], table: RawTable) -> tuple[str, ...]:
 def _units(found: Mapping[str, Sequence[str]], stated: ColumnMap, table: RawTable) -> dict[str, str]:
     """Return the unit of each quantity: stated, in the names or in a row of units; else the usual one."""
     units = dict(stated.units)
-    for key, names in found.items():
-        if (quantity := _quantity(key)) not in UNITS or quantity in units:
+    for quantity, usual in UNITS.items():
+        names = [name for key, each in found.items() if _quantity(key) == quantity for name in each]
+        if not names or quantity in units:
             continue
-        below = [table.units.get(name, "") for name in names]
-        known = {
-            split_unit(quantity, name)[1] or split_unit(quantity, f"x [{unit}]")[1]
-            for name, unit in zip(names, below, strict=True)
-        }
-        unit = known.pop() if len(known) == 1 else ""
-        if quantity == TIME and not (unit := unit or unit_in(_word(names[0]).removeprefix("time"), (TIME,))):
-            continue
-        like = [each for each in UNITS[quantity] if each.casefold() == unit.casefold()]
-        endings = [_suffix(split_unit(COUNTS, name)[0]) for name in names]
-        if like and unit not in like:
-            table.add_problem(f"unit {unit} may be {' or '.join(like)}; state units.{quantity}={like[0]}")
-        elif quantity == COUNTS and any(map(is_temperature, endings)):
-            reason = f"column {names[0]} is a temperature, not a cell (or state units.counts=...)"
-            table.add_problem(reason, about=COUNTS)
-        else:
-            units[quantity] = unit or next(iter(UNITS[quantity]))
+        known = dict[str, str]()  # first column by unit
+        for name in names[:3] if quantity == VELOCITY else names:  # an angular velocity is in rad/s
+            known.setdefault(_unit_of(quantity, name, table), name)
+        unit = next(filter(None, known), "")
+        like = [each for each in usual if each.casefold() == unit.casefold()]
+        choices, problem = like or ([] if quantity == COUNTS else [*usual]), ""
+        if len(known) > 1:
+            columns = " and ".join(f"{name} has {each or 'no unit'}" for each, name in known.items())
+            problem = f"units differ, {columns}: convert them to one, or state units.{quantity}=..."
+        elif quantity == COUNTS and any(
+            is_temperature(_suffix(split_unit(COUNTS, each)[0])) for each in names
+        ):
+            problem = f"column {names[0]} is a temperature, not a cell (or state units.counts=...)"
+        elif unit and choices and unit not in choices:
+            must_be = f"must be {' or '.join(choices)}"
+            problem = f"unit {unit} of column {names[0]} {must_be}: state units.{quantity}=..., or convert it"
+        elif quantity == TIME and not unit:
+            unit = unit_in(_word(names[0]).removeprefix("time"), (TIME,))
+        if problem:
+            table.add_problem(problem, about=quantity)
+            unit = next(iter(like or usual))
+        if unit or quantity != TIME:
+            units[quantity] = unit or next(iter(usual))
     return units
 
 
-def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable) -> list[str]:
+def _unit_of(quantity: str, name: str, table: RawTable) -> str:
+    """Return the unit in a column's name or below it; empty: it has none."""
+    below = table.units.get(name, "").strip("-")
+    unit = split_unit(quantity, name)[1] or split_unit(quantity, f"x [{below}]")[1]
+    return unit or ("" if is_text_of_time(table.columns[name]) else below)
+
+
+def _suggested(
+    columns: ColumnMap, free: Sequence[str], groups: Sequence[CellGroup], table: RawTable
+) -> list[str]:
     """Return the items of a map that is made of the table's own columns."""
-    items = [f"{key}={_short(names)}" for key, names in columns.columns.items()]
-    taken = {name for names in columns.columns.values() for name in names}
-    free = [name for name in table.columns if name not in taken]
+    items = [f"{key}={shortened(names)}" for key, names in columns.columns.items()]
     if TIME not in columns.columns and columns.rate is None:
         name = next((name for name in free if _rises(table.columns[name])), "")
         items.insert(0, f"time={name}" if name else "rate=ROWS_PER_SECOND")
@@ -303,30 +338,19 @@ def _suggested(columns: ColumnMap, groups: Sequence[CellGroup], table: RawTable)
         free = [name for name in free if {*values[name]} != {0, 1}]  # those may be labels
         several = [group.names for group in groups if len(group.names) > 1 and {*group.names} <= {*free}]
         others = {name for name in free for quantity in _NAMES if _has_usual_name(quantity, name)}
-        numbers = tuple(name for name in free if name not in others and _is_number(table.columns[name]))
+        heads = {name: table.columns[name].head(_HEAD).cast(pl.String) for name in free if name not in others}
+        numbers = tuple(name for name, head in heads.items() if head.str.contains(_NUMBER).all())
         numbers = () if table.left_out else numbers[:CELL_LIMIT]  # rather no list than one without a cell
         if [len(each) for each in several] == 2 * [len(several[0]) if several else 0]:
-            items += [f"counts.{finger}={_short(names)}" for finger, names in enumerate(several)]
+            items += [f"counts.{finger}={shortened(names)}" for finger, names in enumerate(several)]
         else:
-            items.append(f"counts={_short(several[0] if several else numbers) or 'NAME,NAME'}")
+            items.append(f"counts={shortened(several[0] if several else numbers) or 'NAME,NAME'}")
     return items
-
-
-def _short(names: Sequence[str]) -> str:
-    """Return columns as a map states them: a range if they are one."""
-    with suppress(ParameterError):
-        if names[2:] and expanded(text := f"{names[0]}..{names[-1]}") == [*names]:
-            return text
-    return ",".join(names)
 
 
 def _rises(column: pl.Series) -> bool:
     values = column.head(_HEAD).cast(pl.Float64, strict=False).drop_nulls()
     return len(values) > 1 and bool((values.diff().drop_nulls() > 0).all())
-
-
-def _is_number(column: pl.Series) -> bool:
-    return column.head(_HEAD).cast(pl.String).str.contains(r"^[+-]?[\d.,]*\d[\deE.,+-]*$").all()
 
 
 def _quantity(key: str) -> str:

@@ -28,7 +28,7 @@ _DATE: Final = r"\d{1,4}[-/. ](\d{1,2}|[a-z]{3})[-/. ]\d{1,4}"
 _VALUE: Final = re.compile(  # a number, a date, a time, or nothing
     r"|[+\-\u2212]?[\d.,'\u2019\u00a0\u202f ]*\d[\d.,]*(e[+-]?\d+)?"
     rf"|[+-]?(nan|inf|na|n/a|null|none|true|false)|{_DATE}|((\d{{8}}|{_DATE}|\d+ days?)[T_,; ]+)?"
-    r"\d{1,2}:\d{2}[\d:.,]*( ?[ap]m)?( ?(z|utc|gmt|[+-]\d\d:?\d\d))?",
+    r"\d{1,2}:\d{2}[\d:.,]*( ?[ap]m)?( ?(z|utc|gmt|[+-]\d\d(:?\d\d)?))?",
     re.IGNORECASE,
 )
 
@@ -108,13 +108,11 @@ def _utf8(content: bytes, where: str, notes: list[str]) -> bytes:
 
 def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     """Return the form of a file by its first lines."""
-    said = re.fullmatch(r'"?sep=(.)"?\s*', lines[0], re.IGNORECASE)
     most = max(line.count(sign) for line in lines for sign in _NAMES)
     check_size(where, 0, most + 1)
     lines = lines[: max(_FEW, _FIELDS // (most + 1))]
-    begin = 1 if said and lines[1:] else 0
-    sign = stated or (said[1] if said and said[1] in _NAMES else _separator(lines))
-    rows = _rows(lines, sign, begin)
+    sign = stated or _separator(lines)
+    rows = _rows(lines, sign)
     if not rows:
         raise InputError(where, "has no rows of numbers below a line that names the columns")
     first, fields, width = min(rows), [*rows.values()], len(rows[min(rows)])
@@ -122,14 +120,16 @@ def _shape(lines: Sequence[str], where: str, stated: str | None) -> _Shape:
     if width > max(_WIDE, 3 * len(fields)) and len(channels) == len(fields) > 1:
         reason = f"has a row per channel ({', '.join(sorted(channels)):.60}): transpose it to a row per time"
         raise InputError(where, reason)
-    above = [number for number in range(begin, first) if len(split_line(lines[number], sign)) >= width - 1]
+    above = [number for number in range(first) if len(split_line(lines[number], sign)) >= width - 1]
     words = [place for place, each in enumerate(fields[0]) if not _VALUE.fullmatch(each)]
     if not above and any(all(_VALUE.fullmatch(row[place]) for row in fields[1:]) for place in words):
         first = min([*rows][1:], default=first + 1)  # names such as t,1,2,3
-    above = [number for number in range(begin, first) if lines[number].strip()]
+    above = [number for number in range(first) if lines[number].strip()]
     units = [each.strip("[](){}<> ") for each in _fields(lines[above[-1]], sign)] if above[1:] else []
-    known = {*units} - {"", "-"}
-    units = units if known and all(map(unit_in, known)) and len(units) >= width - 1 else []
+    filled = [each for each in units if each.strip("-")]
+    known = 2 * sum(bool(unit_in(each)) for each in filled) > len(filled)
+    widths = [len(_fields(lines[number], sign)) for number in above[-2:]]  # of the names, and of the units
+    units = units if known and min(widths) >= width - 1 else []
     above = above[:-1] if units else above
     names = _fields(lines[above[-1]], sign) if above else []
     if (len(names) == 1 and width > 2) or all(_VALUE.fullmatch(each) for each in names):
@@ -152,10 +152,10 @@ def _fields(line: str, sign: str) -> list[str]:
     return split_line(_COMMENT.sub("", line, count=1) if _COMMENT.match(line) else line, sign)
 
 
-def _rows(lines: Sequence[str], sign: str, begin: int) -> dict[int, list[str]]:
+def _rows(lines: Sequence[str], sign: str) -> dict[int, list[str]]:
     """Return the fields of the lines that are rows of values of the most frequent width, by their index."""
     rows = dict[int, list[str]]()
-    for number, line in enumerate(lines[begin:], begin):
+    for number, line in enumerate(lines):
         fields = [] if _COMMENT.match(line) else split_line(line, sign)
         filled = [each for each in fields if each]
         if filled and 2 * sum(bool(_VALUE.fullmatch(each)) for each in filled) >= len(filled):

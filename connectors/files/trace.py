@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 import numpy as np
 
 from connectors.files.column_map import LABEL, ColumnMap
-from operators.batch import EVERY, Batch, Motion, Touch, Zeroed
+from operators.batch import EVERY, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.fingertip import Fingertip
 from operators.ports import Description, Json
@@ -24,7 +24,7 @@ _DEFAULT: Final = ColumnMap()
 class Trace:
     """`Recording` of fingertips, and of the motion if there is one, loaded completely and checked.
 
-    The file is read at the first access of an attribute, not by the declaration of a flow. Other columns are
+    The file is read at the first access of `part`, not by the declaration of a flow. Other columns are
     ignored. Readings become whole counts of a `resolution`; if they do not fit in 16 bits, each cell has an
     offset. A missing reading is an invalid cell. Temperatures are 0 (unknown) and the pose is NaN. A speed
     becomes a velocity along x of the base frame. A row without a velocity adds no row of motion.
@@ -37,8 +37,7 @@ class Trace:
         about: Further entries of the description, such as ``group``, the surface or object.
 
     Attributes:
-        part: All that was read and concluded; its attributes, such as `touch`, `motion`, `labels`, `columns`
-            and `warnings`, are also those of the trace.
+        part: All that was read and concluded: `touch`, `motion`, `labels`, `columns`, `warnings` and more.
 
     Raises:
         InputError: if the file cannot be read, or has invalid values; it lists all problems.
@@ -59,24 +58,9 @@ class Trace:
 
     @cached_property
     def part(self) -> "Part":
-        """All that was read and concluded.
-
-        Raises:
-            InputError: as for the class.
-        """
+        """All that was read and concluded."""
         [part] = interpreted(self._source, self._columns, name=self.name)
         return part
-
-    def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the part, which is read at the first access."""
-        if name.startswith("_"):
-            raise AttributeError(name)
-        return getattr(self.part, name)
-
-    @property
-    def kind(self) -> type[Touch]:
-        """Type of the touch stream: Touch or Zeroed."""
-        return self.part.columns.kind
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip: cells, rate, unit and resolution of the file, layout and range as given."""
@@ -108,7 +92,7 @@ class Trace:
             "trace": Path(self.name).name,
             "sha256": part.sha256,
             "rows": len(part.touch),
-            "zeroed": self.kind is Zeroed,
+            "zeroed": bool(found.zeroed),
             "columns": {name: list(names) for name, names in found.columns.items()},
             "units": dict(found.units),
             **self._about,

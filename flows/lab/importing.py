@@ -24,8 +24,9 @@ from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import session_of
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Operator, Zero, Zeroed, ms
-from operators.batch import Labelled, Motion, Touch
+from operators.batch import Codes, Labelled, Motion, Sample, Touch, concat
 from operators.errors import InputError, ParameterError, SlipflowError
+from operators.fingertip import TAKKTILE
 from operators.ports import Description
 from storage import Dataset
 from storage.description import read_session
@@ -33,6 +34,7 @@ from storage.layout import SESSIONS, session_folders
 
 _DEFAULT: Final = ColumnMap()
 _LABEL: Final = Label()  # by the arm's speed; `slipflow run relabel` has other limits
+_WITHIN: Final = 20 * ms  # of a sample, its motion
 
 
 @dataclass
@@ -81,6 +83,15 @@ class TraceImport:
         columns = self.trace.part.columns
         return "the file" if LABEL in columns.columns else "the map" if columns.labelled else ""
 
+    def labels(self) -> Codes:
+        """Return the labels of the samples of a fingertip (n,), those of the trace or by the arm's speed."""
+        part, touch, align = self.trace.part, self.trace.part.touch, Align(within=_WITHIN)
+        if self.label_source or not len(part.motion):
+            return part.labels
+        zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid, finger=touch.finger)
+        samples = concat(Sample, [align.push(zeroed, part.motion), align.flush()])
+        return replace(_LABEL).push(samples).label
+
     def flow(self, out: Path) -> Flow:
         """Return the flow that writes the dataset `out`."""
         flow, dataset, part = Flow("import"), Dataset(out), self.trace.part
@@ -90,7 +101,7 @@ class TraceImport:
         if len(part.motion):
             motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
-            samples = (touch | Zero()) & motion | Align(within=20 * ms) | replace(_LABEL)
+            samples = (touch | Zero()) & motion | Align(within=_WITHIN) | replace(_LABEL)
             (samples | attach if self.label_source else samples).to(dataset)
         elif self.label_source:
             (touch | Zero() | attach).to(dataset)
@@ -116,7 +127,7 @@ class TraceImport:
     def interpretation(self) -> list[str]:
         """Return a line for each quantity, with its columns and their unit."""
         part, found, lines = self.trace.part, self.trace.part.columns, list[str]()
-        way = "zeroed" if self.trace.kind is Zeroed else "raw"
+        way = "zeroed" if found.zeroed else "raw"
         units = {**found.units, COUNTS: way if found.unit == "count" else f"{way}, {found.unit}"}
         for name, columns in found.columns.items():
             notes = [units[each] for each in [name.partition(".")[0]] if each in units]
@@ -130,7 +141,8 @@ class TraceImport:
             way = "rise" if low < high else "fall"
             lines.append(f"  range    {low:.9g} to {high:.9g}  (readings {way} as the pressure rises)")
         else:
-            assumed = "1023 counts, falling" if found.unit == "count" else "the direction of the training"
+            takktile = found.unit == "count" and part.touch.cells == TAKKTILE.cells
+            assumed = "1023 counts, falling" if takktile else "the direction of the training"
             lines.append(f"  range    unknown: detectors assume {assumed}; state range=LOW:HIGH")
         if part.unused:
             lines.append(f"  not used {listed(part.unused)}")
@@ -152,15 +164,20 @@ class TraceImport:
             moving = f"{np.sum(speeds > _LABEL.speed)} of {len(speeds)} rows"
             moving += f", above {_LABEL.speed:g} m/s, at up to {speeds.max():.3g} m/s"
             lines.append(f"  the arm moves in {moving}")
+        labels = self.labels()
+        many = {name: int((labels == code).sum()) for name, code in LABELS.items()}
+        counted = ", ".join(f"{count} {name}" for name, count in many.items() if count)
         if self.label_source:
-            many = {name: int((part.labels == code).sum()) for name, code in LABELS.items()}
-            labels = ", ".join(f"{count} {name}" for name, count in many.items() if count)
-            lines.append(f"  labels of {self.label_source}: {labels}")
+            lines.append(f"  labels of {self.label_source}: {counted}")
         elif len(part.motion):
-            lines.append(f"  labels by arm speed, slip above {1000 * _LABEL.speed:g} mm/s")
+            lines.append(f"  labels by arm speed, slip above {1000 * _LABEL.speed:g} mm/s: {counted}")
         else:
             lines.append("  no labels and no motion: no samples")
         lines += [f"  warning: {each}" for each in part.warnings]
+        absent = [name for name in ("slip", "static") if not many[name]]
+        if absent and not self.label_source and np.any(speeds > _LABEL.speed):
+            limits = f"above {_LABEL.speed:g} and below {_LABEL.limit:g} m/s in the base's x-y plane"
+            lines.append(f"  warning: no row is {absent[0]}, but the arm moves: slip is a speed {limits}")
         about = self.trace.describe()
         stated = "".join(f", {name} {about[name]}" for name in ("group", "split") if name in about)
         fingers = " and ".join(map(str, self.trace.fingers(Touch)))
@@ -265,14 +282,13 @@ def import_files(
 
 
 def _parts(path: Path, columns: ColumnMap, steps: dict[str, float], *, split: bool) -> list[Part]:
-    """Return the parts of a file; their unit gets the resolution in `steps`, if it is there."""
+    """Return the parts of a file; `steps` has the resolution of earlier files by unit, and gets its own."""
     if path.is_dir():
         raise InputError(str(path), f"is a folder: give {path}/*.csv")
-    found = interpreted(path, columns, split=split)
+    found = interpreted(path, replace(columns, steps=steps), split=split)
     _check_rate(found[0])
-    unit, resolution = found[0].columns.unit, found[0].resolution
-    if columns.resolution is None and steps.setdefault(unit, resolution) != resolution:
-        found = interpreted(path, replace(columns, resolution=steps[unit]), split=split)
+    if columns.resolution is None:
+        steps.setdefault(found[0].columns.unit, found[0].resolution)
     return found
 
 

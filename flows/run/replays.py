@@ -265,15 +265,14 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     Raises:
         InputError: if it is neither, or damaged.
     """
-    from connectors.files.container import ENDINGS
     from connectors.files.trace import Trace
 
-    if not path.name.endswith(ENDINGS):
+    if not path.is_file():
         return Session.open(path)
 
     trace = Trace(path)
     try:
-        warnings = trace.warnings
+        warnings = trace.part.warnings
     except InputError as error:
         reason = f"{error.reason} (convert it with slipflow import --map, then replay the result)"
         raise InputError(error.where, reason) from error

@@ -1,5 +1,6 @@
 import asyncio
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from connectors import Replay
 from flows.graph.testing import TestRecording
 from flows.run.clocks import EventClock
-from operators.batch import Motion, Scores, concat, ms, s
+from operators.batch import Motion, Scores, Touch, concat, ms, s
 from operators.errors import InputError
 
 
@@ -45,11 +46,13 @@ def test_all_rows_are_replayed_with_their_recorded_timestamps(time: list[int], s
     assert rows(replayed) == (time, np.linspace(0, 1, len(time)).tolist())
 
 
-def test_each_row_is_a_batch_when_it_is_due_and_streams_of_one_origin_stay_synchronous() -> None:
+def test_each_row_is_a_batch_when_it_is_due_and_streams_of_one_recording_are_synchronous() -> None:
     source = Replay(recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
     due = [(100 * s + time, 1) for time in (0, 10 * ms, 30 * ms)]
     assert [(now, len(batch)) for now, batch in replay(source, EventClock(100 * s))] == due
-    late = Replay(recorded({0: [9 * s]}), Scores, origin=7 * s)
+    touch = replace(Touch.zeros(1), time=np.array([7 * s]))
+    scores = Scores(np.array([9 * s]), np.ones(1), finger=0)
+    late = Replay(TestRecording("memory", [touch, scores, Motion.empty()]), Scores)
     assert [now for now, _ in replay(late, EventClock(0))] == [2 * s]
 
 

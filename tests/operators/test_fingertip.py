@@ -85,6 +85,9 @@ def test_cells_and_rate_are_measured_if_nothing_states_them() -> None:
     assert found is not None
     assert (found.cells, found.rate) == (16, 1000.0)
     assert measured(Touch.zeros(9)) is None  # all rows have one time: no default
+    assert rows_per_second(np.arange(600) * 10**16) == pytest.approx(
+        1e-7
+    )  # 2**63 ns are less than twice this
 
 
 @given(

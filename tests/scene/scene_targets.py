@@ -120,10 +120,10 @@ def read_trace(path: Path) -> LabelledRecording:
     Raises:
         InputError: if a row has no label, or the file is not a trace.
     """
-    trace = Trace(path, ColumnMap(zeroed=True))
-    if (trace.labels == UNKNOWN).any():
+    part = Trace(path, ColumnMap(zeroed=True)).part
+    if (part.labels == UNKNOWN).any():
         raise InputError(str(path), "has rows without a label; label each row")
-    return LabelledRecording(trace.touch.counts, trace.labels, name=path.stem)
+    return LabelledRecording(part.touch.counts, part.labels, name=path.stem)
 
 
 def relaxed(parameters: Parameters) -> list[float]:

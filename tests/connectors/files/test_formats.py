@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
+from connectors.files.interpretation import Part
 from connectors.files.number_format import reals, with_decimal
 from connectors.files.raw_table import RawTable
 from connectors.files.time_axis import of_texts
@@ -110,6 +111,7 @@ def test_dates_are_read_in_each_order(
         ("2025-03-26T14:29:06.123456789Z", 1742999346123456789),
         ("2025-03-26 14:29:06+01:00", 1742995746 * s),
         ("2025-03-26 14:29:06.5+05:30", 1742979546500 * ms),
+        ("2025-03-26 14:29:06.5+01", 1742995746500 * ms),  # PostgreSQL
         ("26-Mar-2025 14:29:06", 1742999346 * s),
         ("14:29:60", 52200 * s),
         ("14:29:61", None),
@@ -130,10 +132,10 @@ def test_other_times_are_read_or_refused(text: str, expected: int | None) -> Non
     assert of_texts(pl.Series([text]), "dmy")[0] == expected
 
 
-def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Trace:
+def trace(times: list[object], columns: str = "", name: str = "t", **more: list[object]) -> Part:
     count = np.arange(len(times))
     cells = {"p0": 500 + count % 5, "p1": 500 - count % 7}
-    found = Trace({name: times, **cells, **more}, ColumnMap.parse(columns))
+    found = Trace({name: times, **cells, **more}, ColumnMap.parse(columns)).part
     assert len(found.touch) == len(times)  # reads it
     return found
 
@@ -172,7 +174,7 @@ def test_a_time_without_resolution_is_refused(digits: int) -> None:
         InputError, match=r"column t has only \d values? in 240 rows.*: it tells no rate; state time=,rate="
     ):
         trace([*times])
-    with pytest.raises(InputError, match=r"; try --map counts=p0,p1,rate=100,time=$"):
+    with pytest.raises(InputError, match=r"; try --map time=,counts=p0,p1,rate=100$"):
         trace([*times], "rate=100")
     assert trace([*times], "time=,rate=100").columns.rate == 100
 
@@ -227,10 +229,14 @@ def test_lost_samples_do_not_lower_the_rate_and_are_counted(
     assert trace([*given.tolist()], f"rate={rate}", "time_ns").columns.rate == rate
 
 
-def test_a_stated_rate_that_the_rows_miss_is_a_warning() -> None:
-    found = trace([k / 60 for k in range(60)], "rate=100")
-    assert "has 60 rows per second, not 100: wrong unit of the time, or lost rows?" in found.warnings
+def test_a_stated_rate_that_the_rows_miss_is_a_warning_only_if_gaps_show_the_loss() -> None:
+    lossy = np.delete(np.arange(1000) / 100, SOME[:400])
+    found = trace([*lossy.tolist()], "rate=100")
+    assert "has 59.96 rows per second, not 100: wrong unit of the time, or lost rows?" in found.warnings
     assert found.columns.rate == 100
+    for rate in (60, 90, 112, 190):
+        with pytest.raises(InputError, match=rf"has 100 rows per second, not {rate}: wrong unit"):
+            trace([k / 100 for k in range(600)], f"rate={rate}")
 
 
 def test_times_in_whole_seconds_are_no_pauses() -> None:
@@ -285,7 +291,7 @@ def test_the_map_that_an_error_suggests_reads_the_file_and_keeps_what_was_stated
     frame = {**columns, "left": [500 + k % 5 for k in range(60)], "right": [500 - k % 7 for k in range(60)]}
     for _ in range(3):  # of each call, all problems that do not depend on others
         try:
-            assert len((found := Trace(frame, ColumnMap.parse(stated))).touch) == 60
+            assert len((found := Trace(frame, ColumnMap.parse(stated)).part).touch) == 60
             break
         except InputError as error:
             [_, suggested] = shlex.split(str(error).rpartition("; try ")[2])

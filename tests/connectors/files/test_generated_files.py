@@ -16,7 +16,7 @@ def check(seed: int, folder: Path) -> bool:
     file = generated(seed)
     path, about = write(file, folder), f"seed {seed}: {', '.join(file.about)}"
     try:
-        rows = len((trace := Trace(path, ColumnMap.parse(file.columns))).touch)
+        rows = len((trace := Trace(path, ColumnMap.parse(file.columns)).part).touch)
     except (InputError, ParameterError) as error:
         text = str(error)
         good = file.refusable and text.startswith(str(path)) and "\n" not in text

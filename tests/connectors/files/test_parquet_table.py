@@ -38,19 +38,19 @@ def test_columns_of_any_type_are_read(path: Path) -> None:
     )
     columns = ColumnMap.parse("counts=cells0..cells1,velocity=tcp.vx,tcp.vy,tcp.vz,label=state")
     trace = Trace(path, columns)
-    assert trace.touch.counts.tolist() == [[1, 2], [3, 4], [5, 6], [7, 8]]
-    assert trace.touch.time[0] == 1767225600_001000000
-    assert speeds_of(trace.motion) == pytest.approx([0, 0.1, 0.2, 0.3])
-    assert trace.labels.tolist() == [1, 0, -1, 0]
+    assert trace.part.touch.counts.tolist() == [[1, 2], [3, 4], [5, 6], [7, 8]]
+    assert trace.part.touch.time[0] == 1767225600_001000000
+    assert speeds_of(trace.part.motion) == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert trace.part.labels.tolist() == [1, 0, -1, 0]
     with pytest.raises(InputError, match="column raw cannot be used: its values are Binary"):
-        _ = Trace(path, ColumnMap.parse("counts=raw")).touch
+        _ = Trace(path, ColumnMap.parse("counts=raw")).part.touch
 
 
 def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
     cells = {f"p{k}": [1.0, None, 3.0, float("inf")] for k in range(2)}
     put(path, t=[0.0, 1.0, 2.0, 3.0], **cells)
     with pytest.raises(InputError, match=r"parquet, row 3, column p0: is inf, must be a number, without"):
-        _ = Trace(path).touch  # once for all cells
+        _ = Trace(path).part.touch  # once for all cells
     for times, row, must_be in (
         ([0.0, float("nan"), 2.0], 1, "a time in s"),
         ([0.0, None, 2.0], 1, "a time in s"),
@@ -59,7 +59,7 @@ def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
     ):
         put(path, t=times, p0=[1, 2, 3], p1=[1, 2, 3])
         with pytest.raises(InputError, match=rf"row {row}, column t: is \S+, must be {must_be}"):
-            _ = Trace(path).touch
+            _ = Trace(path).part.touch
 
 
 @pytest.mark.parametrize(
@@ -77,12 +77,12 @@ def test_the_real_recordings_are_read_whole(folder: str, columns: ColumnMap, row
     read = 0
     for file in files:
         trace = Trace(pl.read_parquet(file).drop_nulls("time") if folder == "barometers" else file, columns)
-        read += len(trace.touch)
-        names = trace.columns.columns["counts"]
-        given = pl.read_parquet(file).drop_nulls(trace.columns.columns["time"])[list(names)].to_numpy()
-        stored = (trace.touch.counts + trace.offset) * trace.resolution
-        valid = trace.touch.valid
-        assert np.abs(stored - given)[valid].max() <= trace.resolution / 2
+        read += len(trace.part.touch)
+        names = trace.part.columns.columns["counts"]
+        given = pl.read_parquet(file).drop_nulls(trace.part.columns.columns["time"])[list(names)].to_numpy()
+        stored = (trace.part.touch.counts + trace.part.offset) * trace.part.resolution
+        valid = trace.part.touch.valid
+        assert np.abs(stored - given)[valid].max() <= trace.part.resolution / 2
         assert valid.mean() > 0.999
         assert bool(trace.fingers(Touch))
         assert bool(trace.fingers(Motion)) == (folder != "barometers")

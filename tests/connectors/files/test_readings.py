@@ -1,5 +1,7 @@
 """Readings in any unit as counts of 16 bits, and their fingertip."""
 
+import re
+
 import numpy as np
 import polars as pl
 import pytest
@@ -27,7 +29,7 @@ def table(*readings: list[float], dtype: str = "f8") -> pl.DataFrame:
 
 def given_back(trace: Trace) -> Reals:
     """Return the readings that the counts stand for."""
-    readings: Reals = (trace.touch.counts + trace.offset) * trace.resolution
+    readings: Reals = (trace.part.touch.counts + trace.part.offset) * trace.part.resolution
     return readings
 
 
@@ -67,8 +69,8 @@ def test_the_resolution_keeps_all_digits_if_it_can(
     readings: list[float], unit: str, resolution: float, *, offset: bool
 ) -> None:
     trace = Trace(table(readings), columns(unit))
-    assert trace.resolution == resolution
-    assert trace.offset.any() == offset
+    assert trace.part.resolution == resolution
+    assert trace.part.offset.any() == offset
     assert given_back(trace)[:, 0] == pytest.approx(readings, abs=resolution * 0.51)
     fingertip = trace.fingertip(Touch)
     assert fingertip is not None
@@ -77,18 +79,18 @@ def test_the_resolution_keeps_all_digits_if_it_can(
 
 def test_readings_of_32_bit_floats_have_the_resolution_of_their_decimals() -> None:
     trace = Trace(table([101.32, 101.35, 99.99], dtype="f4"), columns("kPa"))
-    assert trace.resolution == 0.01
+    assert trace.part.resolution == 0.01
 
 
 def test_readings_relative_to_the_unloaded_fingertip_have_no_offset() -> None:
     pressures = table([98270.25, 143262.0, 98000.75])
     for zeroed, resolution in ((True, 5), (False, 1)):
         trace = Trace(pressures, columns("Pa", zeroed=zeroed))
-        assert trace.kind is (Zeroed if zeroed else Touch)
-        assert trace.resolution == resolution
-        assert trace.offset.any() != zeroed
-    assert Trace(table([-0.5, 2.0]), columns("N")).kind is Zeroed
-    assert Trace(table([-0.5, 2.0]), columns("N", zeroed=False)).kind is Touch
+        assert type(trace.part.touch) is (Zeroed if zeroed else Touch)
+        assert trace.part.resolution == resolution
+        assert trace.part.offset.any() != zeroed
+    assert type(Trace(table([-0.5, 2.0]), columns("N")).part.touch) is Zeroed
+    assert type(Trace(table([-0.5, 2.0]), columns("N", zeroed=False)).part.touch) is Touch
 
 
 def test_a_part_that_begins_loaded_is_a_warning_of_this_part_only() -> None:
@@ -102,11 +104,35 @@ def test_a_part_that_begins_loaded_is_a_warning_of_this_part_only() -> None:
 
 def test_a_given_resolution_is_kept_and_must_fit() -> None:
     trace = Trace(table([0.1234, 5.0]), columns("V", 0.01))
-    assert trace.touch.counts[:, 0].tolist() == [12, 500]
-    assert "the readings are rounded to steps of 0.01 V" in trace.warnings
-    assert Trace(table([2.5, 1000]), columns(resolution=0.5)).touch.counts[:, 0].tolist() == [5, 2000]
+    assert trace.part.touch.counts[:, 0].tolist() == [12, 500]
+    assert "the readings are rounded to steps of 0.01 V" in trace.part.warnings
+    assert Trace(table([2.5, 1000]), columns(resolution=0.5)).part.touch.counts[:, 0].tolist() == [5, 2000]
     with pytest.raises(InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a"):
-        _ = Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4)).touch
+        _ = Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4)).part.touch
+
+
+@pytest.mark.parametrize(
+    ("cell", "value", "message"),
+    [
+        (0, 3.2e6, "make p0 p1 almost constant; row 40, column p0 is 3200000: state missing=3200000 if that"),
+        (1, 7e6, "steps of 250 kPa make p0 p1 almost constant; row 40, column p1 is 7000000: state missing="),
+        (2, 2e8, "steps of 10000 kPa make p0 p1 almost constant; row 0, column p2 is 1: state missing=1 if"),
+    ],
+)
+def test_an_automatic_resolution_that_destroys_a_signal_is_refused_with_its_cause(
+    cell: int, value: float, message: str
+) -> None:
+    cells = np.round(101 + np.random.default_rng(0).random((3, 200)), 3)
+    cells[2] = 1.0  # broken
+    cells[cell, 40 if cell < 2 else slice(40, 200)] = value
+    frame, text = table(*cells.tolist()), "counts=p0..p2,units.counts=kPa"
+    with pytest.raises(InputError, match=re.escape(message)):
+        _ = Trace(frame, ColumnMap.parse(text)).part
+    if cell < 2:
+        without = ColumnMap.parse(f"{text},missing={value}")
+        assert Trace(frame, without).part.resolution == 0.001
+    rounded = Trace(frame, ColumnMap.parse(f"{text},resolution=10000")).part
+    assert "the readings are rounded to steps of 10000 kPa" in rounded.warnings
 
 
 def described(text: str, cells: int = 4, base: float = 100) -> Fingertip:
@@ -153,8 +179,10 @@ def test_cells_that_never_change_and_readings_outside_the_range_are_warnings() -
         "all readings of p1 are the same: is the cell broken?",
         "readings are outside the stated range, 0 to 105",
     ]
-    assert Trace(table(moving, fixed), ColumnMap.parse("range=105:0,units.counts=kPa")).warnings == (*doubts,)
-    assert Trace(table(moving, moving), ColumnMap.parse("range=0:108")).warnings == ()
+    assert Trace(table(moving, fixed), ColumnMap.parse("range=105:0,units.counts=kPa")).part.warnings == (
+        *doubts,
+    )
+    assert Trace(table(moving, moving), ColumnMap.parse("range=0:108")).part.warnings == ()
 
 
 def test_a_range_in_the_unit_of_the_file_becomes_counts() -> None:

@@ -1,5 +1,6 @@
 """Roles, units and layouts by the names of columns."""
 
+import re
 from collections.abc import Sequence
 
 import polars as pl
@@ -31,7 +32,7 @@ def roles(names: Sequence[str], columns: str = "") -> ColumnMap:
         ),
         (("t", *CELLS, "Slip", "v", "other"), {"label": ("Slip",), "speed": ("v",)}),
         (("t", *CELLS, "vx", "vy", "vz", "v"), {"velocity": ("vx", "vy", "vz")}),
-        (("t", *CELLS, "vx", "vy", "v"), {"speed": ("v",)}),
+        (("t", *CELLS, "vx", "vy", "v", "V"), {"speed": ("v",)}),  # V are volts
         # T is a temperature, b1 alone no fingertip
         (("t", "T", *CELLS, "b1"), {"time": ("t",), "counts": CELLS}),
         (("Date", "Time", *CELLS), {"date": ("Date",), "time": ("Time",)}),
@@ -119,6 +120,61 @@ def test_units_are_read_from_the_names(names: tuple[str, ...], units: dict[str, 
 
 
 @pytest.mark.parametrize(
+    ("names", "columns", "complaint"),
+    [
+        (
+            ("t", "a0 [kPa]", "a1 [kPa]", "b0 [mbar]", "b1 [mbar]"),
+            "counts.0=a0 [kPa],a1 [kPa],counts.1=b0 [mbar],b1 [mbar]",
+            "units differ, a0 [kPa] has kPa and b0 [mbar] has mbar: convert them to one, or state units",
+        ),
+        (
+            ("t", "left [kPa]", "right"),
+            "counts=left [kPa],right",
+            "left [kPa] has kPa and right has no unit",
+        ),
+        (
+            ("t", *CELLS, "vx [mm/s]", "vy [mm/s]", "vz"),
+            "velocity=vx [mm/s],vy [mm/s],vz",
+            "units differ, vx [mm/s] has mm/s and vz has no unit: convert them",
+        ),
+    ],
+)
+def test_columns_of_one_quantity_with_different_units_are_refused(
+    names: tuple[str, ...], columns: str, complaint: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(complaint)):
+        roles(names, columns)
+    quantity = columns.partition("=")[0].partition(".")[0]
+    unit = "kPa" if quantity == "counts" else "mm/s"
+    assert roles(names, f"{columns},units.{quantity}={unit}").units[quantity] == unit
+
+
+def test_the_angular_velocity_may_have_a_unit_of_its_own() -> None:
+    axes = [f"v{axis} [mm/s]" for axis in "xyz"] + [f"w{axis} [rad/s]" for axis in "xyz"]
+    assert roles(("t", *CELLS, *axes), f"velocity={','.join(axes)}").units["velocity"] == "mm/s"
+
+
+@pytest.mark.parametrize(
+    ("fingers", "refused"),
+    [
+        ([0, 1] * 30, True),
+        ([*["left"] * 20, *["right"] * 20, *["left"] * 20], True),
+        ([*["left"] * 30, *["right"] * 30], False),
+        ([0] * 60, False),
+        ([*range(60)], False),
+    ],
+)
+def test_rows_of_fingertips_that_alternate_are_refused(fingers: list[object], *, refused: bool) -> None:
+    frame = {"t": [*range(60)], "p0": [*range(60)], "p1": [*range(60)], "sensor_id": fingers}
+    table = RawTable.of(pl.DataFrame(frame), "pad")
+    completed(table, ColumnMap())
+    reasons = [reason for _, reason in table.problems.values()]
+    assert len(reasons) == refused
+    for reason in reasons:
+        assert reason.startswith("column sensor_id alternates between 2 fingertips: import each in Python")
+
+
+@pytest.mark.parametrize(
     ("columns", "hint"),
     [
         ({"state": ["slip", "stick"]}, "state"),
@@ -150,7 +206,9 @@ def test_case_counts_where_it_carries_meaning() -> None:
         *("mPa", "MPa", "mN", "T", "kPa", "Pa", "psi", "ms")
     ]
     assert not any(map(unit_in, ("MPA", "MN", "t", "g", "v", "Mv")))
-    with pytest.raises(InputError, match=r"unit MPA may be mPa or MPa; state units\.counts=mPa"):
+    with pytest.raises(
+        InputError, match=r"unit MPA of column p0 \[MPA\] must be mPa or MPa: state units\.counts="
+    ):
         roles(("t", "p0 [MPA]", "p1 [MPA]"))
 
 

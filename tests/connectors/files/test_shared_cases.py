@@ -30,12 +30,12 @@ def case(path: str) -> Path:
 )
 def test_a_case_gives_the_right_value(path: str, start: int, unit: str, lowest: float) -> None:
     trace = Trace(case(path))
-    found = trace.touch
-    assert (len(found), trace.columns.unit) == (240, unit)
+    found = trace.part.touch
+    assert (len(found), trace.part.columns.unit) == (240, unit)
     assert np.ptp(found.time) / 1e9 == pytest.approx(2.4, abs=0.02)
-    assert trace.columns.rate == pytest.approx(100, abs=0.1)
+    assert trace.part.columns.rate == pytest.approx(100, abs=0.1)
     assert int(found.time[0]) // 10**9 == start
-    assert trace.extent[0] == pytest.approx(lowest, rel=0.01)
+    assert trace.part.extent[0] == pytest.approx(lowest, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -55,21 +55,21 @@ def test_a_case_gives_the_right_value(path: str, start: int, unit: str, lowest: 
 )
 def test_a_case_is_refused_with_the_remedy(path: str, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
-        assert Trace(case(path)).touch
+        assert Trace(case(path)).part.touch
 
 
 def test_arrays_with_a_row_per_channel_are_turned() -> None:
     arrays = dict(np.load(case("matlab_transposed/biotac.npz")))
     trace = Trace(arrays, ColumnMap.parse("rate=100,counts=F0Electrodes*"))
-    assert trace.touch.counts.tolist() == arrays["F0Electrodes"].T.tolist()
+    assert trace.part.touch.counts.tolist() == arrays["F0Electrodes"].T.tolist()
 
 
 def test_a_label_of_all_rows_and_two_fingertips() -> None:
     for label, code in (("slip", 1), ("static", 0)):
         trace = Trace(case(f"label_per_file/{label}.csv"), ColumnMap(labelled=label))
-        assert trace.labels.tolist() == [code] * 240
+        assert trace.part.labels.tolist() == [code] * 240
     trace = Trace(case("two_fingertips/two.csv"), ColumnMap.parse("counts.0=L1..L3,counts.1=R1..R3"))
     assert trace.fingers(Touch) == (0, 1)
     second = concat(Touch, list(trace.read(Touch, 1)))
-    columns = trace.columns.offset or (0,) * 6
+    columns = trace.part.columns.offset or (0,) * 6
     assert (second.counts[0] + columns[3:]).tolist() == [32967, 33008, 33018]

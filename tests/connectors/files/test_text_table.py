@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.container import read_table
 from connectors.files.number_format import reals, with_decimal
@@ -72,6 +73,16 @@ def test_a_row_of_units_is_not_a_row_of_values(write: Write, units: str) -> None
     found = read_table(write(f"t,p0,p1\n{units}\n{BODY}")).units
     assert (found["t"], found["p0"], found["p1"].strip("-")) == ("s", "kPa", "")
     assert read_table(write(f"t,p0,p1\n{BODY}")).units == {}
+
+
+def test_an_unknown_unit_matters_only_if_its_column_is_used(write: Write) -> None:
+    text = "t,p0,p1,temp,speed\nms,kPa,kPa,\u00b0C,rad/s\n0,500,501,20,1\n10,500,501,20,1\n"
+    path = write(text)
+    assert Trace(path, ColumnMap.parse("speed=")).part.columns.unit == "kPa"
+    reason = "unit rad/s of column speed must be m/s or cm/s or mm/s: state units.speed=..., or convert it"
+    with pytest.raises(InputError, match=reason):
+        _ = Trace(path).part
+    assert list(read_table(write(f"A title\nms,N,slip\n{BODY}")).columns) == ["ms", "N", "slip"]
 
 
 def test_windows_1252_is_read(tmp_path: Path) -> None:

@@ -39,13 +39,13 @@ def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
             "0.51,0,0,0,0,0,0,-1,x",
         )
     )
-    touch = trace.touch.check()
+    touch = trace.part.touch.check()
     assert touch.time.tolist() == [500_000_000, 510_000_000, 510_000_000]
     assert touch.counts.tolist() == [[1, 2, 3, 4, 5, -6], [1, 2, 3, 4, 5, 6], [0] * 6]
     assert touch.valid.all()
     assert not touch.temperature.any()
-    assert trace.labels.tolist() == [0, 1, -1]
-    assert trace.labels.dtype == np.int8
+    assert trace.part.labels.tolist() == [0, 1, -1]
+    assert trace.part.labels.dtype == np.int8
     assert trace.describe() == {
         "trace": "trace.csv",
         "sha256": hashlib.sha256(Path(trace.name).read_bytes()).hexdigest(),
@@ -74,20 +74,20 @@ def test_the_range_of_the_cells_and_not_one_reading_decides_whether_they_are_zer
     rows[70][1] = -999 if faulty else rows[70][1]
     path = write("t,p0,p1", *(f"{k / 100},{a},{b}" for k, (a, b) in enumerate(rows)))
     trace = Trace(path, ColumnMap(zeroed=zeroed))
-    assert trace.kind is type(trace.touch) is kind
+    assert type(trace.part.touch) is kind
     assert trace.fingers(Touch) == (0,)
     assert trace.fingers(Zeroed) == ((0,) if kind is Zeroed else ())
     assert trace.fingers(Motion) == ()
-    assert int((~trace.touch.valid).sum()) == faulty
+    assert int((~trace.part.touch.valid).sum()) == faulty
     doubt = "line 72, column p1 is -999, far from all others: taken as missing"
-    assert any(doubt in each for each in trace.warnings) == faulty
+    assert any(doubt in each for each in trace.part.warnings) == faulty
 
 
 @given(st.decimals(-9_000_000_000, 9_000_000_000, allow_nan=False, places=12))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_seconds_become_the_nearest_nanosecond(write: Write, time: Decimal) -> None:
     nearest = int(time.scaleb(9).to_integral_value(ROUND_HALF_EVEN))
-    found = Trace(write(HEADER, f"{time:f},1,2,3,4,5,6")).touch.time.item()
+    found = Trace(write(HEADER, f"{time:f},1,2,3,4,5,6")).part.touch.time.item()
     assert found == nearest or abs(time.scaleb(9) - found) == Decimal("0.5")
 
 
@@ -98,11 +98,15 @@ def test_the_batches_of_any_size_are_the_whole_trace(write: Write, length: int, 
     batches = list(trace.read(Touch, 0, rows))
     assert {len(batch) for batch in batches[:-1]} <= {rows}
     assert len(batches[-1]) <= rows
-    assert concat(Touch, batches).counts.tolist() == trace.touch.counts.tolist()
+    assert concat(Touch, batches).counts.tolist() == trace.part.touch.counts.tolist()
 
 
 WHOLE = "must be a whole number (or state a unit, as units.counts=kPa, or a resolution)"
 LABEL = "neither slip nor static by usual words; state labels.slip=... (others: static)"
+UNKNOWN = (
+    "neither slip nor static by the map; state labels.unknown=west; try --map time=t,counts=s1,label=state,"
+    "labels.slip=north,labels.static=none,labels.unknown=west"
+)
 MAP = "try --map time=t,counts=s1..s6,label=label,labels.slip="
 MORE_FIELDS = "has more fields than line 1 has names; a comma in a value needs quotes"
 ORDER = "in order: sort the rows by time, or delete this one"
@@ -129,7 +133,7 @@ NUMBER = "must be a number, without signs of thousands, or empty"
 def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, complaint: str) -> None:
     path = write(f"{HEADER},label", "0.5,1,2,3,4,5,6,0", row, "2,1,2,3,4,5,6,0")
     with pytest.raises(InputError) as caught:
-        _ = Trace(path).touch
+        _ = Trace(path).part.touch
     assert str(caught.value) == f"{path}, {complaint}"
 
 
@@ -164,10 +168,11 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
         ),
         ("t,s1|1,1", "label=truth", f": there is no column truth; {T_S1}; try --map time=t,counts=s1"),
         ("t,s1,s2|0,1,|1,1,", "", ": column s2 has no readings"),
+        ("t,s1,s2|0,1,7|1,1,7", "missing=7", ": column s2 has no readings"),
         (
             "t,s1,state|0,1,north|1,1,west",
             "label=state,labels.slip=north,labels.static=none",
-            ", line 3, column state: has 'west', " + LABEL,
+            f", line 3, column state: has 'west', {UNKNOWN}",
         ),
         ("", "", ": is empty: its first line must name the columns"),
         ("sep=;", "", f": {NO_ROWS}"),
@@ -184,20 +189,20 @@ def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, co
 def test_a_file_is_refused_with_the_remedy(write: Write, text: str, columns: str, complaint: str) -> None:
     path = write(*text.split("|")) if text else write()
     with pytest.raises(InputError) as caught:
-        _ = Trace(path, ColumnMap.parse(columns)).touch
+        _ = Trace(path, ColumnMap.parse(columns)).part.touch
     assert str(caught.value) == f"{path}{complaint}"
 
 
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
-        _ = Trace(tmp_path / "absent.csv").touch
+        _ = Trace(tmp_path / "absent.csv").part.touch
 
 
 def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> None:
     trace = Trace(write(HEADER, "0,1,2,3,4,5,6", "1,1,,3,4,nan,6", "2,7,8,9,10,11,12"))
-    assert trace.touch.valid.tolist() == [[True] * 6, [True, False, True, True, False, True], [True] * 6]
-    assert trace.touch.counts[1].tolist() == [1, 0, 3, 4, 0, 6]
-    assert trace.warnings[1] == "missing readings: 2, in 1 of 3 rows"
+    assert trace.part.touch.valid.tolist() == [[True] * 6, [True, False, True, True, False, True], [True] * 6]
+    assert trace.part.touch.counts[1].tolist() == [1, 0, 3, 4, 0, 6]
+    assert trace.part.warnings[1] == "missing readings: 2, in 1 of 3 rows"
 
 
 def test_a_missing_stream_is_refused(write: Write) -> None:
@@ -218,41 +223,45 @@ def test_a_speed_becomes_a_motion_along_x(write: Write) -> None:
     assert motion.time.tolist() == motion.device_time.tolist() == [0, 3_000_000_000]
     assert motion.velocity.tolist() == [[0.0125, 0, 0, 0, 0, 0], [-0.004, 0, 0, 0, 0, 0]]
     assert np.isnan(motion.pose).all()
-    assert len(trace.touch) == 4
+    assert len(trace.part.touch) == 4
     path = write(f"{HEADER},v", f"[s],{'[count],' * 6}[mm/s]", "0,1,2,3,4,5,6,2", "1,1,2,3,4,5,6,4")
-    assert Trace(path).motion.velocity[:, 0].tolist() == [0.002, 0.004]  # by a row of units
+    assert Trace(path).part.motion.velocity[:, 0].tolist() == [0.002, 0.004]  # by a row of units
 
 
 def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) -> None:
     linear = Trace(write(f"{HEADER},VX,vy,vz,speed", "0,1,2,3,4,5,6,1,2,3,9"))
-    assert linear.motion.velocity.tolist() == [[1, 2, 3, 0, 0, 0]]
-    assert "speed" not in linear.columns.columns
+    assert linear.part.motion.velocity.tolist() == [[1, 2, 3, 0, 0, 0]]
+    assert "speed" not in linear.part.columns.columns
     columns = ColumnMap.parse("velocity=a1..a6,units.velocity=cm/s")
     whole = Trace(write(f"{HEADER},a1,a2,a3,a4,a5,a6", "0,1,2,3,4,5,6,1,2,3,4,5,6"), columns)
-    assert whole.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
+    assert whole.part.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
 
 
 def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
     path = write(HEADER.removeprefix("t,"), *["1,2,3,4,5,6"] * 4)
     trace = Trace(path, ColumnMap(rate=30))
-    assert trace.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
-    assert trace.columns.rate == pytest.approx(30)
+    assert trace.part.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
+    assert trace.part.columns.rate == pytest.approx(30)
 
 
 def test_a_stated_rate_must_match_the_times(write: Write) -> None:
     path = write(HEADER, *(f"{k * 10},1,2,3,4,5,6" for k in range(9)))
     with pytest.raises(InputError, match=r"has 0\.1 rows per second, not 100: wrong unit of the time"):
-        _ = Trace(path, ColumnMap(rate=100)).touch
-    assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).columns.rate == 95
+        _ = Trace(path, ColumnMap(rate=100)).part.touch
+    assert Trace(path, ColumnMap(units={"time": "ms"}, rate=95)).part.columns.rate == 95
 
 
 def test_the_real_trace_is_read_whole() -> None:
     if not MAT.exists():
         pytest.skip(f"{MAT} is missing: the shared material belongs next to the checkout")
     trace = Trace(MAT)
-    assert (len(trace.touch), trace.kind, trace.touch.time[0]) == (377, Zeroed, 6_569_355_000)
-    assert set(trace.labels.tolist()) == {0, 1}
-    assert trace.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
+    assert (len(trace.part.touch), type(trace.part.touch), trace.part.touch.time[0]) == (
+        377,
+        Zeroed,
+        6_569_355_000,
+    )
+    assert set(trace.part.labels.tolist()) == {0, 1}
+    assert trace.part.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
 
 
 @pytest.mark.parametrize(
@@ -270,7 +279,7 @@ def test_labels_may_have_other_values(
     write: Write, labels: str, values: list[str], expected: list[int]
 ) -> None:
     path = write(f"{HEADER},state", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
-    assert Trace(path, ColumnMap.parse(f"label=state,{labels}")).labels.tolist() == expected
+    assert Trace(path, ColumnMap.parse(f"label=state,{labels}")).part.labels.tolist() == expected
 
 
 @pytest.mark.parametrize(
@@ -288,31 +297,31 @@ def test_a_suggestion_for_labels_does_not_guess_which_word_is_slip(
 ) -> None:
     path = write(f"{HEADER},label", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
     with pytest.raises(InputError, match=rf"label=label,labels.slip={slip}'?$"):
-        _ = Trace(path).touch
+        _ = Trace(path).part.touch
 
 
 def test_labels_of_slip_alone_are_a_warning(write: Write) -> None:
     for value, warned in (("", True), ("none", True), ("static", False)):
         path = write(f"{HEADER},label", "0,1,2,3,4,5,6,slip", f"1,1,2,3,4,5,6,{value}")
-        assert ("no row is static: an empty label means unknown" in Trace(path).warnings) == warned
+        assert ("no row is static: an empty label means unknown" in Trace(path).part.warnings) == warned
 
 
 def test_pauses_are_a_warning(write: Write) -> None:
     times = [*range(0, 1000, 10), *range(3000, 3500, 10)]
     lines = [f"{time},{time % 7},2,3,4,5,6" for time in times]
-    warning, *_ = Trace(write(f"t_ms{HEADER[1:]}", *lines)).warnings
+    warning, *_ = Trace(write(f"t_ms{HEADER[1:]}", *lines)).part.warnings
     assert warning == "pauses: 1, up to 2.0 s, the first after line 101"
     again = write(f"t_ms{HEADER[1:]}", *lines, "5000,1,2,3,4,5,6")
-    assert "pauses: 2, up to 2.0 s, the first after line 101" in Trace(again).warnings
+    assert "pauses: 2, up to 2.0 s, the first after line 101" in Trace(again).part.warnings
 
 
 def test_what_labels_mean_is_noted_and_a_label_that_no_row_has_is_a_warning(write: Write) -> None:
     values = ["Haften", "Rutschen", "Haften", "Unklar"]
     path = write(f"{HEADER},state", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
     found = Trace(path, ColumnMap.parse("label=state,labels.slip=Rutschen"))
-    assert found.notes[-1] == "slip: Rutschen; static: Haften, Unklar"
-    assert not any("no row has" in each for each in found.warnings)
-    wrong = Trace(path, ColumnMap.parse("label=state,labels.slip=rutscht")).warnings
+    assert found.part.notes[-1] == "slip: Rutschen; static: Haften, Unklar"
+    assert not any("no row has" in each for each in found.part.warnings)
+    wrong = Trace(path, ColumnMap.parse("label=state,labels.slip=rutscht")).part.warnings
     [warning] = [each for each in wrong if each.startswith("no row has the label 'rutscht'; the column has ")]
     assert "'Haften' (2), " in warning
     assert "'Rutschen' (1)" in warning
@@ -323,21 +332,21 @@ def test_a_table_in_memory_is_a_trace(kind: Callable[[dict[str, object]], object
     time = np.arange(100) * 10_000_000
     columns = {"time_ns": time, "cell0": np.arange(100), "cell1": np.arange(100.0), "state": ["slip"] * 100}
     trace = Trace(kind(columns), ColumnMap.parse("label=state"), name="made.bin", about={"group": "wood"})
-    assert trace.touch.time.tolist() == time.tolist()
-    assert set(trace.labels.tolist()) == {1}
+    assert trace.part.touch.time.tolist() == time.tolist()
+    assert set(trace.part.labels.tolist()) == {1}
     assert trace.describe()["trace"] == "made.bin"
     assert trace.describe()["group"] == "wood"
 
 
 def test_arrays_of_several_columns_are_cells_and_other_data_is_refused() -> None:
     trace = Trace({"t": [0.0, 0.1], "cells": np.arange(6).reshape(2, 3)})
-    assert trace.touch.counts.tolist() == [[0, 1, 2], [3, 4, 5]]
+    assert trace.part.touch.counts.tolist() == [[0, 1, 2], [3, 4, 5]]
     with pytest.raises(InputError, match=r"pad: cannot become a DataFrame of polars: .*"):
-        _ = Trace({"a": [1], "b": [1, 2]}, name="pad").touch
+        _ = Trace({"a": [1], "b": [1, 2]}, name="pad").part.touch
     with pytest.raises(InputError, match=r"column a cannot be used: its values are Object"):
-        _ = Trace({"t": [0], "a": [object()]}, ColumnMap.parse("counts=a")).touch
+        _ = Trace({"t": [0], "a": [object()]}, ColumnMap.parse("counts=a")).part.touch
     twice = {"t": [0.0, 0.1], "cells0": [7, 7], "cells": np.arange(4).reshape(2, 2)}
     with pytest.raises(InputError, match="column cells0 is also part of column cells: rename one"):
-        _ = Trace(twice).touch
+        _ = Trace(twice).part.touch
     with pytest.raises(InputError, match="table: has no rows"):
-        _ = Trace({}).touch
+        _ = Trace({}).part.touch

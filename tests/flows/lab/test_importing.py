@@ -85,8 +85,28 @@ def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write)
     assert session.tables == ("touch", "motion", "samples")
     assert rows(session, Motion, EVERY).velocity[:, 0].tolist() == [v / 1000 for v in speeds]
     assert rows(session, Labelled).label.tolist() == [0] * 150 + [1] * 150
-    assert "  labels by arm speed, slip above 3 mm/s\n" in trace_import.report()
+    assert "  labels by arm speed, slip above 3 mm/s: 150 slip, 150 static\n" in trace_import.report()
     assert "Label(" in str(session.about["declaration"])
+
+
+@pytest.mark.parametrize(
+    ("column", "fast", "labels", "absent"),
+    [
+        ("speed", 0.4, "150 static, 150 unknown", "slip"),
+        ("vx,vy,vz", "0,0,0.04", "300 static", "slip"),
+        ("speed", 0.04, "150 slip, 150 static", ""),
+    ],
+)
+def test_the_labels_that_the_arm_s_speed_gives_are_counted_and_a_missing_one_is_a_warning(
+    tmp_path: Path, write: Write, column: str, fast: object, labels: str, absent: str
+) -> None:
+    still = "0,0,0" if "," in column else "0"
+    lines = [f"{k / 100},{counts(0)},{still if k < 150 else fast}" for k in range(300)]
+    trace_import = read(write(f"t,{CELLS},{column}", lines), tmp_path / "out")
+    report = trace_import.report()
+    assert f"  labels by arm speed, slip above 3 mm/s: {labels}\n" in report
+    assert (f"  warning: no row is {absent}, but the arm moves: slip is a speed" in report) == bool(absent)
+    assert rows(imported(trace_import), Labelled).label.tolist() == trace_import.labels().tolist()
 
 
 def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write) -> None:
@@ -157,10 +177,10 @@ def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Wri
     path = write(f"t,{CELLS},v", lines)
     trace_import = read(path, tmp_path)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
-    [doubt] = trace_import.trace.warnings
+    [doubt] = trace_import.trace.part.warnings
     assert "at up to 40 m/s: is its speed in another unit?" in doubt
-    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).trace.warnings == ()
-    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).trace.warnings
+    assert read(path, tmp_path, ColumnMap(units={"speed": "mm/s"})).trace.part.warnings == ()
+    [doubt] = read(path, tmp_path, ColumnMap(units={"speed": "mm/s", "time": "ms"})).trace.part.warnings
     assert "the rate is 1e+05 Hz" in doubt
 
 
@@ -208,6 +228,9 @@ def test_files_are_imported_one_by_one_with_the_resolution_of_the_dataset(tmp_pa
     paths = [put(tmp_path / "a.parquet"), put(tmp_path / "b.parquet", step=0.25)]
     assert [each.state for each in imports(paths, tmp_path / "out")] == ["written", "written"]
     [third] = imports([put(tmp_path / "c.parquet", step=0.003)], tmp_path / "out")
+    finer = [put(tmp_path / f"{name}.parquet", step=0.0001) for name in "de"]
+    complaint = "steps of 0.01 kPa, as in earlier files, make p0 p1 almost constant; row 0, column p"
+    assert all(complaint in str(each) for each in imports(finer, tmp_path / "out"))
     assert "  warning: the readings are rounded to steps of 0.01 kPa" in third.report()
     for name in "abc":
         session = Session.open(tmp_path / "out" / "sessions" / name)
@@ -289,18 +312,19 @@ def test_an_index_of_pandas_is_the_time(index: Any, tmp_path: Path) -> None:
     frame = pd.DataFrame({"p0": np.arange(300), "p1": np.arange(300)}, index=index)
     found = import_frame(frame, tmp_path, "pad")
     assert found.trace.part.columns.rate == 100
-    assert found.trace.touch.time[0] == {"t": 0, "stamp": 1777586400 * s}.get(
+    assert found.trace.part.touch.time[0] == {"t": 0, "stamp": 1777586400 * s}.get(
         str(index.name), 1777593600 * s if hasattr(index, "tz") else 0
     )
 
 
-@pytest.mark.parametrize("unit", ["count", "kPa"])
-def test_what_is_assumed_is_printed(unit: str, tmp_path: Path) -> None:
-    cells = {f"p{cell}": 16_777_216 + np.arange(300) for cell in range(6)}
-    frame = {"t": np.arange(300) / 100, **cells}
+@pytest.mark.parametrize(("unit", "cells"), [("count", 6), ("kPa", 6), ("count", 5)])
+def test_what_is_assumed_is_printed(unit: str, cells: int, tmp_path: Path) -> None:
+    frame = {f"p{cell}": 16_777_216 + np.arange(300.0) for cell in range(cells)}
+    frame["t"] = np.arange(300) / 100
     report = TraceImport(Trace(frame, ColumnMap.parse(f"units.counts={unit}")), tmp_path, "pad").report()
-    assert "  layout   5,4,3/0,1,2  (assumed; state layout=ROWSxCOLUMNS)\n" in report
-    direction = "1023 counts, falling" if unit == "count" else "the direction of the training"
+    layout = "5,4,3/0,1,2" if cells == 6 else "0,1,2/3,4,-1"
+    assert f"  layout   {layout}  (assumed; state layout=ROWSxCOLUMNS)\n" in report
+    direction = "1023 counts, falling" if (unit, cells) == ("count", 6) else "the direction of the training"
     assert f"  range    unknown: detectors assume {direction}; state range=LOW:HIGH\n" in report
     assert "  readings from 16777216 to 16777515 " in report
 

@@ -58,7 +58,7 @@ def test_a_live_run_equals_a_replay_of_the_same_rows() -> None:
     full_flow, full = labelling()
     asyncio.run(ReplayRunner(full_flow, held, "full").execute())
     start = int(next(held.read(Touch, 0, 1)).time[0])
-    live_flow, live = labelling(Replay(held, Touch, origin=start), Replay(held, Motion, origin=start))
+    live_flow, live = labelling(Replay(held, Touch), Replay(held, Motion))
 
     async def run_live() -> None:
         await LiveRunner(live_flow, "live", clock=LoopClock(start)).execute()

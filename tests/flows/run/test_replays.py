@@ -17,7 +17,7 @@ from flows.run.clocks import EventClock
 from flows.run.executor import workers
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, replayed
-from flows.run.replays import FlowSource, Replayed, Replays, check_outputs, recordings
+from flows.run.replays import FlowSource, Replayed, Replays, check_outputs, open_recording, recordings
 from flows.run.replays import replay as replay_task
 from operators import Debounce, Score, Touch, Zero
 from operators.detectors import Psd
@@ -206,6 +206,15 @@ def test_a_dataset_names_its_sessions_in_order(dataset: Path, tmp_path: Path) ->
     (tmp_path / "empty/sessions").mkdir(parents=True)
     with pytest.raises(InputError, match="empty: has no session"):
         recordings([tmp_path / "empty"])
+
+
+@pytest.mark.parametrize("name", ["PAD.CSV", "pad.dat", "pad"])
+def test_a_file_is_opened_by_its_content_under_any_name(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text("t,p0,p1\n0,500,501\n0.01,502,503\n")
+    assert open_recording(tmp_path / name, print).fingers(Touch) == (0,)
+    (tmp_path / name).write_bytes(b"PK\3\4")
+    with pytest.raises(InputError, match="is a ZIP file: unpack it"):
+        open_recording(tmp_path / name, print)
 
 
 def test_a_replay_needs_a_detector_for_its_recording_not_for_the_live_source(four: list[Path]) -> None:
