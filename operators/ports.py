@@ -52,12 +52,12 @@ class SourceStatus:
     """Counters and state of one source during a run."""
 
     rows: int = 0
-    late: int = 0  # rows older than a row before them
+    late: int = 0  # rows older than a row before them, or of the future
     missing: int = 0  # rows that should have come in pauses, at the declared rate
     declared_rate: float | None = None  # rows per second, of all fingertips; None: unknown
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
-    stale: bool = False  # delivers nothing although it has not failed; `error` says for how long
+    stale: bool = False  # delivers no rows in time although it has not failed; `error` says for how long
     failures: int = 0  # the source is restarted after each
     error: str = ""  # latest failure or silence; empty while the source works
     gaps: list[Gap] = field(default_factory=list[Gap])
@@ -137,7 +137,7 @@ class Endpoint:
 class Source(Endpoint, ABC, Generic[Given]):
     """Input stream of a flow.
 
-    A source without a row for `stale_after` counts as failed until its next row.
+    A source without a row for `stale_after` counts as failed until its next row; late rows do not count.
     """
 
     stale_after: int | None = 5 * s  # ns; None: rows may be rare or missing
