@@ -121,7 +121,7 @@ class Pauses:
     """
 
     retry: BackOff = field(default_factory=BackOff)
-    brief: int = field(default=0, init=False)  # connections in a row that lasted less than 10 s
+    brief: int = field(default=0, init=False)  # brief connections in a row, without a failed attempt
     _connected: float = field(default=inf, init=False)  # loop time, s; inf: not since the last pause
 
     def connected(self) -> None:
@@ -133,9 +133,10 @@ class Pauses:
         lasted, least = asyncio.get_running_loop().time() - self._connected, 0.0
         if lasted > LASTING:
             self.retry.reset()
-            self.brief = 0
-        elif lasted >= 0:
+        if 0 <= lasted <= LASTING:
             self.brief, least = self.brief + 1, BRIEF_PAUSE
+        else:
+            self.brief = 0
         self._connected = inf
         spread = uniform(0.5, 1)  # noqa: S311 - clients that lost their broker do not return all at once
         await asyncio.sleep(max(least, self.retry.delay() * spread))
