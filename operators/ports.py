@@ -279,26 +279,23 @@ class TouchRecording(Recording, Protocol):
 
 @dataclass
 class BackOff:
-    """Delays (s) that double with each failure, from `first` to `last`.
+    """Delays that double with each failure, from 0.1 s to 5 s.
 
-    >>> retry = BackOff(first=0.1, last=0.3)
-    >>> retry.delay(), retry.delay(), retry.delay()
-    (0.1, 0.2, 0.3)
+    >>> retry = BackOff()
+    >>> [retry.delay() for _ in range(8)]
+    [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0]
     >>> retry.reset()
     >>> retry.delay()
     0.1
     """
 
-    first: float = 0.1  # s
-    last: float = 5.0  # s
-    _next: float = field(default=0.0, init=False, repr=False)
+    _next: float = field(default=0.1, init=False, repr=False)
 
     def delay(self) -> float:
         """Return the delay (s) before the next attempt, and double the one after it."""
-        delay = self._next or self.first
-        self._next = min(2 * delay, self.last)
+        delay, self._next = self._next, min(2 * self._next, 5.0)
         return delay
 
     def reset(self) -> None:
-        """Restart at `first`, after a success."""
-        self._next = 0.0
+        """Restart at 0.1 s, after a success."""
+        self._next = 0.1

@@ -21,11 +21,10 @@ from connectors.gripper.robotiq import (
     Request,
     Status,
     force_register,
-    register_force,
 )
 from operators.batch import Commands
 from operators.errors import EndpointError, ParameterError
-from operators.ports import Clock, Description, Finding, Run, Sink
+from operators.ports import Clock, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:
@@ -123,18 +122,6 @@ class Gripper(Sink[Commands]):
     def destination(self) -> str:
         """Address and unit of the gripper."""
         return f"modbus://{self.host}:{self.port}/{self.unit}"
-
-    def describe(self) -> Description:
-        """Return gripper, address, limits, target and newest status."""
-        status, force = self.status, self._target.force
-        return {
-            "gripper": "Robotiq 3-finger",
-            "address": self.destination,
-            "limits_n": list(self.limits),
-            "force_n": None if force is None else register_force(force),
-            "fault": self._failure or (status.reason if status else ""),
-            "positions": list(status.positions) if status else None,
-        }
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Read the status of the gripper, without activating it.
