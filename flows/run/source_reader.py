@@ -50,12 +50,11 @@ class SourceReader:
         self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
         self._ahead = dict[int, int]()  # ns, how far rows were ahead of the run's clock, by fingertip
-        self._stray = dict[int, bool]()  # True: the newest batch had stray rows; by fingertip that had some
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
         self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time
         self._silent = 0.0  # s since then
         self._retry = BackOff()
-        self._ended = self._refused = self._warned = False
+        self._ended = self._refused = self._warned = self._strayed = False
 
     async def read(self, take: Take) -> None:
         """Pass the batches of the source on until it ends.
@@ -180,15 +179,14 @@ class SourceReader:
         now, finger, newest = self._run.clock.now(), batch.finger, batch.time.item(-1)
         usual = self._ahead.setdefault(finger, newest - now)
         limit = now + max(usual, 0) + STRAY
-        if newest <= limit or self._stray.get(finger):
+        if newest <= limit:
             self._ahead[finger] = max(usual, newest - now)
-            if self._stray:
-                self._stray[finger] = False
             return batch
-        if not self._stray:
+        if not self._strayed:
             text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
             log.warning(text, self.name, (newest - now) / s)
-        self._stray[finger] = True
+        self._strayed = True
+        del self._ahead[finger]  # the next batch shows whether the clock stays ahead
         kept = batch[: int(batch.time.searchsorted(limit, side="right"))]
         self.status.rows += len(batch) - len(kept)
         self.status.late += len(batch) - len(kept)
