@@ -60,8 +60,6 @@ class Schedule:
         path: Path of the bus, such as /dev/i2c-1.
         rows: Rows of the fingertips.
         period: Time between two scans, ns.
-        counted: Counters, incremented by the thread: scans made, of these silent (no cell answered) and late
-            (by more than a tenth of the period), and missed.
         coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not
             read yet, or not plausible.
     """
@@ -69,7 +67,6 @@ class Schedule:
     path: str
     rows: Sequence[int]
     period: int
-    counted: dict[str, int]
     coefficients: Sequence[list[Coefficients | None]]
 
 
@@ -283,27 +280,21 @@ class ScanThread:
 
     def _scan(self, scanner: Scanner) -> None:
         """Scan on schedule."""
-        period, counted = self._schedule.period, self._schedule.counted
+        period = self._schedule.period
         sampled, answered = self._now(), False
         due = sampled
         while self._wait_until(due):
             if len(self._results) < BACKLOG:
-                counted["late"] += self._now() - due > period // 10
                 scan = scanner.scan()
-                counted["made"] += 1
                 if scan.valid.any():
                     sampled, answered = self._now(), True
                 else:
-                    counted["silent"] += 1
                     unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
                     if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
                         raise scan.error or OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
                 if answered:  # a sensor without any sample so far is still lost
                     self._pass_on(scan)
-            else:
-                counted["missed"] += 1
-            due, missed = next_scan(due, self._now(), period)
-            counted["missed"] += missed
+            due = next_scan(due, self._now(), period)
 
     def _wait_until(self, due: int) -> bool:
         """Wait until `due` (ns) on the clock, which may be slow; return False when the thread must end."""
@@ -319,13 +310,10 @@ class ScanThread:
             self._ending.set()
 
 
-def next_scan(due: int, now: int, period: int) -> tuple[int, int]:
-    """Return when the scan after `due` is due, and the number of missed scans between them.
-
-    A scan that can still begin within its own period is late, not missed.
+def next_scan(due: int, now: int, period: int) -> int:
+    """Return when the scan after `due` is due; one that can still begin within its period is not missed.
 
     >>> next_scan(100, 105, 10), next_scan(100, 119, 10), next_scan(100, 137, 10)
-    ((110, 0), (110, 0), (130, 2))
+    (110, 110, 130)
     """
-    missed = max(0, now - due - period) // period
-    return due + (1 + missed) * period, missed
+    return due + (1 + max(0, now - due - period) // period) * period

@@ -68,9 +68,8 @@ class TakkTile(Source[Touch]):
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}
         self._fingers = fingers
-        counted = {"made": 0, "silent": 0, "late": 0, "missed": 0}
         cells = [self.coefficients[finger] for finger in fingers]
-        self._schedule = Schedule(self.path, rows, round(s / rate), counted, cells)
+        self._schedule = Schedule(self.path, rows, round(s / rate), cells)
 
     @property
     def kind(self) -> type[Touch]:
@@ -134,11 +133,7 @@ class TakkTile(Source[Touch]):
         return replace(TAKKTILE, rate=self.rate)
 
     def describe(self) -> Description:
-        """Return sensor, bus and schedule; ``coefficients`` and ``scans`` are updated live.
-
-        ``scans`` counts the scans since the source was created: made, of these silent (no cell answered) and
-        late (by more than a tenth of the period), and missed.
-        """
+        """Return sensor, bus, rows and fingertips, and the coefficients once they are read."""
         schedule = self._schedule
         return {
             "sensor": "TakkTile 2x3",
@@ -146,7 +141,6 @@ class TakkTile(Source[Touch]):
             "rows": list(schedule.rows),
             "fingers": list(self._fingers),
             "coefficients": cast("dict[str, Json]", {str(f): each for f, each in self.coefficients.items()}),
-            "scans": cast("dict[str, Json]", schedule.counted),
         }
 
 
@@ -154,7 +148,7 @@ def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:
     """Return the rows of the bus at which a cell answers; none if the bus cannot be used."""
     cells = [list[Coefficients | None]([None] * BAROMETERS) for _ in range(ROWS)]
     try:
-        Scanner(Schedule(path, range(ROWS), s, {}, cells), now).close()
+        Scanner(Schedule(path, range(ROWS), s, cells), now).close()
     except OSError:
         return []
     return [row for row, known in enumerate(cells) if any(known)]

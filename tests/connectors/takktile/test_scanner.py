@@ -31,7 +31,7 @@ class Rig:
         self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
-        schedule = Schedule(PATH, self.rows, 0, {}, self.coefficients)
+        schedule = Schedule(PATH, self.rows, 0, self.coefficients)
         return Scanner(schedule, time_ns)
 
     def right(self, scan: Scan) -> None:
