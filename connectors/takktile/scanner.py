@@ -6,12 +6,11 @@ import fcntl
 import logging
 import os
 from collections import deque
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from threading import Event, Thread
 from time import sleep
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from smbus2 import I2cFunc, SMBus
@@ -29,6 +28,8 @@ from connectors.takktile.takktile_protocol import (
 )
 from operators.batch import BAROMETERS, Counts, Flags, ms, s
 from operators.errors import EndpointError
+
+Cells: TypeAlias = Mapping[int, list[Coefficients | None]]  # by row
 
 log = logging.getLogger("slipflow")
 
@@ -50,24 +51,6 @@ _REASONS: Final = {
     errno.ETIMEDOUT: "timeout: a device blocks the bus; switch the fingertips off and on",
     errno.ENODEV: "the adapter is missing: is it plugged in?",
 }
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """Fingertips to scan, and the times of the scans.
-
-    Attributes:
-        path: Path of the bus, such as /dev/i2c-1.
-        rows: Rows of the fingertips.
-        period: Time between two scans, ns.
-        coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not
-            read yet, or not plausible.
-    """
-
-    path: str
-    rows: Sequence[int]
-    period: int
-    coefficients: Sequence[list[Coefficients | None]]
 
 
 class Scan(NamedTuple):
@@ -99,24 +82,26 @@ class Scanner:
     time, and the result looks like data. After every error all cells are disconnected.
 
     Args:
-        schedule: Bus, rows and coefficients.
+        path: Path of the bus, such as /dev/i2c-1.
+        cells: Coefficients of the 6 cells of each fingertip, by its row, which the scanner fills; None: not
+            read yet, or not plausible.
         now: Clock of the samples, ns.
 
     Raises:
         OSError: if the bus cannot be used, or no fingertip answers.
     """
 
-    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        self._rows, self._now = schedule.rows, now
+    def __init__(self, path: str, cells: Cells, now: Callable[[], int]) -> None:
+        self._rows, self._now = list(cells), now
         self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in self._rows]
         self._bus = SMBus()
         try:
-            self._bus.open(schedule.path)
+            self._bus.open(path)
             assert self._bus.fd is not None
             fcntl.flock(self._bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect_all()
-            for row, known in zip(self._rows, schedule.coefficients, strict=True):
+            for row, known in cells.items():
                 known[:] = [self._read_coefficients(cell_address(row, cell)) for cell in range(BAROMETERS)]
         except BaseException:
             self._bus.close()
@@ -227,10 +212,13 @@ class Scanner:
 
 
 class ScanThread:
-    """Thread that scans until the sensor is lost, for the running event loop; arguments as of `Scanner`."""
+    """Thread that scans every `period` (ns) until the sensor is lost, for the running event loop.
 
-    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        self._schedule, self._now, self._path = schedule, now, schedule.path
+    The other arguments are those of `Scanner`.
+    """
+
+    def __init__(self, path: str, cells: Cells, period: int, now: Callable[[], int]) -> None:
+        self._path, self._cells, self._period, self._now = path, cells, period, now
         self._loop = asyncio.get_running_loop()
         self._results = deque[Scan | BaseException]()  # scans, and the error after them
         self._changed, self._ending = asyncio.Event(), Event()
@@ -243,7 +231,7 @@ class ScanThread:
         """
         thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
         thread.start()
-        timeout = TIMEOUT + self._schedule.period / s
+        timeout = TIMEOUT + self._period / s
         try:
             while True:
                 while self._results:
@@ -268,7 +256,7 @@ class ScanThread:
     def _run(self) -> None:
         scanner: Scanner | None = None
         try:
-            scanner = Scanner(self._schedule, self._now)
+            scanner = Scanner(self._path, self._cells, self._now)
             self._scan(scanner)
         except OSError as error:
             self._pass_on(EndpointError(self._path, i2c_reason(error)))
@@ -280,8 +268,7 @@ class ScanThread:
 
     def _scan(self, scanner: Scanner) -> None:
         """Scan on schedule."""
-        period = self._schedule.period
-        sampled, answered = self._now(), False
+        period, sampled, answered = self._period, self._now(), False
         due = sampled
         while self._wait_until(due):
             if len(self._results) < BACKLOG:

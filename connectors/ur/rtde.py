@@ -77,7 +77,7 @@ def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     `asked` has the types of the requested variables, by name.
 
     Raises:
-        RtdeError: if the controller refuses, or sends other types, naming the fields.
+        RtdeError: if the controller refuses, or sends other types.
 
     >>> granted_recipe({"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}, b"\1DOUBLE,VECTOR6D")
     1
@@ -90,13 +90,8 @@ def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     if number in (b"", b"\0"):
         raise RtdeError(f"the controller refused {', '.join(asked)}: does another program use them?")
     if types != [*asked.values()]:
-        sent = [
-            f"{name} as {found}, must be {expected}"
-            for (name, expected), found in zip(asked.items(), types, strict=False)
-            if found != expected
-        ]
-        wrong = ", ".join(sent) or f"{len(types)} fields of {len(asked)}"
-        raise RtdeError(f"the controller sends {wrong}: slipflow does not support its software version")
+        sent = f"the controller sends {', '.join(types)} as {', '.join(asked)}"
+        raise RtdeError(f"{sent}: slipflow does not support its software version")
     return number[0]
 
 
@@ -227,8 +222,6 @@ class RtdeClient:
         self.texts += 1
         if self.texts <= TEXTS:
             log.warning("controller: %s", text(payload))
-        elif self.texts == TEXTS + 1:
-            log.warning("%s sends many messages: further ones are only counted", self.endpoint)
 
     async def _unread(self) -> list[tuple[int, bytes]]:
         """Wait for packages; raise the error that ends them after the last one."""

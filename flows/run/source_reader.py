@@ -24,10 +24,6 @@ BEHIND: Final = 3600 * s  # ns; so have rows that are older than the start of th
 log = logging.getLogger("slipflow")
 
 
-class _TakeError(Exception):
-    """Error of the receiver of batches, which is no error of the source."""
-
-
 class SourceReader:
     """Reader of one source, which restarts it after each failure.
 
@@ -54,7 +50,7 @@ class SourceReader:
         self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time
         self._silent = 0.0  # s since then
         self._retry = BackOff()
-        self._ended = self._refused = self._warned = self._strayed = False
+        self._ended = self._warned = self._strayed = False
 
     async def read(self, take: Take) -> None:
         """Pass the batches of the source on until it ends.
@@ -63,10 +59,9 @@ class SourceReader:
             take: Called with each batch. It returns None, or what to wait for: then False ends the reading.
 
         Raises:
-            Exception: what `take` raises.
             OperatorError: if a batch does not have the type or shape that the source declares, or the source
                 raises one of `MISTAKES`.
-            SlipflowError: if the source raises one other than EndpointError.
+            SlipflowError: if the source or `take` raises one other than EndpointError.
         """
         try:
             while True:
@@ -82,10 +77,6 @@ class SourceReader:
         try:
             with contained():
                 await self._pass_on(stream, take)
-        except _TakeError as failed:
-            self._refused = True
-            error = cast("Exception", failed.__cause__)
-            raise error from error.__cause__
         except Exception as error:
             if (task := asyncio.current_task()) and task.cancelling():  # it replaced the cancellation
                 log.warning("%s failed to close: %s", self.name, reason_of(error))
@@ -116,12 +107,9 @@ class SourceReader:
             if not len(batch := self._checked(delivered)):
                 await asyncio.sleep(0)  # else a source without rows could block the run
                 continue
-            try:
-                later = take(batch)
-                if later is not None and not await later:
-                    return
-            except Exception as error:
-                raise _TakeError from error
+            later = take(batch)
+            if later is not None and not await later:
+                return
 
     def check(self, waited: float) -> None:
         """Check the times of the rows, and whether the source is silent; call this every `waited` seconds.
@@ -146,7 +134,7 @@ class SourceReader:
         """End the current gap at the end of the run; a source that never delivered a row has failed."""
         self._check_times()
         status = self.status
-        if not (status.rows or status.error or self._refused) and self._source.stale_after is not None:
+        if not (status.rows or status.error) and self._source.stale_after is not None:
             self._is_silent("never delivered a row")
         if self._gap_start:
             self._end_gap()
