@@ -39,9 +39,7 @@ RETRY: Final = 1.0  # s between attempts to reconnect
 TIMEOUT: Final = 1.0  # s for the connection, each answer, and the newest command at the end
 _DEVICE_FAILURE: Final = 0x04
 _REFUSALS: Final = {
-    0x01: "unknown function",
     0x02: "unknown registers: is it a 3-finger gripper?",
-    0x03: "invalid value",
     _DEVICE_FAILURE: "device failure",
     0x06: "device busy",
     0x0A: "the gateway has no route to the device",

@@ -130,13 +130,11 @@ class Pauses:
 
     async def wait(self) -> None:
         """Wait until the next attempt."""
-        lasted, least = asyncio.get_running_loop().time() - self._connected, 0.0
+        lasted = asyncio.get_running_loop().time() - self._connected
         if lasted > LASTING:
             self.retry.reset()
-        if 0 <= lasted <= LASTING:
-            self.brief, least = self.brief + 1, BRIEF_PAUSE
-        else:
-            self.brief = 0
+        self.brief = self.brief + 1 if 0 <= lasted <= LASTING else 0
+        least = BRIEF_PAUSE if self.brief else 0.0
         self._connected = inf
         spread = uniform(0.5, 1)  # noqa: S311 - clients that lost their broker do not return all at once
         await asyncio.sleep(max(least, self.retry.delay() * spread))

@@ -142,8 +142,7 @@ class Mqtt(Sink[Slips | Faults]):
     async def close(self) -> None:
         """Send pending events within 3 s, publish states without slip and the offline status, disconnect."""
         try:
-            offline = self._status("offline", self._run.clock.now())
-            await self._sender.close(*self._no_slips(), offline)
+            await self._sender.close(*self._no_slips(), self._status("offline", self._run.clock.now()))
         finally:
             try:
                 await self._outbox.close()

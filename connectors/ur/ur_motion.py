@@ -123,8 +123,7 @@ class UrMotion(Source[Motion]):
 
     def _check_controller(self, client: RtdeClient) -> None:
         """Check the controller's software version, and add it to the description."""
-        major = int(client.controller.partition(".")[0])
-        if major <= CB3 and not _divides(self.rate, CB3_RATE):
+        if int(client.controller.partition(".")[0]) <= CB3 and not _divides(self.rate, CB3_RATE):
             limit = f"sends {CB3_RATE} Hz at most, or {CB3_RATE} Hz divided by an integer"
             reason = f"a controller of version {client.controller} {limit}, not {self.rate}"
             raise EndpointError(client.endpoint, reason)

@@ -183,14 +183,13 @@ class SourceReader:
     def count(self, batch: Batch) -> None:
         """Count the rows of a batch; call this after passing it on, so that counting delays no event."""
         status, in_time = self.status, self._filters[batch.finger]
-        before = in_time.newest
+        status.missing += missing_rows(batch.time, in_time.newest, self._period)
         if count_rows(status, in_time, batch):
             if self._gap_start:
                 self._end_gap()
                 log.info("%s works again", self.name)
                 self._retry.reset()
             status.up, status.stale, status.error = True, False, ""
-        status.missing += missing_rows(batch.time, before, self._period)
 
     def _failed(self, reason: str) -> None:
         if self.status.stale or not self.status.error:
@@ -210,11 +209,9 @@ class SourceReader:
             self._gap_start = newest if newest <= now else now - round(self._silent * s)
             self._gap_reason = reason
 
-    def _end_gap(self) -> Gap:
-        gap = Gap(self._gap_start, self._run.clock.now(), self._gap_reason)
-        self.status.gaps.append(gap)
+    def _end_gap(self) -> None:
+        self.status.gaps.append(Gap(self._gap_start, self._run.clock.now(), self._gap_reason))
         self._gap_start = 0
-        return gap
 
 
 def count_rows(status: SourceStatus, in_time: LateRowFilter, batch: Batch) -> int:
