@@ -16,21 +16,8 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
-from operators import (
-    TAKKTILE,
-    Debounce,
-    Faults,
-    Fingertip,
-    Health,
-    ParameterError,
-    Score,
-    Scores,
-    Slips,
-    Touch,
-    Zero,
-    Zeroed,
-    s,
-)
+from operators import TAKKTILE, Debounce, Fingertip, Health, ParameterError, Score, Touch, Zero, s
+from operators.batch import Faults, Scores, Slips, Zeroed
 from storage import load_detector
 from tests.command import Terminal
 from tests.connectors.mqtt.broker_process import TestBroker
