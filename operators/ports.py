@@ -52,12 +52,12 @@ class SourceStatus:
     """Counters and state of one source during a run."""
 
     rows: int = 0
-    late: int = 0  # rows older than a row before them
+    late: int = 0  # rows older than a row before them, or of the future
     missing: int = 0  # rows that should have come in pauses, at the declared rate
     declared_rate: float | None = None  # rows per second, of all fingertips; None: unknown
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
-    stale: bool = False  # delivers nothing although it has not failed; `error` says for how long
+    stale: bool = False  # delivers no rows in time although it has not failed; `error` says for how long
     failures: int = 0  # the source is restarted after each
     error: str = ""  # latest failure or silence; empty while the source works
     gaps: list[Gap] = field(default_factory=list[Gap])
@@ -137,7 +137,7 @@ class Endpoint:
 class Source(Endpoint, ABC, Generic[Given]):
     """Input stream of a flow.
 
-    A source without a row for `stale_after` counts as failed until its next row.
+    A source without a row for `stale_after` counts as failed until its next row; late rows do not count.
     """
 
     stale_after: int | None = 5 * s  # ns; None: rows may be rare or missing
@@ -279,26 +279,23 @@ class TouchRecording(Recording, Protocol):
 
 @dataclass
 class BackOff:
-    """Delays (s) that double with each failure, from `first` to `last`.
+    """Delays that double with each failure, from 0.1 s to 5 s.
 
-    >>> retry = BackOff(first=0.1, last=0.3)
-    >>> retry.delay(), retry.delay(), retry.delay()
-    (0.1, 0.2, 0.3)
+    >>> retry = BackOff()
+    >>> [retry.delay() for _ in range(8)]
+    [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0]
     >>> retry.reset()
     >>> retry.delay()
     0.1
     """
 
-    first: float = 0.1  # s
-    last: float = 5.0  # s
-    _next: float = field(default=0.0, init=False, repr=False)
+    _next: float = field(default=0.1, init=False, repr=False)
 
     def delay(self) -> float:
         """Return the delay (s) before the next attempt, and double the one after it."""
-        delay = self._next or self.first
-        self._next = min(2 * delay, self.last)
+        delay, self._next = self._next, min(2 * self._next, 5.0)
         return delay
 
     def reset(self) -> None:
-        """Restart at `first`, after a success."""
-        self._next = 0.0
+        """Restart at 0.1 s, after a success."""
+        self._next = 0.1

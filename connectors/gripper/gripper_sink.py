@@ -21,11 +21,10 @@ from connectors.gripper.robotiq import (
     Request,
     Status,
     force_register,
-    register_force,
 )
 from operators.batch import Commands
 from operators.errors import EndpointError, ParameterError
-from operators.ports import Clock, Description, Finding, Run, Sink
+from operators.ports import Clock, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 
 if TYPE_CHECKING:
@@ -40,9 +39,7 @@ RETRY: Final = 1.0  # s between attempts to reconnect
 TIMEOUT: Final = 1.0  # s for the connection, each answer, and the newest command at the end
 _DEVICE_FAILURE: Final = 0x04
 _REFUSALS: Final = {
-    0x01: "unknown function",
     0x02: "unknown registers: is it a 3-finger gripper?",
-    0x03: "invalid value",
     _DEVICE_FAILURE: "device failure",
     0x06: "device busy",
     0x0A: "the gateway has no route to the device",
@@ -123,18 +120,6 @@ class Gripper(Sink[Commands]):
     def destination(self) -> str:
         """Address and unit of the gripper."""
         return f"modbus://{self.host}:{self.port}/{self.unit}"
-
-    def describe(self) -> Description:
-        """Return gripper, address, limits, target and newest status."""
-        status, force = self.status, self._target.force
-        return {
-            "gripper": "Robotiq 3-finger",
-            "address": self.destination,
-            "limits_n": list(self.limits),
-            "force_n": None if force is None else register_force(force),
-            "fault": self._failure or (status.reason if status else ""),
-            "positions": list(status.positions) if status else None,
-        }
 
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Read the status of the gripper, without activating it.

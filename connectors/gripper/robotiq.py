@@ -111,9 +111,4 @@ def force_register(force: float) -> int:
     [0, 127, 255]
     """
     share = (force - WEAKEST) / (STRONGEST - WEAKEST)
-    return int(min(max(share, 0.0), 1.0) * FULL + 1e-6)  # 1e-6: inverts `register_force` exactly
-
-
-def register_force(register: int) -> float:
-    """Return the force (N) of a register value."""
-    return WEAKEST + register / FULL * (STRONGEST - WEAKEST)
+    return int(min(max(share, 0.0), 1.0) * FULL + 1e-6)  # 1e-6: the force of a register gives it back

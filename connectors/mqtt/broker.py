@@ -121,7 +121,7 @@ class Pauses:
     """
 
     retry: BackOff = field(default_factory=BackOff)
-    brief: int = field(default=0, init=False)  # connections in a row that lasted less than 10 s
+    brief: int = field(default=0, init=False)  # brief connections in a row, without a failed attempt
     _connected: float = field(default=inf, init=False)  # loop time, s; inf: not since the last pause
 
     def connected(self) -> None:
@@ -130,12 +130,11 @@ class Pauses:
 
     async def wait(self) -> None:
         """Wait until the next attempt."""
-        lasted, least = asyncio.get_running_loop().time() - self._connected, 0.0
+        lasted = asyncio.get_running_loop().time() - self._connected
         if lasted > LASTING:
             self.retry.reset()
-            self.brief = 0
-        elif lasted >= 0:
-            self.brief, least = self.brief + 1, BRIEF_PAUSE
+        self.brief = self.brief + 1 if 0 <= lasted <= LASTING else 0
+        least = BRIEF_PAUSE if self.brief else 0.0
         self._connected = inf
         spread = uniform(0.5, 1)  # noqa: S311 - clients that lost their broker do not return all at once
         await asyncio.sleep(max(least, self.retry.delay() * spread))

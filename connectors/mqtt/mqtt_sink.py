@@ -116,7 +116,6 @@ class Mqtt(Sink[Slips | Faults]):
         """
         self._run = run
         self._faults: dict[str, set[Fault]] = {}  # by finger
-        self._published: dict[str, int] = {}  # time (ns) of the event in the published state, by finger
         self._outbox = Outbox(self._path)
         await self._outbox.open()
         # the same in each run, so that a new connection cancels the previous will
@@ -124,7 +123,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents, self._report)
         online = self._status("online", run.clock.now())
         try:
-            documents = online, self._info(), self._head(), self._report()
+            documents = online, self._info(), self._head(), self._report(), *self._no_slips()
             will = self._status("offline", None)
             await self._sender.start(identifier, will, *documents, connect_required=self.connect_required)
         except BaseException:
@@ -141,9 +140,9 @@ class Mqtt(Sink[Slips | Faults]):
             await self._outbox.append(list(self._events(batch)))
 
     async def close(self) -> None:
-        """Send pending events within 3 s, publish the offline status, and disconnect."""
+        """Send pending events within 3 s, publish states without slip and the offline status, disconnect."""
         try:
-            await self._sender.close(self._status("offline", self._run.clock.now()))
+            await self._sender.close(*self._no_slips(), self._status("offline", self._run.clock.now()))
         finally:
             try:
                 await self._outbox.close()
@@ -178,22 +177,31 @@ class Mqtt(Sink[Slips | Faults]):
             )
 
     def _documents(self, sent: Iterable[Entry]) -> Iterator[Message]:
-        """Yield the retained documents that sent events change: state of each fingertip, and head."""
-        newest = {entry.finger: entry for entry in sent}
-        for finger, entry in newest.items():
-            event = Event.decode(entry.payload)
-            if event.time >= self._published.get(finger, event.time):  # not an old event that was sent late
-                self._published[finger] = event.time
-                state: dict[str, Json] = {
-                    "slip": event.onset,
-                    "p": event.probability,
-                    "quality": event.quality,
-                    "since": timestamp(event.time),
-                    "epoch": event.epoch,
-                    "seq": event.seq,
-                }
-                yield self._message(f"{finger}/state", state)
+        """Yield the retained documents that sent events change: head, and states, but not for a past run."""
+        newest = {entry.finger: entry for entry in sent if entry.epoch == self._outbox.epoch}
+        for entry in newest.values():
+            yield self._state(Event.decode(entry.payload))
         yield self._head()
+
+    def _no_slips(self) -> Iterator[Message]:
+        """Yield the states of the fingertips before the first event of a run and after its end."""
+        now, epoch = self._run.clock.now(), self._outbox.epoch
+        for finger in map(finger_name, self._run.sink_types.get(self.destination, {}).get(Slips, ())):
+            about = Event(
+                finger=finger, epoch=epoch, seq=0, state="end", time=now, probability=None, latency=None
+            )
+            yield self._state(about)
+
+    def _state(self, event: Event) -> Message:
+        state: dict[str, Json] = {
+            "slip": event.onset,
+            "p": event.probability,
+            "quality": event.quality,
+            "since": timestamp(event.time),
+            "epoch": event.epoch,
+            "seq": event.seq,
+        }
+        return self._message(f"{event.finger}/state", state)
 
     def _message(self, name: str, document: dict[str, Json]) -> Message:
         return Message(f"{self._topic}/{name}", encode(document))

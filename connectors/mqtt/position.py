@@ -52,6 +52,10 @@ class _Epoch(msgspec.Struct):
     ahead: set[Number] = set()
     delivered: bool = False  # an event of it was received
 
+    def __post_init__(self) -> None:
+        if self.ahead and min(self.ahead) <= self.done + 1:
+            raise ValueError(f"`ahead` has {min(self.ahead)}, must be above {self.done + 1}")
+
     @property
     def gap(self) -> Range | None:
         """The first range of missed numbers."""

@@ -2,7 +2,6 @@
 
 import os
 import re
-from hashlib import sha256
 from pathlib import Path
 from socket import gethostname
 from typing import Final
@@ -11,7 +10,6 @@ from urllib.parse import quote
 from operators.errors import ParameterError
 
 NAME_MAX: Final = 64  # characters of a site or a rig, so that all topics below them fit
-_FILE_NAME_MAX: Final = 200  # bytes; the limit of file systems is 255
 
 
 def host_rig() -> str:
@@ -49,8 +47,6 @@ def outbox_path(site: str, rig: str) -> Path:
     'a%2Db-..%2Fc.outbox'
     """
     name = "-".join(quote(part, safe="").replace("-", "%2D") for part in (site, rig))
-    if len(name) > _FILE_NAME_MAX:
-        name = sha256(name.encode()).hexdigest()
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not state.is_absolute():
         state = Path.home() / ".local" / "state"

@@ -91,15 +91,15 @@ class Sender:
         self._health_due = asyncio.get_running_loop().time() + HEALTH_EVERY
         self._sending = BackgroundTask(str(self._broker), "the sending of events", self._keep_sending())
 
-    async def close(self, offline: Message) -> None:
-        """Send pending messages within 3 s, publish `offline`, disconnect; raise a failure of the task."""
+    async def close(self, *last: Message) -> None:
+        """Send pending messages within 3 s, then the `last`, disconnect; raise a failure of the task."""
         self._closing = True
         self._wake.set()
         if self._sending:
             await self._sending.end(CLOSE_TIMEOUT if self._link else 0.0)
         if self._link and self._link.alive:
             with suppress(EndpointError):
-                await self._link.send_all([offline])
+                await self._link.send_all(last)
         await self._disconnect()
         if self._sending:
             self._sending.check()
@@ -112,7 +112,7 @@ class Sender:
                 pauses.connected()
                 if pauses.brief > 1:
                     log.error(_SHARED_NAME, self._broker, self._topic)
-                elif failure:
+                if failure:
                     log.info("%s: connected again, %d events pending", self._broker, self._outbox.waiting)
                 failure = ""
                 while await self._send_pending(link) or not self._closing:

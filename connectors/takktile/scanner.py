@@ -6,12 +6,11 @@ import fcntl
 import logging
 import os
 from collections import deque
-from collections.abc import AsyncGenerator, Callable, Sequence
+from collections.abc import AsyncGenerator, Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from threading import Event, Thread
 from time import sleep
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from smbus2 import I2cFunc, SMBus
@@ -29,6 +28,8 @@ from connectors.takktile.takktile_protocol import (
 )
 from operators.batch import BAROMETERS, Counts, Flags, ms, s
 from operators.errors import EndpointError
+
+Cells: TypeAlias = Mapping[int, list[Coefficients | None]]  # by row
 
 log = logging.getLogger("slipflow")
 
@@ -50,27 +51,6 @@ _REASONS: Final = {
     errno.ETIMEDOUT: "timeout: a device blocks the bus; switch the fingertips off and on",
     errno.ENODEV: "the adapter is missing: is it plugged in?",
 }
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """Fingertips to scan, and the times of the scans.
-
-    Attributes:
-        path: Path of the bus, such as /dev/i2c-1.
-        rows: Rows of the fingertips.
-        period: Time between two scans, ns.
-        counted: Counters, incremented by the thread: scans made, of these silent (no cell answered) and late
-            (by more than a tenth of the period), and missed.
-        coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not
-            read yet, or not plausible.
-    """
-
-    path: str
-    rows: Sequence[int]
-    period: int
-    counted: dict[str, int]
-    coefficients: Sequence[list[Coefficients | None]]
 
 
 class Scan(NamedTuple):
@@ -102,24 +82,26 @@ class Scanner:
     time, and the result looks like data. After every error all cells are disconnected.
 
     Args:
-        schedule: Bus, rows and coefficients.
+        path: Path of the bus, such as /dev/i2c-1.
+        cells: Coefficients of the 6 cells of each fingertip, by its row, which the scanner fills; None: not
+            read yet, or not plausible.
         now: Clock of the samples, ns.
 
     Raises:
         OSError: if the bus cannot be used, or no fingertip answers.
     """
 
-    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        self._rows, self._now = schedule.rows, now
+    def __init__(self, path: str, cells: Cells, now: Callable[[], int]) -> None:
+        self._rows, self._now = list(cells), now
         self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in self._rows]
         self._bus = SMBus()
         try:
-            self._bus.open(schedule.path)
+            self._bus.open(path)
             assert self._bus.fd is not None
             fcntl.flock(self._bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect_all()
-            for row, known in zip(self._rows, schedule.coefficients, strict=True):
+            for row, known in cells.items():
                 known[:] = [self._read_coefficients(cell_address(row, cell)) for cell in range(BAROMETERS)]
         except BaseException:
             self._bus.close()
@@ -230,10 +212,13 @@ class Scanner:
 
 
 class ScanThread:
-    """Thread that scans until the sensor is lost, for the running event loop; arguments as of `Scanner`."""
+    """Thread that scans every `period` (ns) until the sensor is lost, for the running event loop.
 
-    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
-        self._schedule, self._now, self._path = schedule, now, schedule.path
+    The other arguments are those of `Scanner`.
+    """
+
+    def __init__(self, path: str, cells: Cells, period: int, now: Callable[[], int]) -> None:
+        self._path, self._cells, self._period, self._now = path, cells, period, now
         self._loop = asyncio.get_running_loop()
         self._results = deque[Scan | BaseException]()  # scans, and the error after them
         self._changed, self._ending = asyncio.Event(), Event()
@@ -246,7 +231,7 @@ class ScanThread:
         """
         thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
         thread.start()
-        timeout = TIMEOUT + self._schedule.period / s
+        timeout = TIMEOUT + self._period / s
         try:
             while True:
                 while self._results:
@@ -271,7 +256,7 @@ class ScanThread:
     def _run(self) -> None:
         scanner: Scanner | None = None
         try:
-            scanner = Scanner(self._schedule, self._now)
+            scanner = Scanner(self._path, self._cells, self._now)
             self._scan(scanner)
         except OSError as error:
             self._pass_on(EndpointError(self._path, i2c_reason(error)))
@@ -283,27 +268,20 @@ class ScanThread:
 
     def _scan(self, scanner: Scanner) -> None:
         """Scan on schedule."""
-        period, counted = self._schedule.period, self._schedule.counted
-        sampled, answered = self._now(), False
+        period, sampled, answered = self._period, self._now(), False
         due = sampled
         while self._wait_until(due):
             if len(self._results) < BACKLOG:
-                counted["late"] += self._now() - due > period // 10
                 scan = scanner.scan()
-                counted["made"] += 1
                 if scan.valid.any():
                     sampled, answered = self._now(), True
                 else:
-                    counted["silent"] += 1
                     unplugged = scan.error is not None and scan.error.errno == errno.ENODEV
                     if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
                         raise scan.error or OSError(errno.EREMOTEIO, os.strerror(errno.EREMOTEIO))
                 if answered:  # a sensor without any sample so far is still lost
                     self._pass_on(scan)
-            else:
-                counted["missed"] += 1
-            due, missed = next_scan(due, self._now(), period)
-            counted["missed"] += missed
+            due = next_scan(due, self._now(), period)
 
     def _wait_until(self, due: int) -> bool:
         """Wait until `due` (ns) on the clock, which may be slow; return False when the thread must end."""
@@ -319,13 +297,10 @@ class ScanThread:
             self._ending.set()
 
 
-def next_scan(due: int, now: int, period: int) -> tuple[int, int]:
-    """Return when the scan after `due` is due, and the number of missed scans between them.
-
-    A scan that can still begin within its own period is late, not missed.
+def next_scan(due: int, now: int, period: int) -> int:
+    """Return when the scan after `due` is due; one that can still begin within its period is not missed.
 
     >>> next_scan(100, 105, 10), next_scan(100, 119, 10), next_scan(100, 137, 10)
-    ((110, 0), (110, 0), (130, 2))
+    (110, 110, 130)
     """
-    missed = max(0, now - due - period) // period
-    return due + (1 + missed) * period, missed
+    return due + (1 + max(0, now - due - period) // period) * period

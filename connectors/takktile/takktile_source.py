@@ -9,7 +9,7 @@ from typing import Final, cast
 import numpy as np
 
 from connectors.rate_check import DIAGNOSIS, rate_finding
-from connectors.takktile.scanner import CONVERSION, Scan, Scanner, ScanThread, Schedule
+from connectors.takktile.scanner import CONVERSION, Scan, Scanner, ScanThread
 from connectors.takktile.takktile_protocol import LEAST, MOST, ROWS, Coefficients
 from operators.batch import BAROMETERS, Touch, ms, s
 from operators.errors import EndpointError, ParameterError
@@ -68,9 +68,7 @@ class TakkTile(Source[Touch]):
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}
         self._fingers = fingers
-        counted = {"made": 0, "silent": 0, "late": 0, "missed": 0}
-        cells = [self.coefficients[finger] for finger in fingers]
-        self._schedule = Schedule(self.path, rows, round(s / rate), counted, cells)
+        self._cells = {row: self.coefficients[finger] for row, finger in zip(rows, fingers, strict=True)}
 
     @property
     def kind(self) -> type[Touch]:
@@ -88,7 +86,7 @@ class TakkTile(Source[Touch]):
         Raises:
             EndpointError: if the sensor is lost or missing.
         """
-        async with aclosing(ScanThread(self._schedule, clock.now).scans()) as scans:
+        async with aclosing(self._scans(clock)) as scans:
             async for scan in scans:
                 times = np.full(len(self._fingers), scan.time)
                 rows = Touch.rows(times, scan.counts, scan.temperature, scan.valid).packed
@@ -106,7 +104,7 @@ class TakkTile(Source[Touch]):
         scans, end = list[Scan](), clock.now() + DIAGNOSIS
         failure: EndpointError | None = None
         try:
-            async with aclosing(ScanThread(self._schedule, clock.now).scans()) as received:
+            async with aclosing(self._scans(clock)) as received:
                 async for scan in received:
                     scans.append(scan)
                     if scan.time > end:
@@ -119,8 +117,8 @@ class TakkTile(Source[Touch]):
         if failure and not others:
             raise failure
         yield Finding(self.path, "opens")
-        for index, row in enumerate(self._schedule.rows):
-            fault = _row_fault(self._schedule.coefficients[index], index, scans, others)
+        for index, (row, known) in enumerate(self._cells.items()):
+            fault = _row_fault(known, index, scans, others)
             text = fault or f"{BAROMETERS} cells answer"
             yield Finding(f"{self.path} row {row}", text, "bad" if fault else "good")
         if scans:
@@ -128,36 +126,33 @@ class TakkTile(Source[Touch]):
             remedy = "use a faster bus (400 kHz), fewer fingertips on the bus or a lower rate; check the load"
             yield rate_finding(self.path, time, self.rate, remedy)
 
+    def _scans(self, clock: Clock) -> AsyncGenerator[Scan]:
+        return ScanThread(self.path, self._cells, round(s / self.rate), clock.now).scans()
+
     @property
     def fingertip(self) -> Fingertip:
         """A TakkTile at the rate of this source."""
         return replace(TAKKTILE, rate=self.rate)
 
     def describe(self) -> Description:
-        """Return sensor, bus and schedule; ``coefficients`` and ``scans`` are updated live.
-
-        ``scans`` counts the scans since the source was created: made, of these silent (no cell answered) and
-        late (by more than a tenth of the period), and missed.
-        """
-        schedule = self._schedule
+        """Return sensor, bus, rows and fingertips, and the coefficients once they are read."""
         return {
             "sensor": "TakkTile 2x3",
             "bus": self.path,
-            "rows": list(schedule.rows),
+            "rows": list(self._cells),
             "fingers": list(self._fingers),
             "coefficients": cast("dict[str, Json]", {str(f): each for f, each in self.coefficients.items()}),
-            "scans": cast("dict[str, Json]", schedule.counted),
         }
 
 
 def _answering_rows(path: str, now: Callable[[], int]) -> list[int]:
     """Return the rows of the bus at which a cell answers; none if the bus cannot be used."""
-    cells = [list[Coefficients | None]([None] * BAROMETERS) for _ in range(ROWS)]
+    cells = {row: list[Coefficients | None]([None] * BAROMETERS) for row in range(ROWS)}
     try:
-        Scanner(Schedule(path, range(ROWS), s, {}, cells), now).close()
+        Scanner(path, cells, now).close()
     except OSError:
         return []
-    return [row for row, known in enumerate(cells) if any(known)]
+    return [row for row, known in cells.items() if any(known)]
 
 
 def _row_fault(

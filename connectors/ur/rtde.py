@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Mapping
 from contextlib import suppress
 from enum import IntEnum
 from struct import Struct
-from typing import Final, NamedTuple, TypeAlias, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -77,7 +77,7 @@ def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     `asked` has the types of the requested variables, by name.
 
     Raises:
-        RtdeError: if the controller refuses, or sends other types, naming the fields.
+        RtdeError: if the controller refuses, or sends other types.
 
     >>> granted_recipe({"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}, b"\1DOUBLE,VECTOR6D")
     1
@@ -90,26 +90,9 @@ def granted_recipe(asked: Mapping[str, str], payload: bytes) -> int:
     if number in (b"", b"\0"):
         raise RtdeError(f"the controller refused {', '.join(asked)}: does another program use them?")
     if types != [*asked.values()]:
-        sent = [
-            f"{name} as {found}, must be {expected}"
-            for (name, expected), found in zip(asked.items(), types, strict=False)
-            if found != expected
-        ]
-        wrong = ", ".join(sent) or f"{len(types)} fields of {len(asked)}"
-        raise RtdeError(f"the controller sends {wrong}: slipflow does not support its software version")
+        sent = f"the controller sends {', '.join(types)} as {', '.join(asked)}"
+        raise RtdeError(f"{sent}: slipflow does not support its software version")
     return number[0]
-
-
-class Version(NamedTuple):
-    """Software version of a controller."""
-
-    major: int  # 3: CB3, 125 Hz; 5: e-Series, 500 Hz
-    minor: int
-    bugfix: int
-    build: int
-
-    def __str__(self) -> str:
-        return ".".join(map(str, self))
 
 
 def text(payload: bytes) -> str:
@@ -138,14 +121,13 @@ class RtdeClient:
 
     Attributes:
         endpoint: Address in error messages.
-        controller: Software version; None before the controller has sent it.
+        controller: Software version, such as 5.11.0.1; empty before the controller has sent it.
         texts: Messages that the controller sent.
     """
 
     def __init__(self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], rate: float) -> None:
         self.endpoint = f"rtde://{host}:{port}"
-        self.controller: Version | None = None
-        self.texts = 0
+        self.controller, self.texts = "", 0
         self._address, self._clock = (host, port), clock
         self._outputs, self._rate = outputs, rate
         fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
@@ -192,7 +174,7 @@ class RtdeClient:
         version = await self._ask(Kind.CONTROLLER)
         if len(version) != _VERSION.size:
             raise RtdeError(f"the controller's version has {len(version)} bytes, must have {_VERSION.size}")
-        self.controller = Version(*_VERSION.unpack(version))
+        self.controller = ".".join(map(str, _VERSION.unpack(version)))
         wanted = _RATE.pack(self._rate) + ",".join(self._outputs).encode()
         recipe = granted_recipe(self._outputs, await self._ask(Kind.OUTPUTS, wanted))
         if await self._ask(Kind.START) != b"\1":
@@ -240,8 +222,6 @@ class RtdeClient:
         self.texts += 1
         if self.texts <= TEXTS:
             log.warning("controller: %s", text(payload))
-        elif self.texts == TEXTS + 1:
-            log.warning("%s sends many messages: further ones are only counted", self.endpoint)
 
     async def _unread(self) -> list[tuple[int, bytes]]:
         """Wait for packages; raise the error that ends them after the last one."""

@@ -62,7 +62,7 @@ class UrMotion(Source[Motion]):
             raise ParameterError("UrMotion", "rate", self.rate, must_be)
         address = f"rtde://{self.host}:{self.port}"
         self._about |= {"arm": "UR", "address": address, "rate_hz": self.rate}
-        self._about |= {"controller": None, "connections": 0, "messages": 0}
+        self._about |= {"controller": None, "messages": 0}
 
     @property
     def kind(self) -> type[Motion]:
@@ -77,12 +77,13 @@ class UrMotion(Source[Motion]):
         """
         client = RtdeClient(clock, self.host, self.port, OUTPUTS, self.rate)
         newest = -1  # ns, newest timestamp of this connection
+        messages = cast("int", self._about["messages"])  # of the controller, on earlier connections
         try:
             await client.connect()
             self._check_controller(client)
             while True:
                 motion = _decode(client.endpoint, *await client.receive())
-                self._about["messages"] = client.texts
+                self._about["messages"] = messages + client.texts
                 steps = np.diff(motion.device_time, prepend=newest)
                 back = steps < 0
                 if len(new := motion[(steps > 0) & ~np.logical_or.accumulate(back)]):
@@ -117,18 +118,16 @@ class UrMotion(Source[Motion]):
         yield rate_finding(client.endpoint, np.rint(stamps * s).astype(np.int64), self.rate, remedy)
 
     def describe(self) -> Description:
-        """Return arm, address, rate, controller version, and counts that are updated live."""
+        """Return arm, address, rate, controller version, and the number of its messages so far."""
         return self._about
 
     def _check_controller(self, client: RtdeClient) -> None:
         """Check the controller's software version, and add it to the description."""
-        assert client.controller
-        if client.controller.major <= CB3 and not _divides(self.rate, CB3_RATE):
+        if int(client.controller.partition(".")[0]) <= CB3 and not _divides(self.rate, CB3_RATE):
             limit = f"sends {CB3_RATE} Hz at most, or {CB3_RATE} Hz divided by an integer"
             reason = f"a controller of version {client.controller} {limit}, not {self.rate}"
             raise EndpointError(client.endpoint, reason)
-        self._about["controller"] = str(client.controller)
-        self._about["connections"] = cast("int", self._about["connections"]) + 1
+        self._about["controller"] = client.controller
 
 
 def _decode(endpoint: str, arrivals: Times, rows: Rows) -> Motion:

@@ -32,9 +32,9 @@ _SINK: Final[tuple[Column[SinkStatus], ...]] = (
     ("gauge", "up", "1 if the sink works, 0 if it fails", lambda each: not each.error),
     ("counter", "rows", "Rows written", lambda each: each.rows),
     ("gauge", "connected", "1 if the receiver is reached and refuses nothing", lambda each: each.connected),
-    ("gauge", "queued_batches", "Batches in the queue", lambda each: each.queued),
+    ("gauge", "queued_batches", "Batches in the queue, which a kill loses", lambda each: each.queued),
     ("gauge", "waiting_rows", "Rows that are not acknowledged", lambda each: each.waiting),
-    ("gauge", "unstored_rows", "Rows that a kill would lose", lambda each: each.unstored),
+    ("gauge", "unstored_rows", "Rows taken, not stored, which a kill loses", lambda each: each.unstored),
     ("counter", "dropped_rows", "Rows dropped", lambda each: each.dropped),
     ("counter", "failures", "Failed writes", lambda each: each.failures),
 )

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -> None:
     """Add a sink to a flow that shows it on the live page, with the threshold of its first `Debounce`.
 
-    A flow without `Health` gets one, so that the page marks dead, stuck and saturated cells. `listen` is the
+    Touch without `Health` gets one, so that the page marks dead, stuck and saturated cells. `listen` is the
     address as ``[HOST:]PORT``; `browse` opens a browser if a person uses this terminal.
     """
     from connectors import Page
@@ -38,24 +38,29 @@ def add_page(flow: "Flow", listen: str | None = None, *, browse: bool = False) -
 
 
 def first_streams(flow: "Flow", *kinds: "type[Batch]") -> "list[Node]":
-    """Return the first stream of each type, without the types that the flow lacks."""
-    first: dict[type[Batch] | None, Node] = {}
-    for node in flow.nodes:
-        first.setdefault(node.gives, node)
-    return [first[kind] for kind in kinds if kind in first]
+    """Return the streams of these types, for each type and fingertip the first one."""
+    found: list[Node] = []
+    for kind in kinds:
+        fingers = set[int]()
+        for node in flow.nodes:
+            if node.gives is kind and fingers.isdisjoint(node.fingers):
+                fingers.update(node.fingers)
+                found.append(node)
+    return found
 
 
-def watch_cells(flow: "Flow") -> "Node | None":
-    """Add `Health` to the first raw touch of a known range and return it, unless the flow has faults."""
-    from operators import Faults, Health, Touch
+def watch_cells(flow: "Flow") -> "list[Node]":
+    """Add `Health` to the raw touch of a known range of each fingertip without faults; return its nodes."""
+    from operators import Faults, Health, Source, Touch
     from operators.batch import s
 
-    if first_streams(flow, Faults):
-        return None
-    for node, source in flow.sources().items():
-        if node.gives is Touch and source.fingertip and source.fingertip.range:
-            return flow.add("faults", Health(clear_after=2 * s), node)
-    return None
+    watched = {finger for node in first_streams(flow, Faults) for finger in node.fingers}
+    added: list[Node] = []
+    for node in first_streams(flow, Touch):
+        fingertip = node.part.fingertip if isinstance(node.part, Source) else None
+        if fingertip and fingertip.range and watched.isdisjoint(node.fingers):
+            added.append(flow.add("faults", Health(clear_after=2 * s), node))
+    return added
 
 
 def check_access(option: str, listen: str | None) -> None:
@@ -68,7 +73,7 @@ def check_access(option: str, listen: str | None) -> None:
 
 
 def add_metrics(flow: "Flow", listen: str) -> None:
-    """Add a sink to a flow that serves metrics of its run, and of its first slips, faults and scores.
+    """Add a sink to a flow that serves metrics of its run, and of the slips, faults and scores.
 
     `listen` is the address as ``[HOST:]PORT``.
     """

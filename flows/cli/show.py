@@ -116,7 +116,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
         scores.to(page)
         if not has_slips:
             (scores | debounce).to(page)
-    if not session.fingers(Faults) and (faults := watch_cells(flow)):
+    for faults in () if session.fingers(Faults) else watch_cells(flow):
         flow.add_sink(page, faults)
     kinds: tuple[type[Any], ...] = (Slips, Faults, Motion, Labelled, Truth)
     for kind in kinds:

@@ -32,13 +32,13 @@ log = logging.getLogger("slipflow")
 class LiveRunner:
     """One live run of a flow.
 
-    A source that fails is restarted with a back-off, and its gap is recorded. A source that delivers nothing
-    is reported as stale. A sink that fails is retried with the same batch and never blocks the others. A
-    mistake in the code of a part ends the run. While a lossless sink is slow, the sources wait; other sinks
-    drop their oldest batch. A sink that is stuck counts as failing. Rows for which a failing sink has no room
-    are counted as dropped. Steps of the host's clock are recorded; they do not affect time stamps. The run
-    starts no thread and takes time only from its clock and the event loop. Meanwhile garbage collections
-    ignore older objects (`gc.freeze`).
+    A source that fails is restarted with a back-off, and its gap is recorded. A source that delivers nothing,
+    or only late rows, is reported as stale. A sink that fails is retried with the same batch and never blocks
+    the others. A mistake in the code of a part ends the run. While a lossless sink is slow, the sources wait;
+    other sinks drop their oldest batch. A sink that is stuck counts as failing. Rows for which a failing sink
+    has no room are counted as dropped. Steps of the host's clock are recorded; they do not affect time
+    stamps. The run starts no thread and takes time only from its clock and the event loop. Meanwhile garbage
+    collections ignore older objects (`gc.freeze`).
 
     Args:
         flow: Flow to run.

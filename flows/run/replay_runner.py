@@ -17,6 +17,7 @@ from flows.graph.drawing import streams
 from flows.graph.node import FlowPart, Node, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.failures import contained, reason_of
+from flows.run.source_reader import count_rows
 from operators.batch import ANNOTATIONS, Batch
 from operators.detectors.weights import ForOneFingertip
 from operators.errors import FlowError, InputError
@@ -160,10 +161,7 @@ class ReplayRunner:
                 for entry, batch in batches.items():
                     status = self.run.sources[entry[0].name]
                     status.up = True
-                    filters[entry].filter(batch)
-                    status.newest = max(status.newest, filters[entry].newest)
-                    status.rows += len(batch)
-                    status.late = sum(each.late for (node, _), each in filters.items() if node is entry[0])
+                    count_rows(status, filters[entry], batch)
                     self._clock.newest = max(self._clock.newest, status.newest)
                 await self._write(deliveries)
                 await asyncio.sleep(0)  # let sinks serve their clients

@@ -15,7 +15,7 @@ from operators.errors import EndpointError, OutputClosedError
 from operators.ports import BackOff, Sink, SinkStatus
 
 LAST_ATTEMPTS: Final = 5.0  # s; a failing sink is retried for this time after the end of the run
-STUCK: Final = 10.0  # s; a sink whose write takes longer while the sources wait counts as failing
+STUCK: Final = 10.0  # s; a sink whose write takes longer counts as failing until it ends
 GRACE: Final = 2.0  # s; an abandoned sink may end its write and close for this time
 
 log = logging.getLogger("slipflow")
@@ -59,7 +59,7 @@ class SinkQueue:
         if len(self._waiting) >= self.sink.capacity:
             if not self.sink.lossless:
                 self._drop(self._waiting.popleft())
-            elif self.status.error or self._is_stuck():  # waiting would block the other sinks
+            elif self._is_failing():  # waiting would block the other sinks
                 self._drop(batch)
                 return True
             else:
@@ -79,7 +79,8 @@ class SinkQueue:
                     await self._room.wait()
 
     def observe(self) -> None:
-        """Copy the sink's connection and numbers of unacknowledged and unstored rows to the status."""
+        """Update the status: connection, unacknowledged and unstored rows, a write that takes too long."""
+        self._is_failing()
         self.status.waiting, self.status.connected = self.sink.waiting, self.sink.connected
         self.status.unstored = 0 if self._task and self._task.done() else self.sink.pending
 
@@ -191,14 +192,12 @@ class SinkQueue:
         self._waiting.clear()
         self.status.queued = 0
 
-    def _is_stuck(self) -> bool:
-        """Return True if the current write takes too long; it counts as failed until it ends."""
-        stuck = (
-            self._write_start is not None and asyncio.get_running_loop().time() - self._write_start >= STUCK
-        )
-        if stuck:
+    def _is_failing(self) -> bool:
+        """Return True while the sink fails; a write that takes too long counts as failed until it ends."""
+        now, start = asyncio.get_running_loop().time(), self._write_start
+        if not self.status.error and start is not None and now - start >= STUCK:
             self._failed(EndpointError(self.sink.destination, f"has not completed a write for {STUCK:.0f} s"))
-        return stuck
+        return bool(self.status.error)
 
     def _failed(self, error: Exception) -> None:
         if isinstance(error, (OutputClosedError, *MISTAKES)):

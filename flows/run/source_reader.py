@@ -17,21 +17,19 @@ from operators.operator import LateRowFilter
 from operators.ports import BackOff, Gap, Run, Source, SourceStatus
 
 Take: TypeAlias = Callable[[Batch], Awaitable[bool] | None]
+STRAY: Final = 1 * s  # ns; a row that is further ahead than those before it is dropped
 AHEAD: Final = 60 * s  # ns; rows further ahead of the run's clock have the time of another clock
 BEHIND: Final = 3600 * s  # ns; so have rows that are older than the start of the run by more than this
 
 log = logging.getLogger("slipflow")
 
 
-class _TakeError(Exception):
-    """Error of the receiver of batches, which is no error of the source."""
-
-
 class SourceReader:
     """Reader of one source, which restarts it after each failure.
 
     A time without rows, because the source failed or was silent for `Source.stale_after`, is recorded as a
-    gap.
+    gap. Late rows do not count. A row with a time in the future would make the rows after it late: it is
+    dropped and counted as late, unless the batch after it has such a time, too.
 
     Args:
         name: Name of the source in the run.
@@ -47,9 +45,12 @@ class SourceReader:
         declared = rate * len(source.fingers) if rate else None
         self.status = run.sources[name] = SourceStatus(declared_rate=declared)
         self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
+        self._ahead = dict[int, int]()  # ns, how far rows were ahead of the run's clock, by fingertip
         self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
-        self._counted, self._silent = 0, 0.0  # rows at the last check, and s without rows since then
-        self._ended = self._refused = self._warned = False
+        self._used = self._late = 0  # rows in time, and late rows, when a check last found new rows in time
+        self._silent = 0.0  # s since then
+        self._retry = BackOff()
+        self._ended = self._warned = self._strayed = False
 
     async def read(self, take: Take) -> None:
         """Pass the batches of the source on until it ends.
@@ -58,30 +59,24 @@ class SourceReader:
             take: Called with each batch. It returns None, or what to wait for: then False ends the reading.
 
         Raises:
-            Exception: what `take` raises.
             OperatorError: if a batch does not have the type or shape that the source declares, or the source
                 raises one of `MISTAKES`.
-            SlipflowError: if the source raises one other than EndpointError.
+            SlipflowError: if the source or `take` raises one other than EndpointError.
         """
-        retry = BackOff()
         try:
             while True:
-                if await self._read_once(take, retry):
+                if await self._read_once(take):
                     return
-                await asyncio.sleep(retry.delay())
+                await asyncio.sleep(self._retry.delay())
         finally:
             self._ended, self.status.up = True, False
 
-    async def _read_once(self, take: Take, retry: BackOff) -> bool:
+    async def _read_once(self, take: Take) -> bool:
         """Open the source and read it until it ends; return False if it failed and is to be opened again."""
         stream = self._source.batches(self._run.clock)
         try:
             with contained():
-                await self._pass_on(stream, take, retry)
-        except _TakeError as failed:
-            self._refused = True
-            error = cast("Exception", failed.__cause__)
-            raise error from error.__cause__
+                await self._pass_on(stream, take)
         except Exception as error:
             if (task := asyncio.current_task()) and task.cancelling():  # it replaced the cancellation
                 log.warning("%s failed to close: %s", self.name, reason_of(error))
@@ -107,21 +102,14 @@ class SourceReader:
         except Exception as error:  # noqa: BLE001 - any error of the source's code
             log.warning("%s failed to close: %s", self.name, reason_of(error))
 
-    async def _pass_on(self, stream: AsyncIterator[Batch], take: Take, retry: BackOff) -> None:
-        async for batch in stream:
-            if not len(self._checked(batch)):
+    async def _pass_on(self, stream: AsyncIterator[Batch], take: Take) -> None:
+        async for delivered in stream:
+            if not len(batch := self._checked(delivered)):
                 await asyncio.sleep(0)  # else a source without rows could block the run
                 continue
-            if self._gap_start:
-                self._end_gap()
-                log.info("%s works again", self.name)
-                retry.reset()
-            try:
-                later = take(batch)
-                if later is not None and not await later:
-                    return
-            except Exception as error:
-                raise _TakeError from error
+            later = take(batch)
+            if later is not None and not await later:
+                return
 
     def check(self, waited: float) -> None:
         """Check the times of the rows, and whether the source is silent; call this every `waited` seconds.
@@ -132,16 +120,21 @@ class SourceReader:
         limit, status = self._source.stale_after, self.status
         if limit is None or status.error or self._ended:
             return
-        self._silent = self._silent + waited if status.rows == self._counted else 0.0
-        self._counted = status.rows
-        if self._silent * s >= limit:
+        if (used := status.rows - status.late) > self._used:
+            self._used, self._late, self._silent = used, status.late, 0.0
+            return
+        self._silent += waited
+        if self._silent * s >= limit and status.late > self._late:
+            hint = "its clock was set back, or a row was of the future"
+            self._is_silent(f"delivered only late rows for {self._silent:g} s", hint)
+        elif self._silent * s >= limit:
             self._is_silent(f"delivered no rows for {self._silent:g} s")
 
     def end(self) -> None:
         """End the current gap at the end of the run; a source that never delivered a row has failed."""
         self._check_times()
         status = self.status
-        if not (status.rows or status.error or self._refused) and self._source.stale_after is not None:
+        if not (status.rows or status.error) and self._source.stale_after is not None:
             self._is_silent("never delivered a row")
         if self._gap_start:
             self._end_gap()
@@ -163,41 +156,71 @@ class SourceReader:
             raise OperatorError(self._run.flow, self.name, reason)
         try:
             batch.check()
-            return batch if self._source.recording else batch.check_order()  # recordings keep late rows
+            if not self._source.recording:  # recordings keep late rows
+                batch.check_order()
         except BatchError as error:
             raise OperatorError(self._run.flow, self.name, f"yielded {error}") from error
+        return self._without_stray(batch) if self._source.in_run_time and len(batch) else batch
+
+    def _without_stray(self, batch: Batch) -> Batch:
+        """Return a batch without rows of the future; a clock that stays ahead is that of another host."""
+        now, finger, newest = self._run.clock.now(), batch.finger, batch.time.item(-1)
+        usual = self._ahead.setdefault(finger, newest - now)
+        limit = now + max(usual, 0) + STRAY
+        if newest <= limit:
+            self._ahead[finger] = max(usual, newest - now)
+            return batch
+        if not self._strayed:
+            text = "%s delivered a row of %.1f s in the future: such rows are dropped and counted as late"
+            log.warning(text, self.name, (newest - now) / s)
+        self._strayed = True
+        del self._ahead[finger]  # the next batch shows whether the clock stays ahead
+        kept = batch[: int(batch.time.searchsorted(limit, side="right"))]
+        self.status.rows += len(batch) - len(kept)
+        self.status.late += len(batch) - len(kept)
+        return kept
 
     def count(self, batch: Batch) -> None:
         """Count the rows of a batch; call this after passing it on, so that counting delays no event."""
         status, in_time = self.status, self._filters[batch.finger]
-        late, before = in_time.late, in_time.newest
-        in_time.filter(batch)
-        status.missing += missing_rows(batch.time, before, self._period)
-        status.late += in_time.late - late
-        status.newest = max(status.newest, in_time.newest)
-        status.rows += len(batch)
-        status.up, status.stale, status.error = True, False, ""
+        status.missing += missing_rows(batch.time, in_time.newest, self._period)
+        if count_rows(status, in_time, batch):
+            if self._gap_start:
+                self._end_gap()
+                log.info("%s works again", self.name)
+                self._retry.reset()
+            status.up, status.stale, status.error = True, False, ""
 
     def _failed(self, reason: str) -> None:
         if self.status.stale or not self.status.error:
             log.warning("%s failed, retrying: %s", self.name, reason)
         self.status.failures += 1
+        self._ahead.clear()  # a device that restarts may have set its clock
         self._begin_gap(reason, stale=False)
 
-    def _is_silent(self, reason: str) -> None:
-        log.warning("%s %s: check that it is connected and switched on", self.name, reason)
+    def _is_silent(self, reason: str, hint: str = "check that it is connected and switched on") -> None:
+        log.warning("%s %s: %s", self.name, reason, hint)
         self._begin_gap(reason, stale=True)
 
     def _begin_gap(self, reason: str, *, stale: bool) -> None:
         self.status.up, self.status.stale, self.status.error = False, stale, reason
         if not self._gap_start:
-            self._gap_start, self._gap_reason = self.status.newest or self._run.start, reason
+            now, newest = self._run.clock.now(), self.status.newest or self._run.start
+            self._gap_start = newest if newest <= now else now - round(self._silent * s)
+            self._gap_reason = reason
 
-    def _end_gap(self) -> Gap:
-        gap = Gap(self._gap_start, self._run.clock.now(), self._gap_reason)
-        self.status.gaps.append(gap)
+    def _end_gap(self) -> None:
+        self.status.gaps.append(Gap(self._gap_start, self._run.clock.now(), self._gap_reason))
         self._gap_start = 0
-        return gap
+
+
+def count_rows(status: SourceStatus, in_time: LateRowFilter, batch: Batch) -> int:
+    """Count the rows of a batch of one fingertip, whose filter only counts; return how many are not late."""
+    used = len(in_time.filter(batch))
+    status.late += len(batch) - used
+    status.newest = max(status.newest, in_time.newest)
+    status.rows += len(batch)
+    return used
 
 
 def missing_rows(time: Times, before: int, period: float) -> int:

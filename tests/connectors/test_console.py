@@ -1,9 +1,7 @@
 import asyncio
 import io
-import json
 from contextlib import redirect_stdout
 from math import nan
-from typing import Any, Literal
 
 from connectors import Console
 from operators.batch import EVERY, Faults, Slips, ms, s
@@ -20,11 +18,9 @@ FAULTS = Faults.rows([s, 2 * s], 3, FaultKind.STUCK, [True, False], finger=2)
 SATURATED = Faults.rows([s, 2 * s], 3, FaultKind.SATURATED, [True, False], finger=2)
 
 
-def printed(
-    stream: io.StringIO, run: Run, *batches: Slips | Faults, form: Literal["text", "json"] = "text"
-) -> list[str]:
+def printed(stream: io.StringIO, run: Run, *batches: Slips | Faults) -> list[str]:
     async def main() -> None:
-        sink = Console(form)
+        sink = Console()
         await sink.open(run)
         for batch in batches:
             await sink.write(batch)
@@ -33,10 +29,6 @@ def printed(
     with redirect_stdout(stream):
         asyncio.run(main())
     return stream.getvalue().splitlines()
-
-
-def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in printed(io.StringIO(), run, *batches, form="json")]
 
 
 def test_each_slip_and_fault_is_one_line(run: Run) -> None:
@@ -51,16 +43,3 @@ def test_each_slip_and_fault_is_one_line(run: Run) -> None:
     run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))
     assert onset == "1970-01-01 00:00:00.000  finger every  slip onset  p 0.93"
-
-
-def test_as_json_each_event_is_one_object_and_unknown_numbers_are_null(run: Run) -> None:
-    onset, end, begins, ends, *limits = objects(run, slips(run.clock.now() - 12 * ms), FAULTS, SATURATED)
-    about = {"finger": "0", "time": "1970-01-01T00:01:39.988000000Z"}
-    assert onset == {"event": "slip_onset", "p": 0.931, "latency_ms": 12.0, **about}
-    assert (end["event"], end["p"]) == ("slip_end", None)
-    about = {"finger": "2", "time": "1970-01-01T00:00:01.000000000Z"}
-    assert begins == {"event": "fault_begins", "barometer": 3, "fault": "stuck", **about}
-    assert ends["event"] == "fault_ends"
-    assert [each["event"] for each in limits] == ["limit_begins", "limit_ends"]
-    run.live, run.recording = False, "stroke-9"
-    assert "latency_ms" not in objects(run, slips(0), FAULTS)[0]

@@ -17,7 +17,7 @@ from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
-from connectors.gripper.robotiq import FULL, SETTLE, STATUS, UNIT, Request, register_force
+from connectors.gripper.robotiq import FULL, SETTLE, STATUS, STRONGEST, UNIT, WEAKEST, Request
 from operators.batch import s
 from storage.background_task import BackgroundTask
 
@@ -32,6 +32,11 @@ CYCLE: Final = 0.010  # s between updates of the mechanism
 READ: Final = 4  # Modbus function: read input registers
 WRITE: Final = 16  # Modbus function: write multiple registers
 MOVING, STOPPED = 0, 2  # motion of the fingers; stopped before the requested position
+
+
+def register_force(register: int) -> float:
+    """Return the force (N) of a register value."""
+    return WEAKEST + register / FULL * (STRONGEST - WEAKEST)
 
 
 class Phase(IntEnum):

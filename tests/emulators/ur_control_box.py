@@ -11,7 +11,6 @@ from enum import IntEnum
 from types import MappingProxyType
 from typing import Final, TypeAlias, cast
 
-from connectors.ur.rtde import Version
 from operators.batch import Reals
 from tests.emulators.ur_program import REGISTERS, Drive, Program, Registers
 
@@ -64,8 +63,8 @@ INPUTS: Final[Mapping[str, str]] = MappingProxyType(
 class ControlBox:
     """A control box after power-up, with its arm ready."""
 
-    def __init__(self, pose: Reals, version: Version) -> None:
-        self.version, self.rate = version, 125.0 if version.major <= CB3 else 500.0
+    def __init__(self, pose: Reals, version: tuple[int, ...]) -> None:
+        self.version, self.rate = version, 125.0 if version[0] <= CB3 else 500.0
         self.drive = Drive(pose, 1 / self.rate)
         self.power_up()
 
@@ -150,7 +149,7 @@ def answer(box: ControlBox, line: str) -> str:
         box.stop_program()
         return "Stopped" if playing else "Failed to execute: stop"
     replies = {
-        "polyscopeversion": f"URSoftware {box.version} (Jan 01 2022)",
+        "polyscopeversion": f"URSoftware {'.'.join(map(str, box.version))} (Jan 01 2022)",
         "get serial number": "20195501234",  # ur-rtde requires one
         "is in remote control": "true",
         "running": f"Program running: {str(playing).lower()}",

@@ -13,13 +13,13 @@ from time import time_ns
 from types import MappingProxyType
 from typing import Final, NamedTuple, Self, TypeAlias
 
-from connectors.ur.rtde import PROTOCOL, Kind, Version, pack
+from connectors.ur.rtde import PROTOCOL, Kind, pack
 from operators.batch import Reals, s
 from storage.background_task import BackgroundTask
 from tests.emulators.ur_control_box import GREETING, INPUTS, OUTPUTS, ControlBox, Value, answer
 
-E_SERIES: Final = Version(5, 11, 0, 1)
-CB3: Final = Version(3, 15, 8, 1)
+E_SERIES: Final = (5, 11, 0, 1)
+CB3: Final = (3, 15, 8, 1)
 SCRIPT_LIMIT: Final = 1 << 20  # bytes of an uploaded script
 
 Serve: TypeAlias = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
@@ -90,7 +90,7 @@ class Recipe:
         return found
 
 
-def version_payload(version: Version) -> bytes:
+def version_payload(version: tuple[int, ...]) -> bytes:
     """Return the payload of the answer with a controller's version."""
     return Struct(">4I").pack(*version)
 
@@ -108,7 +108,7 @@ class UrController:
         *,
         host: str = "127.0.0.1",
         ports: Ports = PORTS,
-        version: Version = E_SERIES,
+        version: tuple[int, ...] = E_SERIES,
         now: Callable[[], int] = time_ns,
         drift: float = 0.0,
     ) -> None:

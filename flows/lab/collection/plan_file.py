@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
 from difflib import get_close_matches
-from itertools import repeat
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
@@ -88,14 +87,11 @@ class _Reader:
         return found
 
     def _items(self, kinds: tuple[object, ...], value: object, key: str) -> Iterator[object]:
-        given = value
-        items = cast("list[object]", given) if isinstance(given, list) else None
-        if kinds[-1] is Ellipsis:
-            kinds = tuple(repeat(kinds[0], len(items or ())))
-        if items is None or len(items) != len(kinds):
-            raise self._error(key, value, f"a list of {len(kinds)} values" if kinds else "a list")
-        for number, (kind, item) in enumerate(zip(kinds, items, strict=True)):
-            yield self._value(kind, item, f"{key}[{number}]")
+        any_length = kinds[-1] is Ellipsis
+        if not isinstance(value, list) or not (any_length or len(value) == len(kinds)):
+            raise self._error(key, value, "a list" if any_length else f"a list of {len(kinds)} values")
+        for number, item in enumerate(cast("list[object]", value)):
+            yield self._value(kinds[0 if any_length else number], item, f"{key}[{number}]")
 
     def _quantity(self, value: object, unit: str, key: str) -> float:
         if not isinstance(value, str):

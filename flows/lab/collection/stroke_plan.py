@@ -28,6 +28,7 @@ from operators.ports import Json
 Seconds: TypeAlias = Annotated[float, "s"]
 
 MAX_SPEED: Final = 0.3  # m/s; above it `Label` gives no label
+MOST: Final = 100  # sessions of one kind on a surface, rounds in a session
 _DIRECTIONS: Final = 8
 _RANGES: Final = {  # lowest and highest value of each setting and limit, and its unit
     "depth": (0, 0.006, "m"),  # a fingertip yields by a few mm
@@ -37,7 +38,11 @@ _RANGES: Final = {  # lowest and highest value of each setting and limit, and it
     "rotation_acceleration": (0.01, 5, "rad/s2"),
     "rest": (0, 60, "s"),
     "baseline": (0.01, 600, "s"),
-    "clearance": (0.0001, 0.5, "m"),
+    "clearance": (
+        0.003,
+        0.5,
+        "m",
+    ),  # `MaskLifted` takes a fingertip up to 2 mm above the surface as in contact
     "travel_speed": (0.0001, 1, "m/s"),
     "press_speed": (0.0001, MAX_SPEED, "m/s"),
     "acceleration": (0.01, 5, "m/s2"),
@@ -168,9 +173,9 @@ class CollectionPlan:
     def __post_init__(self) -> None:
         if not all(0 < speed < MAX_SPEED for speed in self.speeds):
             raise ParameterError(self.name, "speeds", self.speeds, f"above 0 and below {MAX_SPEED} m/s")
-        for name in ("repeats", "rotations", "seed"):
-            check_at_least(self.name, name, getattr(self, name), 0)
-        check_at_least(self.name, "rounds", self.rounds, 1)
+        check_at_least(self.name, "seed", self.seed, 0)
+        for name, least in (("repeats", 0), ("rotations", 0), ("rounds", 1)):
+            check_between(self.name, name, getattr(self, name), least, MOST)
         if not self.rotations and not (self.repeats and self.speeds):
             raise ParameterError(self.name, "repeats", self.repeats, "1 or more, or give rotations")
         poses = [each.pose for each in self.surfaces]

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.gripper.robotiq import FAULTS, Status, force_register, register_force
+from connectors.gripper.robotiq import FAULTS, Status, force_register
+from tests.emulators.gripper import register_force
 
 
 @pytest.mark.parametrize(

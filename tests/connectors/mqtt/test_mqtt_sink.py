@@ -13,7 +13,7 @@ from connectors.mqtt import broker_link as link
 from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
 from connectors.mqtt.mqtt_sink import health
-from operators.batch import ms, s
+from operators.batch import Slips, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
@@ -136,6 +136,38 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
     }
     assert found[f"{RIG}/head"] == {"epoch": epoch, "last_seq": 4}
     assert found[f"{RIG}/health"]["outbox"] == {"error": None, "waiting": 0, "refused": []}
+
+
+async def test_the_state_of_a_fingertip_is_that_of_the_current_run(
+    broker: TestBroker, run: Run, links: list[Link]
+) -> None:
+    def states(*finger: int) -> list[tuple[Any, ...]]:
+        found = [read(broker.listen(f"{RIG}/{each}/state").next()) for each in finger]
+        return [(each["slip"], each["p"], each["seq"], each["epoch"]) for each in found]
+
+    first, second = Mqtt(broker.url, rig="rig"), Mqtt(broker.url, rig="rig")
+    for sink in (first, second):
+        run.sink_types[sink.destination] = {Slips: (0, 2)}
+    await first.open(run)
+    await first.write(slips(1))
+    await sent(first)
+    epoch = inside(first, "_outbox").epoch
+    await until(lambda: not inside(first, "_sender", "_changed"))
+    assert states(0, 2) == [(True, 0.9, 1, epoch), (False, None, 0, epoch)]
+    inside(first, "_sender", "_sending", "_task").cancel()  # a kill, before the broker has the second event
+    await first.write(slips(0, 1))
+    links[0].abort()
+    await inside(first, "_outbox").close()
+    async with opened(second, run):
+        await sent(second)
+        await until(lambda: not inside(second, "_sender", "_changed"))
+        epoch = inside(second, "_outbox").epoch
+        assert states(0, 2) == [(False, None, 0, epoch)] * 2
+        await second.write(slips(1, finger=2))
+        await sent(second)
+        await until(lambda: not inside(second, "_sender", "_changed"))
+        assert states(2) == [(True, 0.9, 1, epoch)]
+    assert states(0, 2) == [(False, None, 0, epoch)] * 2
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

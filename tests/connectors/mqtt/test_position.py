@@ -173,7 +173,10 @@ def test_what_is_given_up_to_bound_the_memory_is_reported(monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize(
     "malformed",
-    [b"", b"{}", b'{"format":1,"rigs":[]}', b'{"format":2,"rigs":[{}]}', b"\0" * 100, b"[" * 10_000],
+    [
+        *(b"", b"{}", b'{"format":1,"rigs":[]}', b'{"format":2,"rigs":[{}]}', b"\0" * 100, b"[" * 10_000),
+        b'{"format":2,"rigs":[{"site":"lab","rig":"ur10","epoch":"a","done":5,"head":9,"ahead":[6]}]}',
+    ],
 )
 def test_a_malformed_file_is_an_error_with_a_remedy(tmp_path: Path, malformed: bytes) -> None:
     path = tmp_path / "position"

@@ -26,8 +26,7 @@ def test_every_rig_has_its_own_outbox_in_the_state_folder(
         ("a-b", "c"),
         ("a", "b-c"),
         ("..", ".."),
-        ("x" * 300, "y"),
-        ("x" * 300, "z"),
+        ("x" * 64, "y" * 64),
         ("ü", "~"),
     ]
     paths = [outbox_path(*rig) for rig in rigs]

@@ -123,6 +123,37 @@ async def test_each_new_reason_of_a_missing_broker_is_logged_once(
     ]
 
 
+@pytest.mark.parametrize("failures", [0, 1])
+async def test_brief_connections_are_blamed_on_another_run_unless_attempts_fail_in_between(
+    tmp_path: Path,
+    peer: Peer,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    failures: int,
+) -> None:
+    caplog.set_level(logging.INFO, "slipflow")
+    links, refusals = list[SimulatedLink](), list[EndpointError]()
+
+    async def connect(*about: Any) -> SimulatedLink:
+        if refusals:
+            raise refusals.pop()
+        links.append(await peer.connect(*about))
+        return links[-1]
+
+    def logged(text: str) -> int:
+        return sum(text in message for message in caplog.messages)
+
+    monkeypatch.setattr(broker_link, "connect", connect)
+    async with opened(tmp_path) as (sending, _):
+        await sending.start("me", WILL, ONLINE)
+        for _ in range(3):
+            known = logged("connected again")
+            refusals += [EndpointError("broker", "is down")] * failures
+            links[-1].abort()
+            await until(lambda known=known: logged("connected again") > known)  # type: ignore[misc]
+    assert (logged("another run has this name"), logged("connected again")) == (0 if failures else 2, 3)
+
+
 async def test_events_and_replies_get_a_share_of_each_turn(
     tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

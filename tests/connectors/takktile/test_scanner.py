@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from smbus2 import SMBus
 
-from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
+from connectors.takktile.scanner import Scan, Scanner, i2c_reason
 from connectors.takktile.takktile_protocol import Coefficients
 from operators.batch import Counts, us
 from tests.connectors.takktile.takktile_rig import PATH, Bus
@@ -31,8 +31,7 @@ class Rig:
         self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
-        schedule = Schedule(PATH, self.rows, 0, {}, self.coefficients)
-        return Scanner(schedule, time_ns)
+        return Scanner(PATH, dict(zip(self.rows, self.coefficients, strict=True)), time_ns)
 
     def right(self, scan: Scan) -> None:
         """Check that valid cells have the counts of the last conversion."""

@@ -20,7 +20,6 @@ from operators import Clock, EndpointError, ParameterError, Touch, us
 from operators.batch import concat
 from tests.connectors.takktile.takktile_rig import PATH, Bus
 from tests.emulators.i2c_bus import served
-from tests.waiting import until
 
 SILENT = f"{PATH}: no fingertip answers: check the power and the rows (errno 121)"
 
@@ -62,10 +61,6 @@ async def gather(batches: AsyncGenerator[Touch], taken: list[Touch]) -> None:
         taken.append(touch)  # noqa: PERF401 - of what came before an error
 
 
-def counted(source: TakkTile) -> dict[str, int]:
-    return cast("dict[str, int]", source.describe()["scans"])
-
-
 @pytest.mark.parametrize(("rows", "fingers"), [((0,), (7,)), ((0, 1, 5), (0, 1, 2))])
 async def test_one_or_three_fingertips_are_scanned_100_times_a_second(
     bus: Bus, rows: tuple[int, ...], fingers: tuple[int, ...]
@@ -104,7 +99,6 @@ async def test_an_unplugged_sensor_fails_and_is_found_again(bus: Bus) -> None:
     for touch in taken[19:]:  # before it counts as lost; nothing is invented
         assert not touch.valid.any()
         assert not touch.counts.any()
-    assert counted(source)["silent"] >= len(taken[19:])
 
     assert await lost(stream(source, clock)) == ([], SILENT)
     bus.plug()
@@ -148,10 +142,9 @@ async def test_scans_beyond_the_backlog_are_missed(bus: Bus, monkeypatch: pytest
     source = TakkTile(rate=300.0)
     async with aclosing(stream(source)) as batches:
         await anext(batches)
-        await until(lambda: counted(source)["made"] >= 6)
-        before = counted(source)["missed"]
-        await until(lambda: counted(source)["missed"] >= before + 10)
-        assert counted(source)["made"] == 6
+        await asyncio.sleep(0.5)
+        time = [touch.time.item() for touch in await take(batches, 6)]
+    assert time[4] - time[0] < time[5] - time[4]
 
 
 async def test_an_error_of_the_program_comes_after_the_scans_before_it(
@@ -182,7 +175,8 @@ def test_a_thread_without_its_loop_ends(bus: Bus) -> None:  # which the fixture 
 
 @given(st.integers(0, 10**12), st.integers(0, 10**10), st.integers(1, 10**9))
 def test_the_schedule_skips_and_never_drifts(due: int, took: int, period: int) -> None:
-    then, missed = next_scan(due, due + took, period)
+    then = next_scan(due, due + took, period)
+    missed = (then - due) // period - 1
     assert then - due == (1 + missed) * period
     assert missed >= 0
     assert then > due + took - period  # it can still begin within its own period
@@ -194,13 +188,11 @@ async def test_the_description_is_live_and_plain_data(bus: Bus) -> None:
     described = source.describe()
     before = json.loads(json.dumps(dict(described)))
     assert before["coefficients"] == {"0": [None] * 6, "4": [None] * 6}
-    assert before["scans"] == {"made": 0, "silent": 0, "late": 0, "missed": 0}
     assert (before["bus"], before["rows"], source.fingertip.rate) == (PATH, [0, 5], 250.0)
     async with aclosing(stream(source)) as batches:
         await take(batches, 10)
     after = json.loads(json.dumps(dict(described)))
     assert after["coefficients"]["4"][1] == pytest.approx([2010.75, -2.37585, -0.92047, 7.9012e-4], rel=1e-4)
-    assert after["scans"]["made"] >= 5
 
 
 @pytest.mark.parametrize(

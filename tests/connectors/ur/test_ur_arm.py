@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 from connectors.ur.control_process import Command, Signal
-from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import PATH_TOLERANCE, UrArm, request_stop
 from connectors.ur.ur_state import ArmState, Bounds
 from flows.graph.testing import VirtualLoop
@@ -34,7 +33,7 @@ real = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reas
 HOST = own_host(2)
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
-NEWEST = Version(5, 24, 0, 1)
+NEWEST = (5, 24, 0, 1)
 
 
 @dataclass
@@ -44,7 +43,7 @@ class Lab:
 
 
 @asynccontextmanager
-async def lab(version: Version = CB3) -> AsyncGenerator[Lab]:
+async def lab(version: tuple[int, ...] = CB3) -> AsyncGenerator[Lab]:
     """Serve an arm; in virtual time `DirectControl` commands it, else ur-rtde."""
     clock, loop = LoopClock(), asyncio.get_running_loop()
     async with UrController(np.array(BEGIN), host=HOST, version=version, now=clock.now) as controller:
@@ -78,7 +77,7 @@ def away(arm: UrArm) -> Coroutine[Any, Any, None]:
 
 @real
 @pytest.mark.parametrize("version", [CB3, E_SERIES, NEWEST], ids=str)
-async def test_it_moves_along_lines_and_turns(version: Version) -> None:
+async def test_it_moves_along_lines_and_turns(version: tuple[int, ...]) -> None:
     async with lab(version) as here:
         arm = here.arm
         await arm.line([(0.42, 0.05, 0.12, math.pi, 0, 0)], 0.1, 0.5, 0.8)

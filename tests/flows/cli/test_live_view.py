@@ -16,11 +16,21 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from flows.run.live_runner import LiveRunner
-from operators import Debounce, ParameterError, Scores, Slips, Touch, Zero, s
+from operators import TAKKTILE, Debounce, Fingertip, Health, ParameterError, Score, Touch, Zero, s
+from operators.batch import Faults, Scores, Slips, Zeroed
+from storage import load_detector
 from tests.command import Terminal
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.web.reading import slip
 from tests.waiting import PATIENCE, until
+
+
+class Fingertips(TestSource[Touch]):
+    """TakkTile fingertips."""
+
+    @property
+    def fingertip(self) -> Fingertip:
+        return TAKKTILE
 
 
 def page_of(flow: Flow) -> tuple[Page, list[str]]:
@@ -52,6 +62,23 @@ def test_raw_touch_is_shown_if_none_is_zeroed_and_each_type_once(*, zeroed: bool
     page, names = page_of(flow)
     assert (names, page.threshold) == (["Zeroed" if zeroed else "Touch"], None)
     assert problems(flow) == []
+
+
+def test_page_and_metrics_show_all_fingertips_of_a_flow_with_a_source_for_each() -> None:
+    flow = Flow("hand")
+    for finger in range(3):
+        touch = flow.source(Fingertips(Touch, fingers=(finger,)), f"touch{finger}")
+        touch.to(TestSink())
+        if finger == 1:
+            (touch | Health()).to(TestSink())
+        (touch | Zero() | Score(load_detector("psd")) | Debounce()).to(TestSink())
+    add_page(flow, "127.0.0.1:0")
+    add_metrics(flow, "127.0.0.1:9464")
+    assert problems(flow) == []
+    for sink, *kinds in (Page, Zeroed, Scores, Slips, Faults), (Metrics, Slips, Faults, Scores):
+        [node] = [node for node, part in flow.sinks().items() if isinstance(part, sink)]
+        shown = [(each.gives, finger) for each in node.inputs for finger in each.fingers]
+        assert sorted(shown, key=str) == sorted(((k, f) for k in kinds for f in range(3)), key=str)
 
 
 def test_the_token_is_printed_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
+from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from operators import (
     Batch,
@@ -160,6 +161,20 @@ def test_a_stuck_lossless_sink_blocks_no_other_and_works_again_once_its_write_en
         "testsink drops rows until it works again",
         f"testsink works again; {9000 - len(kept)} rows were dropped",
     ]
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_a_sink_whose_queue_has_room_counts_as_failing_while_a_write_hangs(lossless: bool) -> None:
+    seen = list[str]()
+    waits, rare = [25.0], TestSource(Scores, [Scores.rows([k * 9 * s], 0.9) for k in range(5)])
+    sink = TestSink(lossless=lossless, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
+
+    def look(runner: LiveRunner, _: object) -> None:
+        seen.append(runner.run.sinks["testsink"].error)
+
+    status = execute(flow_of(rare, sink), at=dict.fromkeys((5.0, 15.0, 30.0), look)).sinks["testsink"]
+    assert [error.partition(": ")[2] for error in seen] == ["", "has not completed a write for 10 s", ""]
+    assert (status.rows, status.dropped, status.failures) == (5, 0, 1)
 
 
 def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:

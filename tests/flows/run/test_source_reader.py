@@ -116,6 +116,49 @@ def test_a_source_that_stamps_its_rows_in_another_clock_is_named_once_unless_the
     assert caplog.messages == ([text] if distance else [])
 
 
+@pytest.mark.parametrize(
+    ("stamp", "late"),
+    [
+        (lambda now: now + 30 * s * (now == NOW + 2 * s), 1),
+        (lambda now: now + 90 * s + 30 * s * (now == NOW + 2 * s), 1),
+        (lambda now: now + 30 * s * (now >= NOW + 2 * s), 1),
+        (lambda now: now + 900 * ms * (now >= NOW + 2 * s), 0),
+    ],
+    ids=["one row", "clock of another host", "the clock is set", "a small step"],
+)
+def test_a_row_of_the_future_is_dropped_unless_the_next_one_is_too(
+    stamp: Callable[[int], int], late: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    sink = TestSink()
+    run = execute(flow_of(Stamping(stamp, in_run_time=True), sink), duration=10 * s, start=NOW)
+    status = run.sources["scores"]
+    assert (status.late, status.rows, len(sink.written)) == (late, status.rows, status.rows - late)
+    assert status.rows >= 999
+    assert (np.diff(sink.rows(Scores).time) > 0).all()
+    assert sum("a row of" in text and "in the future" in text for text in caplog.messages) == late
+
+
+def test_a_source_with_late_rows_only_is_stale_until_its_rows_are_in_time(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    seen = list[tuple[bool, bool, str]]()
+
+    def look(runner: LiveRunner, _: object) -> None:
+        status = runner.run.sources["scores"]
+        seen.append((status.up, status.stale, status.error))
+
+    def stamp(now: int) -> int:  # two rows of the future
+        return now + 30 * s * (NOW + 2 * s <= now < NOW + 2 * s + 20 * ms)
+
+    flow = flow_of(Stamping(stamp, in_run_time=True), TestSink())
+    run = execute(flow, duration=40 * s, start=NOW, at=dict.fromkeys((4.0, 10.0, 35.0), look))
+    reason = "delivered only late rows for 5 s"
+    assert seen == [(True, False, ""), (False, True, reason), (True, False, "")]
+    [gap] = run.sources["scores"].gaps
+    assert (round((gap.start - NOW) / s), round((gap.end - NOW) / s), gap.reason) == (3, 32, reason)
+    assert caplog.messages[1:] == [f"scores {reason}: its clock was set back, or a row was of the future"]
+
+
 def test_a_source_whose_first_row_is_wrong_is_not_called_silent(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

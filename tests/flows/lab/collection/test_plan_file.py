@@ -83,6 +83,11 @@ def test_a_mistake_names_the_file_and_the_key(tmp_path: Path, text: str, reason:
         ("[path]\nrotation_acceleration = inf", "path.rotation_acceleration is inf, must be from 0.01"),
         ("[path]\nrotation_speed = nan", "path.rotation_speed is nan, must be from 0.01 to 3 rad/s"),
         ("[path]\ntravel_speed = '900m/s'", "path.travel_speed is 900.0, must be from 0.0001 to 1 m/s"),
+        ("[path]\nclearance = '2mm'", "path.clearance is 0.002, must be from 0.003 to 0.5 m"),
+        *(
+            (f"{key} = 1_000_000_000_000", f"{key} is 1000000000000, must be from")
+            for key in ("repeats", "rotations", "rounds")
+        ),
         ("[path]\nbaseline = '900d'", "path.baseline is 77760000.0, must be from 0.01 to 600 s"),
         ("[limits]\nwatchdog = inf", "limits.watchdog is inf, must be from 0.1 to 10 Hz"),
         ("[limits]\nsensor_timeout = '1d'", "limits.sensor_timeout is 86400.0, must be from 0.05 to 5 s"),
