@@ -85,8 +85,12 @@ class Segment:
     """
 
     def __init__(self, entrances: Sequence[RowType], stages: Sequence[Stage], finger: int = EVERY) -> None:
-        shapes = (Shape.of(each.steps, each.gives, each.inputs, each.delivers) for each in stages)
-        self._program = program = compose(tuple(entrances), tuple(shapes), compiler())
+        chosen = compiler()
+        shapes = tuple(
+            Shape.of(each.steps, each.gives, each.inputs, each.delivers, compiled=chosen is not None)
+            for each in stages
+        )
+        self._program = program = compose(tuple(entrances), shapes, chosen)
         self._entrances, self._finger = entrances, finger
         self._flow = cast("Any", np.zeros(1, program.flow))
         for i in range(len(entrances)):

@@ -7,7 +7,7 @@ from flows.graph.flow import Flow
 from flows.graph.node import Node, location
 from flows.graph.validation import sink_fingertips, trace_fingertips, validate
 from operators.batch import BAROMETERS, EVERY, Batch, concat, ms
-from operators.errors import BatchError, InputError, OperatorError, SlipflowError
+from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, Operator, fuses
 from operators.ports import Source
 from operators.score import Score
@@ -273,7 +273,7 @@ class CompiledFlow:
     def _fused(self, nodes: Mapping[Node, Steps], types: Mapping[Node, RowType], read: set[Node]) -> _Fused:
         try:
             return _Fused(nodes, types, read)
-        except InputError as error:
+        except Exception as error:
             for node in sorted(nodes, key=_is_tested) if len(nodes) > 1 else ():  # those of users first
                 self._fused({node: nodes[node]}, types, {node})
             raise self._failure([*nodes], error) from error

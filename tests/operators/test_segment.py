@@ -1,7 +1,8 @@
 """What a segment owes beyond the conformance of its operators: queues, cells, blocks, fingertips, order."""
 
 from collections.abc import Iterable
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final, cast
 
 import numpy as np
 import pytest
@@ -26,6 +27,7 @@ from operators import (
     concat,
     ms,
     s,
+    segment,
 )
 from operators.batch import Reals, Times
 from operators.operator import AnyOperator
@@ -155,6 +157,17 @@ def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(r
 # --- operators of users ----------------------------------------------------------------------------------
 
 
+@dataclass
+class _Stepping(Operator[Scores, Scores]):
+    given: Steps | None = None
+
+    def steps(self, *given: RowType) -> Steps | None:
+        return self.given
+
+    def step(self, settings: Record, state: Record, row: Record, out: Record) -> bool:
+        return False
+
+
 def _take(settings: Record, state: Record, row: Record) -> None:
     state.left = settings.copies
 
@@ -167,9 +180,74 @@ def _give(settings: Record, state: Record, out: Record) -> bool:
     return True
 
 
-def test_a_name_that_numpy_uses_is_refused() -> None:
-    with pytest.raises(ParameterError, match="name of a value is 'size', must be none of numpy's"):
-        record_type({"size": 0})
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"size": 0}, "name of a value is 'size', must be none of numpy's"),
+        ({"limit": None}, "limit is None, must be a number of 64 bits"),
+        ({"table": {}}, "table is {}, must be a number"),
+        ({"big": 2**64}, f"big is {2**64}, must be a number"),
+        ({"big": 2**63}, f"big is {2**63}, must be a number"),
+        ({"rows": [[1], [1, 2]]}, r"rows is \[\[1\], \[1, 2\]\], must be a number"),
+    ],
+)
+def test_a_value_that_no_step_can_keep_is_refused_by_its_name(values: Any, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        record_type(values)
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        (Steps(), "number of functions is 0, must be one step, or takes and give"),
+        (Steps(takes=(_take,)), "number of functions is 1"),
+        (Steps(step=_Stepping().step), "function is <bound method .*, must be a function of a module"),
+    ],
+)
+def test_functions_that_are_no_steps_are_refused(steps: Steps, message: str) -> None:
+    with pytest.raises(ParameterError, match=f"^Steps: {message}"):
+        _Stepping(steps).push(Scores.zeros(1))
+
+
+LIMIT = 1.0
+
+
+def _scaled(settings: Record, state: Record, row: Record, out: Record) -> bool | None:
+    state.ended += 1
+    if row.probability < 0.5:
+        return None
+    out.time, out.probability = row.time, row.probability * LIMIT
+    return True
+
+
+def _divided(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    out.time, out.probability = row.time, int(row.time) // (int(row.time) - 1)
+    return True
+
+
+PLAIN = pytest.mark.parametrize("plain", [False, True], ids=["compiled", "Python"])
+
+
+@PLAIN
+def test_a_step_without_a_result_has_no_row_and_reads_the_globals_of_now(
+    monkeypatch: pytest.MonkeyPatch, *, plain: bool
+) -> None:
+    if plain:
+        monkeypatch.setattr(segment, "compiler", lambda: None)
+    scores = Scores.rows([0, 1, 2], [0.1, 0.5, 0.75])
+    for limit in (1.0, 2.0):
+        monkeypatch.setitem(globals(), "LIMIT", limit)
+        step: Any = _Stepping(Steps(state={"ended": 0}, step=cast("Any", _scaled)))
+        assert (step.push(scores).probability / limit).tolist() == [0.5, 0.75]
+        assert not len(step.flush())
+
+
+@PLAIN
+def test_division_by_zero_in_a_step_is_an_error(monkeypatch: pytest.MonkeyPatch, *, plain: bool) -> None:
+    if plain:
+        monkeypatch.setattr(segment, "compiler", lambda: None)
+    with pytest.raises(ZeroDivisionError):
+        _Stepping(Steps(step=_divided)).push(Scores.zeros(2).later(1))
 
 
 class _Copies(Operator[Scores, Scores]):
