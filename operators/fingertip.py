@@ -137,19 +137,18 @@ class Fingertip:
             return 1.0
         return abs((given.range[1] - given.range[0]) / (self.range[1] - self.range[0]))
 
-    def check_fits(self, owner: str, given: "Fingertip", *, any_cells: bool = False) -> None:
+    def check_fits(self, owner: str, given: "Fingertip") -> None:
         """Check that data of the fingertip `given` fits what `owner` was made for: this fingertip.
 
         Args:
             owner: Name of the detector or operator, for the error.
             given: Fingertip of the data.
-            any_cells: Accept any number of cells.
 
         Raises:
             FingertipError: if cells, rate or unit differ; it names the operators that convert them.
         """
         needs, has, fix = list[str](), list[str](), list[str]()
-        cells = given.cells != self.cells and not any_cells
+        cells = given.cells != self.cells
         if cells:
             needs.append(f"{self.cells} cells")
             has.append(f"{given.cells} cells")
@@ -190,6 +189,11 @@ def grid(cells: int, columns: int | None = None) -> tuple[tuple[int, ...], ...]:
     check_between("grid", "columns", wide, 1, cells)
     rows = range(0, cells, wide)
     return tuple(tuple(i if i < cells else NO_CELL for i in range(row, row + wide)) for row in rows)
+
+
+def usual_layout(cells: int) -> tuple[tuple[int, ...], ...]:
+    """Return the layout that is assumed if none is stated: that of a TakkTile for six cells, else a grid."""
+    return TAKKTILE.layout if cells == TAKKTILE.cells else grid(cells)
 
 
 def rows_per_second(time: Times) -> float | None:
@@ -235,8 +239,7 @@ def measured(batch: Touch) -> Fingertip | None:
         None if all rows have the same time, which tells no rate.
     """
     rate = rows_per_second(batch.time)
-    layout = TAKKTILE.layout if batch.cells == TAKKTILE.cells else grid(batch.cells)
-    return None if rate is None else Fingertip(layout, rate)
+    return None if rate is None else Fingertip(usual_layout(batch.cells), rate)
 
 
 def _scale(fingertip: Fingertip) -> str:

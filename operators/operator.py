@@ -12,7 +12,7 @@ from typing import Any, Generic, Never, NoReturn, Self, TypeVar, cast, get_args
 
 import numpy as np
 
-from operators.batch import EVERY, Batch
+from operators.batch import EVERY, Batch, layout
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.segment import EARLIEST, Outputs, Segment, Stage
@@ -73,17 +73,9 @@ class AnyOperator(ABC):
         return None
 
     def row_type(self, *given: RowType) -> RowType:
-        """Return the type of the output for input of these types."""
-        return RowType(output_type(type(self)), given[0].cells)
-
-    def prepare(self) -> None:
-        """Do slow set-up before the first push; a flow compiles the operators that consist of steps itself.
-
-        Raises:
-            ParameterError: if the operator has neither `steps` nor `process`.
-        """
-        if not fuses(kind := type(self)) and cast("Any", kind).process in {Operator.process, Join.process}:
-            raise _without_process(self)
+        """Return the type of the output for these inputs, with the cells of the first that has any."""
+        cells = next((each.cells for each in given if layout(each.kind).cell_column), given[0].cells)
+        return RowType(output_type(type(self)), cells)
 
     @abstractmethod
     def flush(self) -> Any:
@@ -187,16 +179,14 @@ class Join(AnyOperator, Generic[Left, Right, Out]):
         empty = output_type(type(self)).empty()
         if not (left.time.size or right.time.size):
             return cast("Out", empty)
-        if fuses(type(self)) and self._start(
-            (RowType(type(left), left.cells), RowType(type(right), right.cells))
-        ):
+        if fuses(type(self)) and self._start(_row_types(left, right)):
             return Join.process(self, left, right)
         left, right = self._late_filters[0].filter(left), self._late_filters[1].filter(right)
         return self.process(left, right) if left.time.size or right.time.size else cast("Out", empty)
 
     def process(self, left: Left, right: Right) -> Out:
         """Process at least one row of either stream; time never decreases within each."""
-        if not self._start((RowType(type(left), left.cells), RowType(type(right), right.cells))):
+        if not self._start(_row_types(left, right)):
             raise _without_process(self)
         self._finger = left.finger if left.time.size else self._finger
         if left.time.size and right.time.size:
@@ -219,6 +209,24 @@ def fuses(kind: type[AnyOperator]) -> bool:
         if "process" in vars(each) and each not in {Operator, Join}:
             return False
     return False
+
+
+def _row_types(left: Batch, right: Batch) -> tuple[RowType, RowType]:
+    """Return the types of two inputs; one without rows has the cells of the other."""
+    cells = [batch.cells for batch in (left, right)]
+    if not (left.time.size and right.time.size) and all(cells):
+        cells = [cells[0 if left.time.size else 1]] * 2
+    return RowType(type(left), cells[0]), RowType(type(right), cells[1])
+
+
+def require_process(operator: AnyOperator) -> None:
+    """Require that an operator without steps has `process`.
+
+    Raises:
+        ParameterError: if it has not.
+    """
+    if not fuses(kind := type(operator)) and cast("Any", kind).process in {Operator.process, Join.process}:
+        raise _without_process(operator)
 
 
 def _without_process(operator: AnyOperator) -> ParameterError:

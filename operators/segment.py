@@ -189,7 +189,7 @@ def _packed(batch: Batch, given: RowType) -> NDArray[Any]:
     if not len(batch):  # of any number of cells
         return np.empty(0, given.packed)
     if batch.cells not in {0, given.cells}:
-        reason = f"has {batch.cells} cells, but the fingertip is described with {given.cells}"
+        reason = f"has {batch.cells} cells, but the fingertip was described or begun with {given.cells}"
         raise BatchError(type(batch).__name__, str(layout(type(batch)).cell_column), reason)
     return batch.packed if batch.packed.dtype == given.packed else pack(batch, given.packed)
 

@@ -31,6 +31,7 @@ Record: TypeAlias = Any  # its fields are attributes
 Values: TypeAlias = Mapping[str, Any]  # numbers and arrays
 END: Final = 2**62  # ns, later than any stamp
 _RATE: Final = 1000  # rows per second that queues of rows are made for
+_LEAST: Final = 1024  # rows of a queue
 
 
 class RowType(NamedTuple):
@@ -108,14 +109,14 @@ def record_type(values: Values) -> np.dtype[Any]:
     return np.dtype(fields or [("none", np.uint8)], align=True)
 
 
-def queue(row: RowType, time: int, least: int = 1024) -> "np.ndarray[Any, Any]":
+def queue(row: RowType, time: int) -> "np.ndarray[Any, Any]":
     """Return room for the rows of a time (ns) at up to 1 kHz; the number is a power of two.
 
     >>> from operators.batch import Scores, s
     >>> queue(RowType(Scores), 2 * s).size
     2048
     """
-    rows = max(least, time * _RATE // 1_000_000_000)
+    rows = max(_LEAST, time * _RATE // 1_000_000_000)
     return np.zeros(1 << (rows - 1).bit_length(), row.packed)
 
 

@@ -158,6 +158,8 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
         if isinstance(value, Flow):
             found[name] = Declaration(name, file, lambda flow=value: flow, {})
         elif inspect.isfunction(value) and value.__module__ == module.__name__:
+            if "Flow" not in str(value.__annotations__.get("return")):  # a helper, of whatever types
+                continue
             with _errors_of(file):
                 hints = get_type_hints(value, include_extras=True)
             if hints.get("return") is Flow:

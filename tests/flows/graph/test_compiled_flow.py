@@ -10,7 +10,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import TestSink, TestSource
+from flows.graph.testing import TestSink, TestSource, check_same
 from operators import (
     EVERY,
     Align,
@@ -275,7 +275,7 @@ def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
     pushes = [dict(enumerate(piece)) for piece in suite.pieces(streams, cuts)]
     found = outputs(CompiledFlow(flow), pushes)
     expected = suite.run(case.step.reset_copy(), [streams])
-    suite.same(suite.joined(kind, found[streams[0].finger]), expected)
+    check_same(suite.joined(kind, found[streams[0].finger]), expected)
 
 
 @pytest.mark.parametrize("rows", [1, 7, 300], ids=["one by one", "cut", "at once"])
@@ -295,5 +295,5 @@ def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingert
     for each in touches:
         samples = Align().push(Zero(baseline=400).push(each), DeviceClock().push(arm))
         joined = concat(Sample, cast("list[Sample]", found[each.finger]))
-        suite.same(joined[: len(samples)], samples)
+        check_same(joined[: len(samples)], samples)
         assert len(joined) == 300
