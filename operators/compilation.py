@@ -86,7 +86,7 @@ def compile_program(
         InputError: if a function cannot be compiled, with its line.
     """
     signature, names = tuple(_argument_type(each) for each in arguments), dict[FunctionType, str]()
-    key = _name(function, names), signature
+    key = content_name(function, names), signature
     if key not in _programs:
         # else code of other processes in the cache has the same symbols for other types, and is taken for it
         kinds = f"{zlib.crc32(str(signature).encode()):x}"
@@ -121,17 +121,12 @@ def _argument_type(value: object) -> Any:
     return types.Array(found.dtype, found.ndim, "A") if isinstance(value, np.ndarray) else found
 
 
-def content_name(function: Any) -> str:
-    """Return a name that depends on all that is compiled into a function, also on globals that it reads.
+def content_name(function: FunctionType, names: dict[FunctionType, str]) -> str:
+    """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in.
 
     Raises:
         InputError: if the function cannot be compiled: it reads variables of another one, or calls itself.
     """
-    return _name(getattr(function, "py_func", function), {})
-
-
-def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
-    """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in."""
     if names.get(function) == "":
         where = f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
         raise InputError(where, f"{function.__name__} calls itself: use a loop")
@@ -154,7 +149,7 @@ def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
 def _content(value: object, read: Sequence[str], names: dict[FunctionType, str]) -> str:
     """Return a value that is compiled in as text; of a module, the attributes that a function may `read`."""
     if isinstance(helper := getattr(value, "py_func", value), FunctionType):
-        return _name(helper, names)
+        return content_name(helper, names)
     if isinstance(value, ModuleType):  # perhaps of another file, whose changes numba does not notice
         value = _attributes(value, read)
     elif isinstance(value, EnumType):

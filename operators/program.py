@@ -48,7 +48,7 @@ class Shape(NamedTuple):
         if compiled:
             from operators.compilation import content_name
 
-            contents = tuple(content_name(each) for each in functions)
+            contents = tuple(content_name(each, {}) for each in functions)
         named = steps.step, tuple(steps.takes), steps.give
         return cls(named, contents, *records, gives, inputs, delivers, steps.held, steps.factor)
 

@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import floor
 from types import FunctionType
-from typing import Any, Final, NamedTuple, TypeAlias, cast
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -75,13 +75,14 @@ class Steps:
         Raises:
             ParameterError: if they are neither one step nor `takes` and `give`, or one is a method.
         """
-        found = [*self.takes, *(each for each in (self.step, self.give) if each is not None)]
+        given = [*self.takes, *(each for each in (self.step, self.give) if each is not None)]
+        found: list[Any] = [getattr(each, "py_func", each) for each in given]
         for each in found:
-            if not isinstance(getattr(each, "py_func", each), FunctionType):  # such as a method
+            if not isinstance(each, FunctionType):  # such as a method
                 raise ParameterError("Steps", "function", each, "a function of a module: def measure(...)")
         if (self.step is None) == (self.give is None) or (self.give is None) != (not self.takes):
             raise ParameterError("Steps", "number of functions", len(found), "one step, or takes and give")
-        return cast("list[FunctionType]", found)
+        return found
 
 
 def record_type(values: Values) -> np.dtype[Any]:
