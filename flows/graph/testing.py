@@ -24,7 +24,9 @@ def check_cuts(operator: Operator[Any, Any], batch: Batch) -> None:
     for rows in (1, 7, max(len(batch), 1)):
         step = operator.reset_copy()
         pieces = [step.push(batch[start : start + rows]) for start in range(0, len(batch), rows)]
-        outputs.append(concat(output_type(type(operator)), [*pieces, step.flush()]))
+        pieces.append(step.flush())
+        kind = next((type(each) for each in pieces if len(each)), output_type(type(operator)))
+        outputs.append(concat(kind, pieces))
     for cut in outputs[:-1]:
         check_same(cut, outputs[-1])
 

@@ -177,7 +177,7 @@ class Unknowing:
 
 
 class UnknowingSteps(Unknowing):
-    def steps(self, hop: int, cells: int) -> Steps:
+    def steps(self, cells: int) -> Steps:
         return Steps(step=too_high)
 
 
@@ -192,15 +192,29 @@ def test_a_failing_detector_is_reported_with_the_line_of_its_file(kind: type[Unk
         compiled.pusher(compiled.entries[0])(touch(0))
 
 
-def test_an_operator_that_cannot_be_prepared_is_named() -> None:
-    @dataclass
-    class Unready(Forgetful):
-        def prepare(self) -> None:
-            raise OSError("no weights")
+class Unready(Operator[Scores, Scores]):
+    def steps(self, *given: RowType) -> Steps:
+        raise OSError("no weights")
 
+
+class Unlimited(Operator[Scores, Scores]):
+    def steps(self, *given: RowType) -> Steps:
+        return Steps({"limit": None}, step=too_high)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        (Unready, r"OSError: no weights \(test_compiled_flow\.py:\d+\)$"),
+        (Unlimited, "Steps: limit is None, must be a number"),
+    ],
+)
+def test_an_operator_that_cannot_be_prepared_is_named(
+    kind: type[Operator[Scores, Scores]], reason: str
+) -> None:
     flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Unready()).to(TestSink())
-    with pytest.raises(OperatorError, match=r"^flow 'f': Unready: OSError: no weights \(test_compiled_flow"):
+    (flow.source(TestSource(Scores)) | kind() | Debounce()).to(TestSink())
+    with pytest.raises(OperatorError, match=rf"^flow 'f': {kind.__name__}: {reason}"):
         CompiledFlow(flow)
 
 
