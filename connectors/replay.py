@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.fingertip import Fingertip
-from operators.ports import Clock, Description, Recording, Source, TouchRecording
+from operators.ports import Clock, Description, Recording, Source
 
 Given = TypeVar("Given", bound=Batch)
 
@@ -67,8 +67,7 @@ class Replay(Source[Given], Generic[Given]):
     @cached_property
     def fingertip(self) -> Fingertip | None:
         """Fingertip of the recorded touch, if the recording states it; it may be measured."""
-        recording = self._recording
-        return recording.fingertip(self._kind) if isinstance(recording, TouchRecording) else None
+        return self._recording.fingertip(self._kind)
 
     @property
     def recording(self) -> str:

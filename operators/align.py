@@ -36,7 +36,8 @@ class Align(Join[Zeroed, Motion, Sample]):
         within: Largest distance of motion from t, ns.
         how: Selection of the motion.
         wait: Longest time that a touch sample waits for motion, ns; at least `within`, except for previous.
-        keep: Time for which motion is kept, ns; must cover the delay of touch while `Zero` measures.
+        keep: Time for which motion is kept, ns; must cover the delay of touch while `Zero` measures, which is
+            20 s at 5 Hz.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -51,7 +52,7 @@ class Align(Join[Zeroed, Motion, Sample]):
     within: int = 20 * ms
     how: How = "nearest"
     wait: int = 100 * ms
-    keep: int = 10 * s
+    keep: int = 25 * s
 
     def __post_init__(self) -> None:
         check_choice("Align", "how", self.how, get_args(How))

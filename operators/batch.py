@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import field
 from functools import cache, cached_property
 from operator import attrgetter, index
-from typing import Any, Final, Self, TypeAlias, TypeVar, cast
+from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,10 @@ EVERY: Final = -1  # finger of a batch that belongs to all fingertips, such as t
 SLIP: Final = 1
 STATIC: Final = 0
 UNKNOWN: Final = -1
-MOTIONS: Final = ("translation", "rotation", "hold", "tap", "lift")
-SURFACES: Final = ("plane", "sphere", "cylinder_x", "cylinder_y")
+MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"]
+Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
+MOTIONS: Final[tuple[str, ...]] = get_args(MotionKind)
+SURFACES: Final[tuple[str, ...]] = get_args(Curvature)
 us: Final = 1_000  # ns
 ms: Final = 1_000_000  # ns
 s: Final = 1_000_000_000  # ns

@@ -1,7 +1,7 @@
 """Checks of parameter values."""
 
 from collections.abc import Iterable
-from numbers import Real
+from numbers import Integral, Real
 from typing import cast
 
 from operators.errors import ParameterError
@@ -37,6 +37,17 @@ def check_at_least(owner: str, name: str, value: float, least: float, unit: str 
         check_ns(owner, name, value)
 
 
+def check_whole(owner: str, name: str, value: int, least: int, unit: str = "") -> None:
+    """Require a whole number of at least `least`.
+
+    Raises:
+        ParameterError: if it is not.
+    """
+    if not isinstance(cast("object", value), Integral):
+        raise ParameterError(owner, name, value, f"a whole number, at least {least} {unit}".rstrip())
+    check_at_least(owner, name, value, least, unit)
+
+
 def check_ns(owner: str, name: str, value: float) -> None:
     """Require whole ns, 0 or at least 1 us: other values lack their unit.
 
@@ -47,13 +58,12 @@ def check_ns(owner: str, name: str, value: float) -> None:
     Raises:
         ParameterError: if it is not.
     """
-    fractional = isinstance(value, float)
-    if fractional or 0 < abs(value) < _SHORTEST:
+    if not isinstance(cast("object", value), Integral) or 0 < abs(value) < _SHORTEST:
         raise ParameterError(owner, name, value, "in whole ns: for 20 ms write 20 * ms")
 
 
 def check_between(owner: str, name: str, value: float, low: float, high: float, *, unit: str = "") -> None:
-    """Require `low` <= `value` <= `high`; NaN fails.
+    """Require `low` <= `value` <= `high`; NaN and a text fail.
 
     >>> check_between("Debounce", "threshold", 1.5, 0, 1)
     Traceback (most recent call last):
@@ -62,7 +72,7 @@ def check_between(owner: str, name: str, value: float, low: float, high: float, 
     Raises:
         ParameterError: if it is not.
     """
-    if not low <= value <= high:
+    if not (isinstance(cast("object", value), Real) and low <= value <= high):
         raise ParameterError(owner, name, value, f"from {_number(low)} to {_number(high)} {unit}".rstrip())
 
 

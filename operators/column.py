@@ -51,7 +51,7 @@ class Declared:
     takes several times as long, which is much of the cost of a batch of one row.
 
     Raises:
-        BatchError: if a field is no column.
+        BatchError: if a field is no column, or its name has a meaning in batches or rows.
     """
 
     def __init_subclass__(cls) -> None:
@@ -60,6 +60,9 @@ class Declared:
             is_column = isinstance(given, Field) and "column" in given.metadata
             if Declared not in cls.__bases__ and not is_column and "ClassVar" not in str(hint):
                 reason = f"is not a column: write {name}: Reals = column(np.float64, unit=...)"
+                raise BatchError(cls.__name__, name, reason)
+            if is_column and (hasattr(np.record, name) or any(hasattr(base, name) for base in cls.__bases__)):
+                reason = "is a name that batches or rows of numpy use: choose another one"
                 raise BatchError(cls.__name__, name, reason)
         dataclass(eq=False)(cls)
         kind: Any = cls

@@ -86,7 +86,7 @@ def compile_program(
         InputError: if a function cannot be compiled, with its line.
     """
     signature, names = tuple(_argument_type(each) for each in arguments), dict[FunctionType, str]()
-    key = _name(function, names), signature
+    key = content_name(function, names), signature
     if key not in _programs:
         # else code of other processes in the cache has the same symbols for other types, and is taken for it
         kinds = f"{zlib.crc32(str(signature).encode()):x}"
@@ -102,7 +102,8 @@ def compile_program(
 
 def _explained(names: dict[FunctionType, str], error: Exception) -> InputError:
     """Return what is wrong in the innermost function of an operator that could not be compiled."""
-    codes = [each.__code__ for each in names if each.__module__ != "operators.program"]
+    ordered = sorted(names, key=_is_of_user)  # those of users last
+    codes = [each.__code__ for each in ordered if each.__module__ != "operators.program"]
     code, error = next((each for each in _listener.failed if each[0] in codes), (codes[-1], error))
     text = _NOISE.sub("", str(error))
     reason = re.search("cannot copy: .+", text) or re.search(r"(?m)^(?!Failed in )\S.*", text) or [""]
@@ -120,9 +121,17 @@ def _argument_type(value: object) -> Any:
     return types.Array(found.dtype, found.ndim, "A") if isinstance(value, np.ndarray) else found
 
 
-def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
-    """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in."""
+def content_name(function: FunctionType, names: dict[FunctionType, str]) -> str:
+    """Return the name of a compiled function, the key in the cache: it depends on all that is compiled in.
+
+    Raises:
+        InputError: if the function cannot be compiled: it reads variables of another one, or calls itself.
+    """
+    if names.get(function) == "":
+        where = f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
+        raise InputError(where, f"{function.__name__} calls itself: use a loop")
     if function not in names:
+        names[function] = ""  # until its name is known
         if function.__code__.co_freevars:
             where = f"{function.__code__.co_filename}:{function.__code__.co_firstlineno}"
             reason = f"{function.__name__} reads variables of the function around it: use settings"
@@ -131,7 +140,8 @@ def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
         values = [function.__defaults__, function.__kwdefaults__, *map(function.__globals__.get, loaded)]
         # code in the cache imports its modules: they may be renamed
         parts = [function.__module__, text, *loaded, *(_content(each, read, names) for each in values)]
-        parts += ["checked"] if _is_checked(function) else []
+        parts += ["as in Python"] if _is_of_user(function) else []
+        del names[function]  # it comes after those that it calls
         names[function] = f"{function.__name__}_{zlib.crc32(repr(parts).encode()):x}"
     return names[function]
 
@@ -139,7 +149,7 @@ def _name(function: FunctionType, names: dict[FunctionType, str]) -> str:
 def _content(value: object, read: Sequence[str], names: dict[FunctionType, str]) -> str:
     """Return a value that is compiled in as text; of a module, the attributes that a function may `read`."""
     if isinstance(helper := getattr(value, "py_func", value), FunctionType):
-        return _name(helper, names)
+        return content_name(helper, names)
     if isinstance(value, ModuleType):  # perhaps of another file, whose changes numba does not notice
         value = _attributes(value, read)
     elif isinstance(value, EnumType):
@@ -178,16 +188,18 @@ def _linked(
             scope[name] = _copy
         elif isinstance(helper, FunctionType):
             if helper not in known:
-                linked, checked = _linked(helper, names, known), _is_checked(helper)
-                known[helper] = njit(error_model="numpy", boundscheck=checked)(linked)
+                linked, checked = _linked(helper, names, known), _is_of_user(helper)
+                known[helper] = njit(error_model="python" if checked else "numpy", boundscheck=checked)(
+                    linked
+                )
             scope[name] = known[helper]
     result = FunctionType(function.__code__, scope, names[function], function.__defaults__)
     result.__qualname__, result.__kwdefaults__ = names[function], function.__kwdefaults__
     return result
 
 
-def _is_checked(function: FunctionType) -> bool:
-    """Return True for a function of users, in which an index out of range is an error, not other memory."""
+def _is_of_user(function: FunctionType) -> bool:
+    """Return True for a function of users: errors are division by zero, and an index out of range."""
     return not str(function.__module__).startswith("operators.")
 
 

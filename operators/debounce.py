@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from operators.batch import SLIP, STATIC, UNKNOWN, Scores, Slips
-from operators.checks import check_at_least
-from operators.errors import ParameterError
+from operators.checks import check_above, check_between, check_whole
 from operators.operator import Operator
 from operators.steps import Record, RowType, Steps
 
@@ -20,7 +19,6 @@ class Debounce(Operator[Scores, Slips]):
         threshold: Smallest probability that is a decision for slip, above 0, at most 1.
         consecutive: Decisions that start a slip; 2 in the paper's robot tests.
         release: Decisions that end a slip.
-        minimum: Shortest duration of a slip, ns, from the first decision of its onset.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -38,14 +36,12 @@ class Debounce(Operator[Scores, Slips]):
     threshold: float = 0.5
     consecutive: int = 2
     release: int = 2
-    minimum: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 < self.threshold <= 1:
-            raise ParameterError("Debounce", "threshold", self.threshold, "above 0 and at most 1")
-        check_at_least("Debounce", "consecutive", self.consecutive, 1, "decision")
-        check_at_least("Debounce", "release", self.release, 1, "decision")
-        check_at_least("Debounce", "minimum", self.minimum, 0, "ns")
+        check_above("Debounce", "threshold", self.threshold, 0)
+        check_between("Debounce", "threshold", self.threshold, 0, 1)
+        check_whole("Debounce", "consecutive", self.consecutive, 1, "decision")
+        check_whole("Debounce", "release", self.release, 1, "decision")
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step."""
@@ -54,14 +50,12 @@ class Debounce(Operator[Scores, Slips]):
                 "threshold": float(self.threshold),
                 "consecutive": self.consecutive,
                 "release": self.release,
-                "minimum": self.minimum,
             },
             state={
                 "decision": UNKNOWN,  # of the current run
                 "length": 0,  # decisions of the run
                 "start": 0,  # ns, of the run
                 "slip": STATIC,  # SLIP during a slip
-                "earliest": 0,  # ns, end of the slip
             },
             step=_debounce,
         )
@@ -77,9 +71,8 @@ def _debounce(settings: Record, state: Record, row: Record, out: Record) -> bool
     if state.slip == STATIC:
         changes = decision == SLIP and state.length >= settings.consecutive
     else:
-        long_enough = state.length >= settings.release and row.time >= state.earliest
-        changes = decision == STATIC and long_enough
+        changes = decision == STATIC and state.length >= settings.release
     if changes:
-        state.slip, state.earliest = decision, state.start + settings.minimum
+        state.slip = decision
         out.time, out.start, out.state, out.probability = row.time, state.start, decision, value
     return bool(changes)

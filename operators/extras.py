@@ -1,4 +1,4 @@
-"""Installed software: slipflow's version, and extras, which are groups of optional packages."""
+"""Installed software: slipflow's version, and extras, which are optional packages."""
 
 import json
 from collections.abc import Mapping
@@ -13,22 +13,23 @@ from operators.errors import InputError
 
 
 class Extra(NamedTuple):
-    """Group of optional packages, as `pyproject.toml` declares it."""
+    """Optional package, as `pyproject.toml` declares it."""
 
     use: str
-    packages: Mapping[str, str]  # module that is imported, by package
+    package: str
+    module: str  # that is imported
 
 
 EXTRAS: Final[Mapping[str, Extra]] = MappingProxyType(
     {
-        "train": Extra("training of detectors", {"torch": "torch"}),
-        "baselines": Extra("comparison with logistic regression", {"scikit-learn": "sklearn"}),
-        "ur": Extra("driving a UR arm, on x86_64 with Python 3.11 or 3.12 only", {"ur-rtde": "rtde_control"}),
-        "gripper": Extra("Robotiq grippers", {"pymodbus": "pymodbus"}),
-        "report": Extra("figures in reports", {"matplotlib": "matplotlib"}),
-        "mcap": Extra("export to MCAP files", {"mcap": "mcap"}),
-        "fetch": Extra("download of public datasets", {"pooch": "pooch"}),
-        "cluster": Extra("replays and studies on several machines", {"distributed": "distributed"}),
+        "train": Extra("training of detectors", "torch", "torch"),
+        "baselines": Extra("comparison with logistic regression", "scikit-learn", "sklearn"),
+        "ur": Extra("driving a UR arm, on x86_64 with Python 3.11 or 3.12 only", "ur-rtde", "rtde_control"),
+        "gripper": Extra("Robotiq grippers", "pymodbus", "pymodbus"),
+        "report": Extra("figures in reports", "matplotlib", "matplotlib"),
+        "mcap": Extra("export to MCAP files", "mcap", "mcap"),
+        "fetch": Extra("download of public datasets", "pooch", "pooch"),
+        "cluster": Extra("replays and studies on several machines", "distributed", "distributed"),
     }
 )
 
@@ -39,9 +40,9 @@ def software_version() -> str:
     return version("slipflow")
 
 
-def missing_packages(extra: str) -> list[str]:
-    """Return the packages of an extra that are not installed."""
-    return [package for package, module in EXTRAS[extra].packages.items() if find_spec(module) is None]
+def is_installed(extra: str) -> bool:
+    """Return whether the package of an extra is installed."""
+    return find_spec(EXTRAS[extra].module) is not None
 
 
 def install_command(extra: str) -> str:
@@ -52,12 +53,12 @@ def install_command(extra: str) -> str:
 
 
 def require_extra(extra: str, owner: str) -> None:
-    """Require that the packages of an extra are installed.
+    """Require that the package of an extra is installed.
 
     Raises:
-        InputError: naming `owner`, if one is missing; the message contains the command that installs them.
+        InputError: naming `owner`, if it is missing; the message contains the command that installs it.
         ParameterError: if there is no such extra.
     """
     check_choice(owner, "extra", extra, EXTRAS)
-    if missing := missing_packages(extra):
-        raise InputError(owner, f"needs {', '.join(missing)}: {install_command(extra)}")
+    if not is_installed(extra):
+        raise InputError(owner, f"needs {EXTRAS[extra].package}: {install_command(extra)}")

@@ -137,19 +137,18 @@ class Fingertip:
             return 1.0
         return abs((given.range[1] - given.range[0]) / (self.range[1] - self.range[0]))
 
-    def check_fits(self, owner: str, given: "Fingertip", *, any_cells: bool = False) -> None:
+    def check_fits(self, owner: str, given: "Fingertip") -> None:
         """Check that data of the fingertip `given` fits what `owner` was made for: this fingertip.
 
         Args:
             owner: Name of the detector or operator, for the error.
             given: Fingertip of the data.
-            any_cells: Accept any number of cells.
 
         Raises:
             FingertipError: if cells, rate or unit differ; it names the operators that convert them.
         """
         needs, has, fix = list[str](), list[str](), list[str]()
-        cells = given.cells != self.cells and not any_cells
+        cells = given.cells != self.cells
         if cells:
             needs.append(f"{self.cells} cells")
             has.append(f"{given.cells} cells")

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Commands, Scores, ms, s
-from operators.checks import check_above, check_at_least
+from operators.checks import check_above, check_at_least, check_between, check_whole
 from operators.errors import ParameterError
 from operators.operator import Operator
 
@@ -63,10 +63,10 @@ class GripController(Operator[Scores, Commands]):
         if not 0 <= self.min_force <= self.force <= self.max_force < math.inf:
             must_be = f"from min_force to max_force, {self.min_force:g} to {self.max_force:g} N, finite"
             raise ParameterError(name, "force", self.force, must_be)
-        if not 0 < self.threshold <= 1:
-            raise ParameterError(name, "threshold", self.threshold, "above 0 and at most 1")
+        check_above(name, "threshold", self.threshold, 0)
+        check_between(name, "threshold", self.threshold, 0, 1)
         check_above(name, "rate", self.rate, 0, "N/s")
-        check_at_least(name, "consecutive", self.consecutive, 1, "decision")
+        check_whole(name, "consecutive", self.consecutive, 1, "decision")
         check_at_least(name, "settle", self.settle, 0, "ns")
 
     def process(self, batch: Scores) -> Commands:

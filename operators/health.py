@@ -1,6 +1,6 @@
 """Detection of faulty barometers."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from math import inf
 from typing import Final, Self
@@ -9,12 +9,13 @@ import numpy as np
 
 from operators.batch import Faults, Times, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_at_least
-from operators.errors import ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.operator import Operator
 from operators.steps import Record, RowType, Steps
 
-_PERIODS: Final = 2.5  # of a fingertip, that a pause of its stream counts as at least
+_SATURATED_AFTER: Final = 50 * ms  # at the end of the range
+_PAUSE: Final = 25 * ms  # that a pause of the stream counts as at most
+_PERIODS: Final = 2.5  # of a slow fingertip, that it counts as at most
 
 
 class FaultKind(IntEnum):
@@ -33,21 +34,19 @@ class Health(Operator[Touch, Faults]):
     - dead: no answer for `dead_after`.
     - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
       readings. A cell that reaches the end of its range is saturated; if it begins there, it is also stuck.
-    - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
+    - saturated: raw counts in the first or last 1 % of the range for 50 ms. Overload
       wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events
       keep the quality `good`. Not detected in zeroed counts, or if the range is unknown.
 
     A fault ends after `clear_after` without it. A value above 0 merges the faults of a cell that is often
-    pressed to the end of its range. Rows of equal time are ordered by cell, then kind.
+    pressed to the end of its range. Rows of equal time are ordered by cell, then kind. A pause of the stream
+    counts as at most 25 ms, or 2.5 periods of a slow fingertip.
 
     Args:
         dead_after: Time without answer, ns.
         stuck_after: Time without change, ns.
-        saturated_after: Time at the end of the range, ns.
         clear_after: Time without fault that ends it, ns.
-        floor: Highest saturated raw count at the low end; None: 1 % of the fingertip's range.
-        ceiling: Lowest saturated raw count at the high end; None: 99 % of it.
-        pause: Longest time that a pause of the stream counts as, ns; at least 2.5 periods of the fingertip.
+        fingertip: Fingertip of the input, which a flow sets.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -60,42 +59,33 @@ class Health(Operator[Touch, Faults]):
 
     dead_after: int = 500 * ms
     stuck_after: int = 2 * s
-    saturated_after: int = 50 * ms
     clear_after: int = 0
-    floor: int | None = None
-    ceiling: int | None = None
-    pause: int = 25 * ms
+    fingertip: Fingertip = field(default=TAKKTILE, repr=False)
 
     def __post_init__(self) -> None:
-        for name in ("dead_after", "stuck_after", "saturated_after", "pause"):
+        for name in ("dead_after", "stuck_after"):
             check_above("Health", name, getattr(self, name), 0, "ns")
         check_at_least("Health", "clear_after", self.clear_after, 0, "ns")
-        if self.floor is not None and self.ceiling is not None and self.floor >= self.ceiling:
-            raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
 
     def for_fingertip(self, given: Fingertip) -> Self:
-        """Return the operator with defaults for the range and rate of the fingertip."""
-        low, high = sorted(given.range or (-(1 << 16), 1 << 16))  # no count of 16 bits is at its ends
-        end = (high - low) // 100
-        floor = low + end if self.floor is None else self.floor
-        ceiling = high - end if self.ceiling is None else self.ceiling
-        pause = max(self.pause, round(_PERIODS * s / given.rate))
-        return replace(self, floor=floor, ceiling=ceiling, pause=pause)
+        """Return the operator for the range and rate of the fingertip."""
+        return replace(self, fingertip=given)
 
     def steps(self, *given: RowType) -> Steps:
         """Return the functions that examine a row and give the faults that start or end in it."""
-        if self.floor is None or self.ceiling is None:
-            return self.for_fingertip(TAKKTILE).steps(*given)
         cells, zeroed = given[0].cells, issubclass(given[0].kind, Zeroed)
-        table = np.zeros((_FAULTY + _KINDS, cells), np.int64)
-        table[_LAST], table[_FAULTY:] = (self.floor + self.ceiling) // 2, -self.clear_after
-        after = self.dead_after, self.stuck_after, self.saturated_after, self.clear_after
+        # no count of 16 bits is at the ends of an unknown range
+        low, high = sorted(self.fingertip.range or (-(1 << 16), 1 << 16))
+        end = (high - low) // 100
+        table = np.zeros((_IN_RANGE + 1, cells), np.int64)
+        table[_LAST], table[_FAULTY:_IN_RANGE] = (low + high) // 2, -self.clear_after
+        after = self.dead_after, self.stuck_after, _SATURATED_AFTER, self.clear_after
         return Steps(
             settings={
                 "after": np.array(after),  # ns
-                "floor": -inf if zeroed else float(self.floor),
-                "ceiling": inf if zeroed else float(self.ceiling),
-                "pause": self.pause,
+                "floor": -inf if zeroed else float(low + end),
+                "ceiling": inf if zeroed else float(high - end),
+                "pause": max(_PAUSE, round(_PERIODS * s / self.fingertip.rate)),
             },
             state={
                 "table": table,
@@ -114,8 +104,8 @@ class Health(Operator[Touch, Faults]):
 
 _DEAD, _STUCK, _SATURATED = range(3)
 _KINDS = 3  # that are detected
-# Rows of the table: last valid counts; age when last sound and when last faulty, by kind.
-_LAST, _SOUND, _FAULTY = 0, 1, 4
+# Rows of the table: last valid counts; age when last sound and when last faulty, by kind; 1 if ever in range.
+_LAST, _SOUND, _FAULTY, _IN_RANGE = 0, 1, 4, 7
 
 
 def _examine(settings: Record, state: Record, row: Record) -> None:
@@ -135,7 +125,9 @@ def _examine(settings: Record, state: Record, row: Record) -> None:
         within = settings.floor < table[_LAST, cell] < settings.ceiling
         if dead or within:
             table[_SOUND + _SATURATED, cell] = age
-        overloaded = not within and table[_SOUND + _SATURATED, cell] > 0  # not so from the beginning
+            if dead or row.valid[cell]:
+                table[_IN_RANGE, cell] = 1
+        overloaded = not within and table[_IN_RANGE, cell]  # not so from the beginning
         if dead or overloaded or table[_LAST, cell] != before:
             table[_SOUND + _STUCK, cell] = age
         stuck = _lasts(table, _STUCK, cell, age, settings.after)

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from math import isfinite, isnan, nan, sqrt
+from typing import Final
 
 import numpy as np
 
@@ -12,26 +13,28 @@ from operators.operator import Operator
 from operators.rotation import quaternion, rotate
 from operators.steps import Record, RowType, Steps, copy, queue
 
+LIMIT: Final = 0.3  # m/s, planar speed from which a sample is unknown
+WITHIN: Final = 20 * ms  # largest age of the motion that labels a sample
+MARGIN: Final = 0.002  # m above the contact plane
+
 
 @dataclass
 class Label(Operator[Sample, Labelled]):
     """Label each sample as slip, static or unknown by the arm's speed in the contact plane.
 
     A sample is slip if the planar speed is above `speed` or, if `rotation` is given, the angular speed is
-    above it. It is unknown if the planar speed is `limit` or more, or the motion is NaN, as in unmatched
+    above it. It is unknown if the planar speed is 0.3 m/s or more, or the motion is NaN, as in unmatched
     rows. The contact plane is perpendicular to the fingertip's z axis. Without a known pose, the fingertip
     is assumed to be aligned with the base frame.
 
     `delay` compensates for arm velocity that lags the barometers: the motion at ``t + delay`` labels the
-    touch at t. A positive delay holds samples back until that motion has arrived or the stream ends. Speed
-    and label are shifted; velocity and pose remain those of t.
+    touch at t, unless it is older than 20 ms then. A positive delay holds samples back until that motion has
+    arrived or the stream ends. Speed and label are shifted; velocity and pose remain those of t.
 
     Args:
         speed: Planar speed above which a sample is slip, m/s.
-        limit: Planar speed from which a sample is unknown, m/s.
         rotation: Angular speed above which a sample is slip, rad/s; 0.2 in the paper; None: ignore rotation.
         delay: Lag of the arm's motion, ns.
-        within: Largest age of the motion at ``t + delay``, ns.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -46,31 +49,27 @@ class Label(Operator[Sample, Labelled]):
     """
 
     speed: float = 0.003
-    limit: float = 0.3
     rotation: float | None = None
     delay: int = 0
-    within: int = 20 * ms
 
     def __post_init__(self) -> None:
-        if not 0 <= self.speed < self.limit:
-            raise ParameterError("Label", "speed", self.speed, f"from 0 to below limit, {self.limit:g} m/s")
+        check_at_least("Label", "speed", self.speed, 0, "m/s")
+        if self.speed >= LIMIT:
+            raise ParameterError("Label", "speed", self.speed, f"below {LIMIT:g} m/s")
         if self.rotation is not None:
             check_at_least("Label", "rotation", self.rotation, 0, "rad/s")
         check_ns("Label", "delay", self.delay)
-        check_at_least("Label", "within", self.within, 0, "ns")
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step, or with a delay the functions that hold samples back."""
         settings = {
             "speed": float(self.speed),
-            "limit": float(self.limit),
             "rotation": nan if self.rotation is None else float(self.rotation),
             "delay": self.delay,
-            "within": self.within,
         }
         if not self.delay:
             return Steps(settings, step=_label)
-        samples = queue(RowType(Labelled, given[0].cells), abs(self.delay) + self.within)
+        samples = queue(RowType(Labelled, given[0].cells), abs(self.delay) + WITHIN)
         state = {
             "samples": samples,  # labelled by the motion at their own time
             "first": 0,  # number of the oldest sample that waits
@@ -84,16 +83,11 @@ class Label(Operator[Sample, Labelled]):
 class MaskLifted(Operator[Labelled, Labelled]):
     """Replace slip labels by unknown while the fingertip is lifted off the surface.
 
-    `Label` uses the arm's speed only. This operator masks slip where the TCP is more than `margin` above the
-    contact plane. On a curved surface, that is the plane through its highest point: choose a margin that
-    covers its height.
+    `Label` uses the arm's speed only. This operator masks slip where the TCP is more than 2 mm above the
+    contact plane. On a curved surface, give the pose at its highest point.
 
     Args:
         contact_pose: TCP pose at first contact, m and rotation vector; z points into the surface.
-        margin: Tolerance above the contact plane, m.
-
-    Raises:
-        ParameterError: if the margin is below 0.
 
     >>> samples = Labelled.empty()
     >>> len(MaskLifted((0, 0, 0.1, 3.14, 0, 0)).push(samples))
@@ -101,16 +95,12 @@ class MaskLifted(Operator[Labelled, Labelled]):
     """
 
     contact_pose: tuple[float, float, float, float, float, float]
-    margin: float = 0.002
-
-    def __post_init__(self) -> None:
-        check_at_least("MaskLifted", "margin", self.margin, 0, "m")
 
     def steps(self, *given: RowType) -> Steps:
         """Return the step."""
         x, y, z, *rotation = self.contact_pose
         normal = rotate((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
-        settings = {"contact": np.array([x, y, z], float), "normal": np.array(normal), "margin": self.margin}
+        settings = {"contact": np.array([x, y, z], float), "normal": np.array(normal)}
         return Steps(settings, step=_mask)
 
 
@@ -123,7 +113,7 @@ def _label(settings: Record, state: Record, row: Record, out: Record) -> bool:
     u, v, w = float(row.velocity[0]), float(row.velocity[1]), float(row.velocity[2])
     x, y, z = normal
     planar = _length(y * w - z * v, z * u - x * w, x * v - y * u)
-    slip, known = planar > settings.speed, planar < settings.limit
+    slip, known = planar > settings.speed, planar < LIMIT
     if not isnan(settings.rotation):
         angular = _length(float(row.velocity[3]), float(row.velocity[4]), float(row.velocity[5]))
         slip, known = slip or angular > settings.rotation, known and not isnan(angular)
@@ -154,7 +144,7 @@ def _give_delayed(settings: Record, state: Record, out: Record) -> bool:
     while source >= oldest and state.samples[source % kept].time > instant:
         source -= 1
     motion = state.samples[source % kept]
-    known = source >= oldest and instant - motion.time <= settings.within
+    known = source >= oldest and instant - motion.time <= WITHIN
     out.speed = motion.speed if known else nan
     out.label = motion.label if known else UNKNOWN
     return True
@@ -165,7 +155,7 @@ def _mask(settings: Record, state: Record, row: Record, out: Record) -> bool:
     depth = 0.0  # m below the contact plane; NaN: unknown
     for axis in range(3):
         depth += settings.normal[axis] * (row.pose[axis] - settings.contact[axis])
-    if depth < -settings.margin and row.label == SLIP:
+    if depth < -MARGIN and row.label == SLIP:
         out.label = UNKNOWN
     return True
 

@@ -5,14 +5,13 @@ batches, the concatenated output is identical, bit for bit.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, Generic, Never, NoReturn, Self, TypeVar, cast, get_args
 
 import numpy as np
 
-from operators.batch import EVERY, Batch
+from operators.batch import EVERY, Batch, layout
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip
 from operators.segment import EARLIEST, Outputs, Segment, Stage
@@ -56,9 +55,6 @@ class AnyOperator(ABC):
         default_factory=lambda: (LateRowFilter(), LateRowFilter()), init=False, repr=False, compare=False
     )  # of `process`
     _segment: Segment | None = field(default=None, init=False, repr=False, compare=False)
-    _pushers: tuple[Callable[[Batch], Outputs], ...] = field(
-        default=(), init=False, repr=False, compare=False
-    )
     _finger: int = field(default=EVERY, init=False, repr=False, compare=False)
 
     def reset_copy(self) -> Self:
@@ -73,21 +69,14 @@ class AnyOperator(ABC):
         return None
 
     def row_type(self, *given: RowType) -> RowType:
-        """Return the type of the output for input of these types."""
-        return RowType(output_type(type(self)), given[0].cells)
-
-    def prepare(self) -> None:
-        """Do slow set-up before the first push; a flow compiles the operators that consist of steps itself.
-
-        Raises:
-            ParameterError: if the operator has neither `steps` nor `process`.
-        """
-        if not fuses(kind := type(self)) and cast("Any", kind).process in {Operator.process, Join.process}:
-            raise _without_process(self)
+        """Return the type of the output for these inputs, with the cells of the first that has any."""
+        cells = next((each.cells for each in given if layout(each.kind).cell_column), given[0].cells)
+        return RowType(output_type(type(self)), cells)
 
     @abstractmethod
     def flush(self) -> Any:
         """Return the output that the end of the stream completes."""
+        return self._joined(self._segment.flush() if self._segment else [])
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip of the output for input of the fingertip `given`, by default the same.
@@ -120,17 +109,34 @@ class AnyOperator(ABC):
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the parameters and Python state; compiled code is made again, with its initial state."""
-        return vars(self) | {"_segment": None, "_pushers": ()}
+        return vars(self) | {"_segment": None}
 
-    def _start(self, given: tuple[RowType, ...]) -> bool:
+    def _push_rows(self, *batches: Batch) -> Any:
+        """Process the rows of one or two inputs that are not late."""
+        if fuses(type(self)) and any(batch.time.size for batch in batches) and self._start(batches):
+            return self._run_steps(*batches)
+        kept = [late.filter(batch) for late, batch in zip(self._late_filters, batches, strict=False)]
+        if any(batch.time.size for batch in kept):
+            return cast("Any", self).process(*kept)
+        return output_type(type(self)).empty()
+
+    def _start(self, batches: tuple[Batch, ...]) -> bool:
         """Create the segment of an operator that consists of steps; return False if it does not."""
         if self._segment is None:
+            given = _row_types(batches)
             if (steps := self.steps(*given)) is None:
                 return False
-            stage = Stage(steps, self.row_type(*given), tuple(range(len(given))))
-            self._segment = Segment(given, [stage])
-            self._pushers = tuple(self._segment.pusher(side) for side in range(len(given)))
+            self._segment = Segment(given, [Stage(steps, self.row_type(*given), tuple(range(len(given))))])
         return True
+
+    def _run_steps(self, *batches: Batch) -> Any:
+        """Run the steps on at least one row."""
+        if not self._start(batches):
+            raise _without_process(self)
+        if batches[0].time.size:
+            self._finger = batches[0].finger
+        full = [side for side, batch in enumerate(batches) if batch.time.size]
+        return self._joined(cast("Segment", self._segment).pusher(*full)(*(batches[side] for side in full)))
 
     def _joined(self, outputs: Outputs) -> Any:
         """Return the output of the segment as one batch."""
@@ -155,23 +161,15 @@ class Operator(AnyOperator, Generic[In, Out]):
 
         Late rows are dropped and counted in `late`.
         """
-        if batch.time.size:
-            if fuses(type(self)) and self._start((RowType(type(batch), batch.cells),)):
-                return Operator.process(self, batch)
-            if (kept := self._late_filters[0].filter(batch)).time.size:
-                return self.process(kept)
-        return cast("Out", output_type(type(self)).empty())
+        return cast("Out", self._push_rows(batch))
 
     def process(self, batch: In) -> Out:
         """Process at least one row; time never decreases."""
-        if not self._start((RowType(type(batch), batch.cells),)):
-            raise _without_process(self)
-        self._finger = batch.finger
-        return cast("Out", self._joined(self._pushers[0](batch)))
+        return cast("Out", self._run_steps(batch))
 
     def flush(self) -> Out:
         """Return the output that the end of the stream completes."""
-        return cast("Out", self._joined(self._segment.flush() if self._segment else []))
+        return cast("Out", super().flush())
 
 
 @dataclass
@@ -184,30 +182,15 @@ class Join(AnyOperator, Generic[Left, Right, Out]):
 
     def push(self, left: Left, right: Right) -> Out:
         """Process the next rows of either stream and return the output, which may be empty."""
-        empty = output_type(type(self)).empty()
-        if not (left.time.size or right.time.size):
-            return cast("Out", empty)
-        if fuses(type(self)) and self._start(
-            (RowType(type(left), left.cells), RowType(type(right), right.cells))
-        ):
-            return Join.process(self, left, right)
-        left, right = self._late_filters[0].filter(left), self._late_filters[1].filter(right)
-        return self.process(left, right) if left.time.size or right.time.size else cast("Out", empty)
+        return cast("Out", self._push_rows(left, right))
 
     def process(self, left: Left, right: Right) -> Out:
         """Process at least one row of either stream; time never decreases within each."""
-        if not self._start((RowType(type(left), left.cells), RowType(type(right), right.cells))):
-            raise _without_process(self)
-        self._finger = left.finger if left.time.size else self._finger
-        if left.time.size and right.time.size:
-            outputs = cast("Segment", self._segment).pusher(0, 1)(left, right)
-        else:
-            outputs = self._pushers[0](left) if left.time.size else self._pushers[1](right)
-        return cast("Out", self._joined(outputs))
+        return cast("Out", self._run_steps(left, right))
 
     def flush(self) -> Out:
         """Return the output that the end of both streams completes."""
-        return cast("Out", self._joined(self._segment.flush() if self._segment else []))
+        return cast("Out", super().flush())
 
 
 @cache
@@ -219,6 +202,25 @@ def fuses(kind: type[AnyOperator]) -> bool:
         if "process" in vars(each) and each not in {Operator, Join}:
             return False
     return False
+
+
+def _row_types(batches: tuple[Batch, ...]) -> tuple[RowType, ...]:
+    """Return the types of the inputs; one without rows yet has the cells of the other."""
+    known = [batch.cells for batch in batches if batch.time.size and batch.cells]
+    return tuple(
+        RowType(type(each), known[0] if known and each.cells and not each.time.size else each.cells)
+        for each in batches
+    )
+
+
+def require_process(operator: AnyOperator) -> None:
+    """Require that an operator without steps has `process`.
+
+    Raises:
+        ParameterError: if it has not.
+    """
+    if not fuses(kind := type(operator)) and cast("Any", kind).process in {Operator.process, Join.process}:
+        raise _without_process(operator)
 
 
 def _without_process(operator: AnyOperator) -> ParameterError:

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Times, Touch, Zeroed
+from operators.batch import Times, Touch, Zeroed
 from operators.checks import check_above
 from operators.errors import FingertipError, ParameterError
-from operators.fingertip import CELL_LIMIT, TAKKTILE, Fingertip, grid
+from operators.fingertip import CELL_LIMIT, Fingertip, usual_layout
 from operators.operator import Operator
 from operators.steps import Record, RowType, Steps, nearest_count
 
@@ -26,8 +26,8 @@ class Pool(Operator[Touch, Touch]):
         gain: Output counts per count; negative if counts rise with the pressure but must fall.
         unit: Unit of the output, whose range is then unknown; None: that of the input, of which a count is
             then another fraction.
-        layout: Layout of the output cells (default: the input's if each cell is alone, that of a TakkTile for
-            six groups, else a grid).
+
+    The layout is that of the input if each cell is alone, that of a TakkTile for six groups, else a grid.
 
     Raises:
         ParameterError: if a group is empty or names a cell twice, or the gain is 0 or not finite; from
@@ -41,7 +41,6 @@ class Pool(Operator[Touch, Touch]):
     groups: tuple[tuple[int, ...], ...] = ()
     gain: float = 1.0
     unit: str | None = None
-    layout: tuple[tuple[int, ...], ...] | None = None
 
     def __post_init__(self) -> None:
         check_above("Pool", "size of the gain", abs(self.gain), 0)
@@ -57,23 +56,18 @@ class Pool(Operator[Touch, Touch]):
 
         Raises:
             FingertipError: if it has not all the cells that the groups name.
-            ParameterError: if the layout is invalid, or has another number of cells.
         """
         if self._needed > given.cells:
             fix = "name other cells in groups"
             raise FingertipError("Pool", f"{self._needed} cells", f"{given.cells} cells", fix)
         low, high = (nearest_count(self.gain * end) for end in given.range or (0, 0))
-        made = replace(
+        return replace(
             given,
-            layout=self.layout or (_layout(len(self.groups)) if self.groups else given.layout),
+            layout=usual_layout(len(self.groups)) if self.groups else given.layout,
             unit=self.unit or given.unit,
             resolution=1.0 if self.unit else given.resolution / abs(self.gain),
             range=None if self.unit or low == high else (low, high),
         )
-        cells = len(self.groups) or given.cells
-        if made.cells != cells:
-            raise ParameterError("Pool", "layout", self.layout, f"of {cells} cells, as the output")
-        return made
 
     def row_type(self, *given: RowType) -> RowType:
         """Return raw or zeroed touch, as the input, with a cell per group."""
@@ -105,10 +99,6 @@ def _table(groups: tuple[tuple[int, ...], ...]) -> Times:
     for row, group in zip(cells, groups, strict=True):
         row[: len(group)] = group
     return cells
-
-
-def _layout(cells: int) -> tuple[tuple[int, ...], ...]:
-    return TAKKTILE.layout if cells == BAROMETERS else grid(cells)
 
 
 def _pool(settings: Record, state: Record, row: Record, out: Record) -> bool:

@@ -6,7 +6,7 @@ Connectors and storage implement them.
 from abc import ABC, abstractmethod
 from collections.abc import AsyncGenerator, AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Literal, Protocol, TypeAlias, TypeVar, runtime_checkable
+from typing import Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from operators.batch import EVERY, Batch, s
 from operators.fingertip import Fingertip
@@ -266,11 +266,6 @@ class Recording(Protocol):
     def describe(self) -> Description:
         """Return the metadata of the recording."""
         ...
-
-
-@runtime_checkable
-class TouchRecording(Recording, Protocol):
-    """Recording that knows its fingertips."""
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:
         """Return the fingertip of the touch stream `kind`; None: unknown, or no such stream."""

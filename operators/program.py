@@ -29,6 +29,7 @@ class Shape(NamedTuple):
     """What a program needs to know of an operator: its functions and the types of its records."""
 
     functions: tuple[Any, ...]  # step, takes, give
+    contents: tuple[str, ...]  # names of all that is compiled in; of Python, none
     settings: np.dtype[Any]
     state: np.dtype[Any]
     gives: RowType
@@ -38,11 +39,18 @@ class Shape(NamedTuple):
     factor: int
 
     @classmethod
-    def of(cls, steps: Steps, gives: RowType, inputs: tuple[int, ...], delivers: bool) -> "Shape":
+    def of(
+        cls, steps: Steps, gives: RowType, inputs: tuple[int, ...], delivers: bool, *, compiled: bool
+    ) -> "Shape":
         """Return the shape of an operator; see `Stage`."""
-        functions = steps.step, steps.takes, steps.give
+        functions, contents = steps.functions(), tuple[str, ...]()
         records = record_type(steps.settings), record_type(steps.state)
-        return cls(functions, *records, gives, inputs, delivers, steps.held, steps.factor)
+        if compiled:
+            from operators.compilation import content_name
+
+            contents = tuple(content_name(each, {}) for each in functions)
+        named = steps.step, tuple(steps.takes), steps.give
+        return cls(named, contents, *records, gives, inputs, delivers, steps.held, steps.factor)
 
 
 class Program(NamedTuple):
@@ -115,7 +123,7 @@ def _composed(shapes: Sequence[Shape], order: Choice, limit: int) -> dict[Choice
             else:
                 reader = bind(take_and_give, TAKE=takes[side], GIVE=give, **names)
             after[source] = _both(reader, after[source])
-        if "ended" in (shape.state.names or ()):
+        if give is not None and "ended" in (shape.state.names or ()):
             ends = bind(end, GIVE=give, OTHER=ends, **names)
     found = dict[Choice, FunctionType]()
     for chosen in (order, *((i,) for i in order)):
@@ -166,10 +174,15 @@ def drop(flow: Record, outputs: Record, row: Record) -> None:
     """End the path of a row that nothing reads."""
 
 
+def is_given(result: bool | None) -> bool:
+    """Return whether a step has an output row; a step without a result has none."""
+    return result is not None and bool(result)
+
+
 def pass_through(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row through a step."""
     made = flow[MADE]
-    if STEP(flow[SETTINGS], flow[STATE], row, made):
+    if is_given(STEP(flow[SETTINGS], flow[STATE], row, made)):
         NEXT(flow, outputs, made)
 
 
@@ -177,7 +190,7 @@ def take_and_give(flow: Record, outputs: Record, row: Record) -> None:
     """Pass a row to an operator, and on all rows that it gives."""
     TAKE(flow[SETTINGS], flow[STATE], row)
     made = flow[MADE]
-    while GIVE(flow[SETTINGS], flow[STATE], made):
+    while is_given(GIVE(flow[SETTINGS], flow[STATE], made)):
         NEXT(flow, outputs, made)
 
 
@@ -227,7 +240,7 @@ def end(flow: Record, outputs: Record) -> None:
     """End the stream of an operator, then of those after it."""
     flow[STATE].ended = 1
     made = flow[MADE]
-    while GIVE(flow[SETTINGS], flow[STATE], made):
+    while is_given(GIVE(flow[SETTINGS], flow[STATE], made)):
         NEXT(flow, outputs, made)
     OTHER(flow, outputs)
 

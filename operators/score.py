@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import Counts, Flags, Reals, Scores, Zeroed
-from operators.checks import check_at_least
 from operators.detectors.detector import Detector, StreamingDetector
 from operators.errors import BatchError, ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import Operator
+from operators.segment import compiler
 from operators.steps import RowType, Steps
 from operators.window import Window
 
@@ -23,7 +23,7 @@ _BLOCK: Final = 64  # windows per call of a detector; few enough to stay in the 
 
 @dataclass
 class Score(Operator[Zeroed, Scores]):
-    """Compute a detector's slip probability at every `hop`-th sample, starting with the first full window.
+    """Compute a detector's slip probability at every sample from the first full window on.
 
     Invalid cells take their last valid counts, or 0 before the first. If more than half of the cells of the
     newest sample are invalid, the score is NaN.
@@ -33,11 +33,10 @@ class Score(Operator[Zeroed, Scores]):
 
     Args:
         detector: Slip detector.
-        hop: Distance between scores, samples.
 
     Raises:
-        ParameterError: if `hop` or the detector's length is below 1, or `detector` is not an object with
-            `score`, such as the name or the class of a detector.
+        ParameterError: if the detector's length is below 1, or `detector` is not an object with `score`, such
+            as the name or the class of a detector.
 
     >>> from operators.detectors import Psd
     >>> cells = np.zeros((30, 6), np.int16)
@@ -46,18 +45,16 @@ class Score(Operator[Zeroed, Scores]):
     """
 
     detector: Detector
-    hop: int = 1
     _last: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (cells,) last valid
     _window: Window = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        check_at_least("Score", "hop", self.hop, 1, "sample")
         given: Any = self.detector
         length = getattr(given, "length", None)
         if isinstance(given, type) or not (hasattr(given, "score") and isinstance(length, Integral)):
             must_be = "an object with name, length (whole samples) and score: Psd() or load_detector('tcn')"
             raise ParameterError("Score", "detector", given, must_be)
-        self._window = Window(given.length, self.hop)
+        self._window = Window(given.length)
 
     def for_fingertip(self, given: Fingertip) -> Self:
         """Return the operator with the detector for this fingertip, if it makes a difference.
@@ -70,14 +67,9 @@ class Score(Operator[Zeroed, Scores]):
 
     def steps(self, *given: RowType) -> Steps | None:
         """Return the step of a streaming detector; None for others, or if numba is not installed."""
-        if not isinstance(self.detector, StreamingDetector):
+        if compiler() is None or not isinstance(self.detector, StreamingDetector):
             return None
-        try:
-            return self.detector.steps(self.hop, given[0].cells)
-        except ModuleNotFoundError as error:
-            if error.name != "numba":
-                raise
-            return None
+        return self.detector.steps(given[0].cells)
 
     def process(self, batch: Zeroed) -> Scores:
         """Return a score for each window whose newest sample is in the batch."""

@@ -85,8 +85,12 @@ class Segment:
     """
 
     def __init__(self, entrances: Sequence[RowType], stages: Sequence[Stage], finger: int = EVERY) -> None:
-        shapes = (Shape.of(each.steps, each.gives, each.inputs, each.delivers) for each in stages)
-        self._program = program = compose(tuple(entrances), tuple(shapes), compiler())
+        chosen = compiler()
+        shapes = tuple(
+            Shape.of(each.steps, each.gives, each.inputs, each.delivers, compiled=chosen is not None)
+            for each in stages
+        )
+        self._program = program = compose(tuple(entrances), shapes, chosen)
         self._entrances, self._finger = entrances, finger
         self._flow = cast("Any", np.zeros(1, program.flow))
         for i in range(len(entrances)):
@@ -185,7 +189,7 @@ def _packed(batch: Batch, given: RowType) -> NDArray[Any]:
     if not len(batch):  # of any number of cells
         return np.empty(0, given.packed)
     if batch.cells not in {0, given.cells}:
-        reason = f"has {batch.cells} cells, but the fingertip is described with {given.cells}"
+        reason = f"has {batch.cells} cells, but the fingertip was described or begun with {given.cells}"
         raise BatchError(type(batch).__name__, str(layout(type(batch)).cell_column), reason)
     return batch.packed if batch.packed.dtype == given.packed else pack(batch, given.packed)
 

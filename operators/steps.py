@@ -10,13 +10,16 @@ one `take` per input.
 
 All arguments are records, whose fields are attributes: `row.time`, `row.counts[cell]`. Steps are compiled
 where numba is installed; elsewhere they run as Python and give the same bits, if they compute with
-`int(...)`, `float(...)` and `math`, except that 1.0 / 0.0 is inf in compiled steps and an exception in
-Python. The functions that they call are compiled with them.
+`int(...)`, `float(...)` and `math`, within these limits: all values are finite, integers have 64 bits, a
+column or a state gets a value in its range, exponents of integers are not negative, and `round` has one
+argument. Beyond them Python raises an error or goes on with longer integers, where compiled code returns
+another value without notice. The functions that they call are compiled with them.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import floor
+from types import FunctionType
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -28,6 +31,7 @@ Record: TypeAlias = Any  # its fields are attributes
 Values: TypeAlias = Mapping[str, Any]  # numbers and arrays
 END: Final = 2**62  # ns, later than any stamp
 _RATE: Final = 1000  # rows per second that queues of rows are made for
+_LEAST: Final = 1024  # rows of a queue
 
 
 class RowType(NamedTuple):
@@ -65,6 +69,21 @@ class Steps:
     held: int = 0
     factor: int = 1
 
+    def functions(self) -> list[FunctionType]:
+        """Return all functions.
+
+        Raises:
+            ParameterError: if they are neither one step nor `takes` and `give`, or one is a method.
+        """
+        given = [*self.takes, *(each for each in (self.step, self.give) if each is not None)]
+        found: list[Any] = [getattr(each, "py_func", each) for each in given]
+        for each in found:
+            if not isinstance(each, FunctionType):  # such as a method
+                raise ParameterError("Steps", "function", each, "a function of a module: def measure(...)")
+        if (self.step is None) == (self.give is None) or (self.give is None) != (not self.takes):
+            raise ParameterError("Steps", "number of functions", len(found), "one step, or takes and give")
+        return found
+
 
 def record_type(values: Values) -> np.dtype[Any]:
     """Return the type of a record with these values; flags are bytes.
@@ -73,26 +92,32 @@ def record_type(values: Values) -> np.dtype[Any]:
     ('length', 'level')
 
     Raises:
-        ParameterError: if a name is one of numpy's, which hides the value in plain Python.
+        ParameterError: if a name is one of numpy's, which hides the value in plain Python, or a value is
+            not of 64 bits.
     """
     fields: list[Any] = []
     for name, value in values.items():
         if hasattr(np.record, name):
             raise ParameterError("Steps", "name of a value", name, "none of numpy's: choose another one")
-        array = np.asarray(value)
+        try:
+            array = np.asarray(value)
+        except ValueError:  # lists of several lengths
+            array = np.empty(0, np.object_)
+        if array.dtype in (np.object_, np.uint64):
+            raise ParameterError("Steps", name, value, "a number of 64 bits, or an array of these")
         kind = np.dtype(np.uint8) if array.dtype == np.bool_ else array.dtype
         fields.append((name, kind, array.shape))
     return np.dtype(fields or [("none", np.uint8)], align=True)
 
 
-def queue(row: RowType, time: int, least: int = 1024) -> "np.ndarray[Any, Any]":
+def queue(row: RowType, time: int) -> "np.ndarray[Any, Any]":
     """Return room for the rows of a time (ns) at up to 1 kHz; the number is a power of two.
 
     >>> from operators.batch import Scores, s
     >>> queue(RowType(Scores), 2 * s).size
     2048
     """
-    rows = max(least, time * _RATE // 1_000_000_000)
+    rows = max(_LEAST, time * _RATE // 1_000_000_000)
     return np.zeros(1 << (rows - 1).bit_length(), row.packed)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import Counts, Flags, Touch, Windows
-from operators.checks import check_at_least
+from operators.checks import check_whole
 from operators.operator import Operator
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -39,8 +39,8 @@ class Window(Operator[Touch, Windows]):
     _due: int = field(default=0, init=False, repr=False)  # samples until the next window is complete
 
     def __post_init__(self) -> None:
-        check_at_least("Window", "length", self.length, 1, "sample")
-        check_at_least("Window", "hop", self.hop, 1, "sample")
+        check_whole("Window", "length", self.length, 1, "sample")
+        check_whole("Window", "hop", self.hop, 1, "sample")
         self._due = self.length
 
     def process(self, batch: Touch) -> Windows:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Touch, Zeroed
-from operators.checks import check_at_least
+from operators.checks import check_at_least, check_whole
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.spikes import NO_CELL, find_spike, forget, is_suspicious
@@ -49,11 +49,11 @@ class Zero(Operator[Touch, Zeroed]):
     spike: float = 4.0
 
     def __post_init__(self) -> None:
-        check_at_least("Zero", "scans", self.scans, 1, "sample")
+        check_whole("Zero", "scans", self.scans, 1, "sample")
         check_at_least("Zero", "spike", self.spike, 0, "counts")
-        given = (self.baseline,) if isinstance(self.baseline, int) else self.baseline
-        if given is not None and not (given and all(_RANGE.min <= cell <= _RANGE.max for cell in given)):
-            must_be = f"one count, or one of each cell, from {_RANGE.min} to {_RANGE.max}"
+        given = [0] if self.baseline is None else np.ravel(self.baseline).tolist()
+        if not (given and all(isinstance(c, int) and _RANGE.min <= c <= _RANGE.max for c in given)):
+            must_be = f"one whole count, or one of each cell, from {_RANGE.min} to {_RANGE.max}"
             raise ParameterError("Zero", "baseline", self.baseline, must_be)
 
     def row_type(self, *given: RowType) -> RowType:

@@ -113,7 +113,7 @@ def broker(tmp_path: Path) -> Iterator[TestBroker]:
 def hide_packages(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Function after which packages count as not installed."""
 
-    modules = {package: module for each in EXTRAS.values() for package, module in each.packages.items()}
+    modules = {each.package: each.module for each in EXTRAS.values()}
 
     def hide(*packages: str) -> None:
         hidden = {modules.get(package, package) for package in packages}

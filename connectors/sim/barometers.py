@@ -133,7 +133,7 @@ class Barometers:
         """
         counts = self._counts(t, tractions, aged)
         valid = np.ones((len(t), BAROMETERS), np.bool_)
-        valid[:, self._faults.dead] = False
+        valid[:, : self._faults.dead] = False
         temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(valid.shape)
         return counts, np.rint(temperature).astype(np.int16), valid
 
@@ -150,16 +150,13 @@ class Barometers:
         """Return raw ADC counts (k, 6) at instants (k,) (s), `aged` (s) apart."""
         p, faults, passed = self._p, self._faults, 1 - np.exp(-aged / DECADES)
         counts = respond(tractions, self._influence, (p.sensitivity, p.relaxation), passed, self._late)
-        if faults.gain:
-            counts *= faults.gain
+        counts *= faults.gain
         counts += self._rest
-        if faults.offset:
-            counts += faults.offset
-        if faults.drift:
-            counts += t[:, None] * faults.drift
+        counts += faults.offset
+        counts += t[:, None] * faults.drift
         if p.noise:
             counts += p.noise * self._noise.standard_normal(counts.shape)
         if p.glitches:
             counts += self._disturbed(counts.shape, p.glitches * aged)
-        counts[:, faults.dead] = 0.0
+        counts[:, : faults.dead] = 0.0
         return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)

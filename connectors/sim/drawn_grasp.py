@@ -17,9 +17,9 @@ import numpy as np
 from connectors.sim.grasp import Grasp, GraspState, Tap, blow_momentum, grip_model, least_force, surface
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
-from connectors.sim.scene import Curvature, Parameters, Travel, Vibration, log_uniform
+from connectors.sim.scene import Parameters, Travel, Vibration, log_uniform
 from connectors.sim.simulated_rig import SLIDING
-from operators.batch import Touch, Truth, concat
+from operators.batch import Curvature, Touch, Truth, concat
 
 RATE: Final = 100.0  # Hz
 SECONDS: Final = 6.5  # of a grasp; it ends earlier if the object is dropped

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from connectors.sim.scene import Curvature
+from operators.batch import Curvature
 
 SMOOTH: Final = 0.6  # factor of the scene's texture; assumed
 ROUGH: Final = 1.2  # assumed

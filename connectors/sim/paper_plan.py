@@ -16,7 +16,6 @@ from typing import TypeAlias, cast
 import numpy as np
 
 from connectors.sim.scene import (
-    Curvature,
     PaperStrokes,
     Parameters,
     Scene,
@@ -25,6 +24,7 @@ from connectors.sim.scene import (
     log_normal,
     log_uniform,
 )
+from operators.batch import Curvature
 
 Variation: TypeAlias = Callable[[Scene, np.random.Generator], Scene]
 

@@ -6,15 +6,13 @@ Terms that are zero have no effect.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from math import exp, sqrt
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 import numpy as np
 
-from operators.batch import Flags, Reals, Times, s
+from operators.batch import Curvature, Flags, MotionKind, Reals, Times, s
 from operators.errors import ParameterError
 
-Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
-MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"]
 ENDLESS: Final = 1 << 62  # rounds
 
 
@@ -117,12 +115,12 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Faults of the barometers, by cell."""
+    """Faults of the barometers, the same for all that respond."""
 
-    dead: tuple[int, ...] = ()  # cells that do not respond
-    gain: tuple[float, ...] = ()  # (6,) factors of the response
-    offset: tuple[float, ...] = ()  # (6,) counts
-    drift: tuple[float, ...] = ()  # (6,) counts/s
+    dead: int = 0  # number of cells, from 0 on, that do not respond
+    gain: float = 1.0  # factor of the response
+    offset: float = 0.0  # counts
+    drift: float = 0.0  # counts/s
 
 
 @dataclass(frozen=True, slots=True)

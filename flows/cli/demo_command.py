@@ -36,10 +36,10 @@ def demo(
     import asyncio
 
     from flows import demo as declared
-    from flows.graph.quantity import parse_time
+    from flows.graph.quantity import parse_quantity
 
     begin_log()
-    limit = parse_time("demo", "--for", duration)  # ns
+    limit = int(parse_quantity("demo", "--for", duration, "ns"))
     flow = declared.demo(str(out), mqtt)
     add_page(flow, browse=not no_browser)
     typer.echo(flow, err=True)

@@ -80,7 +80,7 @@ def run(
     """
     import asyncio
 
-    from flows.graph.quantity import parse_time
+    from flows.graph.quantity import parse_quantity
     from flows.graph.validation import validate
 
     if replay:
@@ -92,7 +92,7 @@ def run(
         return
     replays = {"--jobs": jobs, "--cluster": cluster, "a further recording": more}
     _refuse(replays, "replays: add --replay PATH")
-    limit = None if duration is None else parse_time("run", "--for", duration)  # ns
+    limit = None if duration is None else int(parse_quantity("run", "--for", duration, "ns"))
     check_access("--listen", listen)
     check_access("--metrics", metrics)
     begin_log()

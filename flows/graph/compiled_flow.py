@@ -9,11 +9,11 @@ from flows.graph.flow import Flow
 from flows.graph.node import Node, location
 from flows.graph.validation import sink_fingertips, trace_fingertips, validate
 from operators.batch import BAROMETERS, EVERY, Batch, concat, ms
-from operators.errors import BatchError, InputError, OperatorError, SlipflowError
-from operators.operator import Join, Operator, fuses
+from operators.errors import BatchError, OperatorError, SlipflowError
+from operators.operator import Join, Operator, fuses, require_process
 from operators.ports import Source
 from operators.score import Score
-from operators.segment import EARLIEST, Segment, Stage, compiler
+from operators.segment import EARLIEST, Segment, Stage
 from operators.steps import RowType, Steps
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
@@ -181,8 +181,6 @@ class CompiledFlow:
     def _direct(self, read: list[tuple[int, Node]], nodes: list[Node], push: Push, *others: Push) -> Push:
         """Return a function that pushes batches into segments of these nodes, and names one that fails."""
         alone = not (read or others)
-        if alone and compiler() and all(map(_is_tested, nodes)):  # no error is possible
-            return push
 
         def push_fused(*batches: Batch) -> list[Delivery]:
             try:
@@ -250,8 +248,7 @@ class CompiledFlow:
                 operators = [part.reset_copy() for _ in node.fingers]
                 steps = operators[0].steps(*given) if fuses(type(operators[0])) else None
                 types[node] = operators[0].row_type(*given)
-                for operator in operators if steps is None else ():
-                    operator.prepare()
+                require_process(operators[0])
             except SlipflowError:
                 raise
             except Exception as error:
@@ -275,7 +272,7 @@ class CompiledFlow:
     def _fused(self, nodes: Mapping[Node, Steps], types: Mapping[Node, RowType], read: set[Node]) -> _Fused:
         try:
             return _Fused(nodes, types, read)
-        except InputError as error:
+        except Exception as error:
             for node in sorted(nodes, key=_is_tested) if len(nodes) > 1 else ():  # those of users first
                 self._fused({node: nodes[node]}, types, {node})
             raise self._failure([*nodes], error) from error

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import MISSING, fields, is_dataclass
+from re import sub
+from types import FunctionType
 from typing import Any
 
 from flows.graph.node import Node, consumers
@@ -24,20 +26,25 @@ def describe(part: object) -> str:
     for f in (f for f in fields(part) if f.init and f.repr):
         value: Any = getattr(part, f.name)
         default = f.default_factory() if f.default_factory is not MISSING else f.default
-        if default is MISSING or value != default:
+        if default is MISSING or _value(value) != _value(default):  # arrays have no single truth value
             shown.append(_value(value) if default is MISSING else f"{f.name}={_value(value)}")
     return f"{type(part).__name__}({', '.join(shown)})"
 
 
 def _value(value: object) -> str:
-    if isinstance(value, type):
+    if isinstance(value, type | FunctionType):
         return value.__name__
     if isinstance(value, int) and not isinstance(value, bool) and value >= ms and value % ms == 0:
         return f"{value // ms} ms"
     if is_dataclass(value):
         return describe(value)
     named = getattr(value, "model", None) or getattr(value, "name", None)  # the model of a detector
-    return named if isinstance(named, str) and not isinstance(value, str) else repr(value)
+    return named if isinstance(named, str) and not isinstance(value, str) else plain_text(value)
+
+
+def plain_text(value: object) -> str:
+    """Return the text of a value without its address, which differs in each process."""
+    return sub(" at 0x[0-9a-fA-F]+", "", repr(value))
 
 
 def text(name: str, nodes: Sequence[Node]) -> str:

@@ -43,6 +43,7 @@ class Flow:
 
     def __init__(self, name: str) -> None:
         self.name = name
+        self.code = ""  # checksum of the file that declares it and of the modules next to it; empty: unknown
         self.nodes: list[Node] = []
 
     def source(self, source: Source[Out], name: str = "") -> "Stream[Out]":
@@ -67,6 +68,7 @@ class Flow:
         for node, copy in copies.items():
             copy.inputs += [copies[parent] for parent in node.inputs]
         flow = Flow(self.name)
+        flow.code = self.code
         flow.nodes += copies.values()
         return flow
 

@@ -5,6 +5,7 @@ parameters. A file may also hold a `Flow` object, which has no parameters. Loadi
 load only files that you trust.
 """
 
+import hashlib
 import importlib.util
 import inspect
 import re
@@ -56,6 +57,8 @@ class Declaration:
         if not isinstance(flow, Flow):
             reason = f"flow {self.name!r} must return a Flow, but returned {type(flow).__name__}"
             raise InputError(str(self.file), reason)
+        if files := flow_files(self.file):
+            flow.code = hashlib.sha256(repr(files).encode()).hexdigest()
         return flow
 
     def _suggestion(self, name: str) -> str:
@@ -101,16 +104,19 @@ def load(target: str) -> Declaration:
     return found[name or next(iter(found))]
 
 
-def loaded_modules(file: Path) -> Mapping[Path, Path]:
-    """Return the files of the loaded modules next to a flow file, by their paths relative to its folder."""
-    folder, found = file.resolve().parent, dict[Path, Path]()
+def flow_files(file: Path) -> tuple[tuple[str, bytes], ...]:
+    """Return a flow file and the loaded modules next to it: paths in its folder, contents; () if shipped."""
+    folder = file.resolve().parent
+    if folder == SHIPPED:
+        return ()
+    found = {Path(file.name): file}
     for name, module in [*sys.modules.items()]:
         path = Path(getattr(module, "__file__", None) or "").resolve()
         module_path = Path(*name.split("."))
         for relative in (module_path.with_suffix(".py"), module_path / "__init__.py"):
             if path == folder / relative and folder / relative.parts[0] not in _PACKAGES:
                 found[relative] = path
-    return found
+    return tuple((name.as_posix(), path.read_bytes()) for name, path in sorted(found.items()))
 
 
 def _imported(file: Path) -> types.ModuleType:
@@ -152,6 +158,8 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
         if isinstance(value, Flow):
             found[name] = Declaration(name, file, lambda flow=value: flow, {})
         elif inspect.isfunction(value) and value.__module__ == module.__name__:
+            if "Flow" not in str(value.__annotations__.get("return")):  # a helper, of whatever types
+                continue
             with _errors_of(file):
                 hints = get_type_hints(value, include_extras=True)
             if hints.get("return") is Flow:

@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Annotated, Any, Final, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
 
 from flows.graph.quantity import KINDS, format_quantity, parse_quantity
 from operators.errors import ParameterError
@@ -48,6 +48,8 @@ class Parameter:
                 return _parse_measured(owner, self.name, text, unit)
             if choice is bool and text.lower() in _BOOLEANS:
                 return _BOOLEANS[text.lower()]
+            if get_origin(choice) is Literal and text in map(str, get_args(choice)):
+                return next(each for each in get_args(choice) if str(each) == text)
             # probably an unset shell variable; an empty path would be the current folder
             if choice in (str, Path) and not text and self.default != "":
                 raise ParameterError(owner, self.name, text, "non-empty text")
@@ -72,10 +74,7 @@ class Parameter:
 
     def _choices(self) -> tuple[Any, ...]:
         union = get_origin(self.type) in (Union, types.UnionType)
-        choices = get_args(self.type) if union else (self.type,)
-        # an annotation without a unit has another meaning
-        other = get_origin(choices[0]) is Annotated and _unit(choices[0]) is None
-        return (get_args(choices[0])[0], *choices[1:]) if other else choices
+        return get_args(self.type) if union else (self.type,)
 
 
 def _unit(choice: Any) -> str | None:
@@ -89,6 +88,8 @@ def _description(choice: Any) -> str:
         return f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
     if choice is type(None):
         return "none"
+    if get_origin(choice) is Literal:
+        return " or ".join(map(str, get_args(choice)))
     return _NAMES.get(choice, getattr(choice, "__name__", str(choice)))
 
 

@@ -71,15 +71,6 @@ def parse_quantity(owner: str, name: str, text: str, unit: str, *, signed: bool 
     return round(found) if unit == "ns" else float(found)
 
 
-def parse_time(owner: str, name: str, text: str) -> int:
-    """Parse a time and return it in ns.
-
-    >>> parse_time("run", "--for", "1.5s")
-    1500000000
-    """
-    return int(parse_quantity(owner, name, text, "ns"))
-
-
 def format_quantity(value: float, unit: str) -> str:
     """Return the shortest text that `parse_quantity` parses to this value.
 

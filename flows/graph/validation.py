@@ -4,15 +4,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields
 from functools import cache
 from inspect import iscoroutinefunction, signature
+from pathlib import Path
 from typing import Any, Final, TypeAlias, cast
 
 import numpy as np
 
 from flows.graph.flow import Flow
 from flows.graph.node import Node, consumers
-from operators.batch import Batch, Touch
+from operators.batch import EVERY, Batch, Touch
 from operators.debounce import Debounce
-from operators.errors import FingertipError, FlowError
+from operators.errors import FingertipError, FlowError, ParameterError
 from operators.fingertip import Fingertip
 from operators.operator import AnyOperator, Join, Operator, input_types, output_type
 from operators.ports import Sink, Source
@@ -21,6 +22,7 @@ from operators.zero import Zero
 
 Problem: TypeAlias = tuple[str, str]  # edge and reason
 
+_STAMP: Final = "20261127T175103.000000Z"  # as in the names of sessions
 _CHAIN: Final[tuple[type[Operator[Any, Any]], ...]] = (Zero, Score, Debounce)
 
 
@@ -39,12 +41,14 @@ def validate(flow: Flow, *, fingertips: bool = True) -> None:
 def problems(flow: Flow, *, fingertips: bool = True) -> list[FlowError]:
     """Return all problems of a flow; the wiring is checked only if its operators and sinks are valid."""
     parts = _wrong_operators, _wrong_sinks
-    wiring = _no_source, _shared_parts, _wrong_types, _unconnected, _shared_destinations, _duplicate_streams
+    wiring = [_no_source, _shared_parts, _wrong_types, _unconnected, _shared_destinations, _duplicate_streams]
+    wiring.append(_no_session_name)
 
     def found(checks: Iterable[Callable[[Flow], Iterator[Problem]]]) -> list[FlowError]:
         return [FlowError(flow.name, *problem) for check in checks for problem in check(flow)]
 
-    return found(parts) or found(wiring) + (trace_fingertips(flow)[1] if fingertips else [])
+    fits = [*trace_fingertips(flow)[1], *found([_apart])] if fingertips else []
+    return found(parts) or found(wiring) + fits
 
 
 def trace_fingertips(flow: Flow) -> tuple[dict[Node, Fingertip], list[FlowError]]:
@@ -83,6 +87,28 @@ def _of_output(node: Node, known: dict[Node, Fingertip]) -> Fingertip | None:
     if given is None or not isinstance(node.part, Operator | Join):
         return None
     return cast("Operator[Any, Any]", node.part).output_fingertip(given)
+
+
+def _apart(flow: Flow) -> Iterator[Problem]:
+    """Find joins whose inputs have no fingertip in common, and are not for every fingertip."""
+    for node in flow.nodes:
+        if isinstance(node.part, Join):
+            left, right = (set(parent.fingers) for parent in node.inputs)
+            if left and right and EVERY not in left | right and not left & right:
+                has = f"fingertips {sorted(left)} never meet {sorted(right)}"
+                reason = f"{has}: join streams of the same fingertip, or set fingers of the sources"
+                yield f"{' & '.join(parent.name for parent in node.inputs)} -> {node.name}", reason
+
+
+def _no_session_name(flow: Flow) -> Iterator[Problem]:
+    """Find a name that no recorded session can begin with: a run adds the time to it."""
+    from storage.layout import new_session_folder
+
+    if any(sink.records for sink in flow.sinks().values()):
+        try:
+            new_session_folder(Path(), f"{flow.name}-{_STAMP}")
+        except ParameterError as error:
+            yield "its name", f"begins the name of each session, which must be {error.must_be}"
 
 
 def _edge(parent: Node, node: Node) -> str:

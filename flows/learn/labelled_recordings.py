@@ -94,9 +94,7 @@ class Sampling:
 
     def rule(self, usual: Debounce) -> Debounce:
         """Return a debounce that takes as long as `usual` does at 100 Hz; below 100 Hz as many decisions."""
-        return Debounce(
-            usual.threshold, self.scaled(usual.consecutive), self.scaled(usual.release), usual.minimum
-        )
+        return Debounce(usual.threshold, self.scaled(usual.consecutive), self.scaled(usual.release))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,7 +5,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from operators.extras import install_command, missing_packages
+from operators.extras import install_command, is_installed
 
 Figure: TypeAlias = Any  # matplotlib lacks many type annotations
 Axes: TypeAlias = Any
@@ -26,8 +26,7 @@ _DPI: Final = 110  # of .png, and of images in .svg
 
 def missing_matplotlib() -> str:
     """Return why figures cannot be drawn, with the remedy; empty if matplotlib is installed."""
-    missing = ", ".join(missing_packages("report"))
-    return f"need {missing}: {install_command('report')}" if missing else ""
+    return "" if is_installed("report") else f"need matplotlib: {install_command('report')}"
 
 
 def grid(

@@ -13,7 +13,7 @@ from typing import Final, TypeAlias
 
 from flows.run.failures import reason_of
 from operators.errors import EndpointError, InputError
-from operators.extras import EXTRAS, install_command, missing_packages, require_extra, software_version
+from operators.extras import EXTRAS, install_command, is_installed, require_extra, software_version
 from operators.ports import Clock, Endpoint, Finding
 
 LIMIT: Final = 20.0  # s, for a source or sink
@@ -71,11 +71,11 @@ def host_findings() -> Iterator[Finding]:
     yield Finding("Python", sys.version.split()[0])
     yield Finding("slipflow", software_version())
     for extra, about in EXTRAS.items():
-        if missing_packages(extra):
+        if not is_installed(extra):
             text = f"not installed; for {about.use}: {install_command(extra)}"
             yield Finding(f"extra {extra}", text, "note")
         else:
-            yield Finding(f"extra {extra}", ", ".join(f"{each} {version(each)}" for each in about.packages))
+            yield Finding(f"extra {extra}", f"{about.package} {version(about.package)}")
     yield clock_finding()
     yield i2c_finding()
 

@@ -5,7 +5,9 @@ import hashlib
 import logging
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from itertools import chain, islice
+from types import FunctionType
 from typing import Any, cast
 
 import numpy as np
@@ -13,15 +15,14 @@ import numpy as np
 from connectors.replay import Replay
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
-from flows.graph.drawing import streams
+from flows.graph.drawing import plain_text, streams
 from flows.graph.node import FlowPart, Node, check_extras, consumers
 from flows.run.clocks import EventClock
 from flows.run.failures import contained, reason_of
 from flows.run.source_reader import count_rows
 from operators.batch import ANNOTATIONS, Batch
-from operators.detectors.weights import ForOneFingertip
 from operators.errors import FlowError, InputError
-from operators.operator import LateRowFilter
+from operators.operator import Join, LateRowFilter, Operator
 from operators.ports import Clock, Recording, Run, Sink, SinkStatus, Source, SourceStatus
 from operators.score import Score
 
@@ -66,28 +67,40 @@ def check_sinks_of_replay(flow: Flow) -> None:
 
 
 def declaration(flow: Flow) -> list[str]:
-    """Return the definition of each stream, and a checksum of each model, one line each.
+    """Return the definition of each stream, then checksums of each model, all parameters and the code.
 
-    A definition only names the model, whose weights another training may have replaced.
+    A definition only names a model, whose weights another training may have replaced, and shortens arrays.
     """
-    lines = streams(flow.nodes)
-    for node in flow.nodes:
-        if isinstance(node.part, Score) and isinstance(model := node.part.detector, ForOneFingertip):
-            checksum = hashlib.sha256(b"".join(_numbers(model))).hexdigest()
-            lines.append(f"{model.model or model.name} = sha256 {checksum}")
-    return lines
+    lines, parameters = streams(flow.nodes), list[str]()
+    for part in (node.part for node in flow.nodes if isinstance(node.part, Operator | Join)):
+        for name in (f.name for f in fields(part) if f.init):
+            parameters += [name, *_contents(getattr(part, name))]
+        if isinstance(part, Score):
+            name = getattr(part.detector, "model", "") or getattr(part.detector, "name", "detector")
+            lines.append(f"{name} = {_checksum(_contents(part.detector))}")
+    lines.append(f"parameters = {_checksum(parameters)}")
+    return [*lines, f"code = sha256 {flow.code}"] if flow.code else lines
 
 
-def _numbers(part: object) -> Iterator[bytes]:
-    """Yield all numbers of a model: arrays, parameters and fingertip."""
-    if isinstance(part, np.ndarray | np.generic | int | float):
-        yield np.asarray(part).tobytes()
-    elif isinstance(part, list | tuple):
-        for each in part:
-            yield from _numbers(each)
+def _checksum(texts: Iterable[str]) -> str:
+    return f"sha256 {hashlib.sha256(repr([*texts]).encode()).hexdigest()}"
+
+
+def _contents(value: object, *, inner: bool = False) -> Iterator[str]:
+    """Yield what a value consists of, the same in each process; only the text of an object in an object."""
+    if isinstance(value, np.ndarray):
+        yield repr((value.dtype, value.shape, value.tobytes()))
+    elif isinstance(value, Mapping | list | tuple):
+        for each in cast("Any", value.items() if isinstance(value, Mapping) else value):
+            yield from _contents(each, inner=True)
+    elif isinstance(value, type | FunctionType):
+        yield f"{value.__module__}.{value.__qualname__}"
     else:
-        for each in getattr(part, "__dict__", {}).values():
-            yield from _numbers(each)
+        yield plain_text(value)
+        for name, each in getattr(value, "__dict__", {}).items() if is_dataclass(value) or not inner else ():
+            weights = isinstance(each, np.ndarray | np.generic | float | list | tuple)
+            if weights or not name.startswith("_"):  # other private attributes may be caches
+                yield from _contents((name, each))
 
 
 def new_run(session: str, flow: Flow, compiled: CompiledFlow, clock: Clock, *, live: bool = True) -> Run:

@@ -24,7 +24,7 @@ from typing import Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.loading import SHIPPED, load, loaded_modules
+from flows.graph.loading import flow_files, load
 from flows.graph.node import Node
 from flows.graph.validation import validate
 from flows.run.executor import LocalProcesses, map_tasks
@@ -63,12 +63,10 @@ class FlowSource:
     def with_files(self) -> "FlowSource":
         """Return this flow, which was built here, with its files; a shipped flow needs none."""
         declaration = load(self.target)
-        file = declaration.file
-        if file.parent == SHIPPED:
+        if not (files := flow_files(declaration.file)):
             return self
-        paths = {Path(file.name): file, **loaded_modules(file)}
-        files = tuple((name.as_posix(), path.read_bytes()) for name, path in sorted(paths.items()))
-        return FlowSource(f"{file.name}:{declaration.name}", self.settings, files, self.directory)
+        target = f"{declaration.file.name}:{declaration.name}"
+        return FlowSource(target, self.settings, files, self.directory)
 
     @lru_cache(maxsize=1)  # noqa: B019 - one flow per process: the command's or the worker's
     def flow(self) -> Flow:
@@ -175,7 +173,7 @@ class Replays:
         for folder in written:
             about, recording = Session.open(folder).about, open_recording(path, log.warning)
             start = first_time(replayed(self.flow, recording), recording)
-            if (about["start_ns"], about["declaration"]) != (start, declaration(self.flow)):
+            if (about["start_ns"], about.get("declaration")) != (start, declaration(self.flow)):
                 reason = "is of another recording, flow or detector: write to another dataset, or remove it"
                 raise InputError(str(folder), reason)
         return bool(folders) and written == folders

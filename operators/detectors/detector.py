@@ -35,17 +35,13 @@ class Detector(Protocol):
 class StreamingDetector(Detector, Protocol):
     """Detector that also processes samples one by one, each once, at low cost per sample."""
 
-    def steps(self, hop: int, cells: int) -> Steps:
-        """Return the step that `Score` with the same `hop` runs, from zeroed touch to scores.
+    def steps(self, cells: int) -> Steps:
+        """Return the step from zeroed touch of this many cells to scores, which `Score` runs.
 
-        They start at the `length`-th sample and agree with `score` of the same window to 1e-5.
-
-        Args:
-            hop: Distance between scores, samples.
-            cells: Number of cells of the fingertip.
+        They start at the `length`-th sample and agree with `score` of the same window to 1e-5. Without numba,
+        `Score` does not call this.
 
         Raises:
             ParameterError: if the detector is for another number of cells.
-            ModuleNotFoundError: if numba is not installed.
         """
         ...

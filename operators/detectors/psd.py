@@ -32,8 +32,7 @@ class Psd(ForOneFingertip):
         length: Length of a window, samples.
         cutoff: Frequency above which power counts, Hz.
         threshold: Power at probability 0.5, counts^2.
-        rate: Sample rate, Hz.
-        fingertip: Fingertip that the threshold was fitted to.
+        fingertip: Fingertip that the threshold was fitted to, with the sample rate.
 
     Raises:
         ParameterError: if a parameter is invalid, such as a `cutoff` above the highest bin.
@@ -45,18 +44,17 @@ class Psd(ForOneFingertip):
     length: int = 25
     cutoff: float = 10.0
     threshold: float = 1000.0
-    rate: float = 100.0
     fingertip: Fingertip = TAKKTILE
     name = "psd"
 
     def __post_init__(self) -> None:
         check_at_least("Psd", "length", self.length, 2, "samples")  # one sample has no spectrum
-        highest = self.length // 2 / self.length * self.rate
+        highest = self.length // 2 / self.length * self.fingertip.rate
         if not 0 <= self.cutoff < highest:
             must_be = f"from 0 to below {highest:g} Hz, the highest bin"
             raise ParameterError("Psd", "cutoff", self.cutoff, must_be)
         check_above("Psd", "threshold", self.threshold, 0)
-        _transform(self.length, self.cutoff / self.rate)  # compute it before the first score
+        _transform(self.length, self.cutoff / self.fingertip.rate)  # compute it before the first score
 
     def for_fingertip(self, given: Fingertip) -> Self:
         """Return the detector with the threshold relative to the range of a fingertip, of any cells.
@@ -64,8 +62,9 @@ class Psd(ForOneFingertip):
         Raises:
             FingertipError: if rate or unit differ; it names the operators that convert them.
         """
-        replace(self.fingertip, rate=self.rate, range=None).check_fits(self.name, given, any_cells=True)
-        return replace(self, threshold=self.threshold * self.fingertip.ratio(given) ** 2, fingertip=given)
+        replace(self.fingertip, layout=given.layout, range=None).check_fits(self.name, given)
+        threshold = self.threshold * self.fingertip.ratio(given) ** 2
+        return replace(self, threshold=threshold, fingertip=replace(given, rate=self.fingertip.rate))
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""
@@ -74,7 +73,9 @@ class Psd(ForOneFingertip):
 
     def power(self, windows: Counts | Reals) -> Reals:
         """Return the power above the cutoff of each window (n, length, cells); (n,) counts^2."""
-        spectrum = _transform(self.length, self.cutoff / self.rate) @ windows.astype(np.float64, order="C")
+        spectrum = _transform(self.length, self.cutoff / self.fingertip.rate) @ windows.astype(
+            np.float64, order="C"
+        )
         power: Reals = np.square(spectrum).reshape(len(windows), -1).sum(axis=1)
         return power
 
@@ -99,13 +100,11 @@ def _transform(length: int, cutoff: float) -> Reals:
     It removes the mean, applies the weights and transforms. At these lengths it is faster than an FFT, and
     the rounding of a window does not depend on other windows.
     """
-    from scipy.fft import rfft, rfftfreq
-
     weights = np.hanning(length + 2)[1:-1]  # without zeros: the newest sample counts
-    frequency = rfftfreq(length)  # relative to the sample rate
+    frequency = np.fft.rfftfreq(length)  # relative to the sample rate
     above = frequency > cutoff
     signs = np.where(frequency == 1 / 2, 1, 2)[above]  # the Nyquist bin has one sign
-    spectrum = rfft(np.diag(weights), axis=0)[above]  # (bins, length)
+    spectrum = np.fft.rfft(np.diag(weights), axis=0)[above]  # (bins, length)
     spectrum *= np.sqrt(signs / (length * np.square(weights).sum()))[:, None]
     parts: Reals = np.concatenate((spectrum.real, spectrum.imag))
     parts -= parts.mean(axis=1, keepdims=True)

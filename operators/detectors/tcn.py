@@ -1,6 +1,6 @@
 """Temporal convolutional network (TCN), the default detector; streaming and windowed inference agree."""
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,21 +55,6 @@ class Tcn(ForOneFingertip):
         self._steps = steps  # (steps,) at most 0: samples whose features are required
         self.length = 2 - int(steps[0])  # the oldest step needs the sample before it
 
-    @property
-    def weights(self) -> Weights:
-        """Weights, as the constructor takes them."""
-        convs = self.layers[: -len(_DENSE)]
-        arrays: dict[str, NDArray[Any]] = {
-            "dilations": np.array([layer.dilation for layer in convs[::2]], np.int64),
-            "position_scale": np.array([self.position_scale]),
-            "step_scale": np.array([self.step_scale]),
-        }
-        names = [*(f"conv{number}" for number in range(len(convs))), *_DENSE]
-        for name, layer in zip(names, self.layers, strict=True):
-            arrays[f"{name}/kernel"] = layer.kernel[0] if name in _DENSE else layer.kernel
-            arrays[f"{name}/bias"] = layer.bias
-        return arrays
-
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells) of zeroed counts; (n,)."""
         counts = windows.astype(np.float32, order="C")
@@ -87,8 +72,8 @@ class Tcn(ForOneFingertip):
             inputs.append(values)
         return 1 / (1 + np.exp(-inputs[-1][:, 0, 0].astype(np.float64)))
 
-    def steps(self, hop: int, cells: int) -> Steps:
-        """Return the step from zeroed touch to scores, at every `hop`-th sample.
+    def steps(self, cells: int) -> Steps:
+        """Return the step from zeroed touch to scores.
 
         Raises:
             ParameterError: if the network is for another number of cells.
@@ -97,7 +82,7 @@ class Tcn(ForOneFingertip):
 
         if cells != self.cells:
             raise ParameterError(type(self).__name__, "cells", cells, f"{self.cells}, as in training")
-        return tcn_steps(self.layers, self.position_scale, self.step_scale, self.length, hop)
+        return tcn_steps(self.layers, self.position_scale, self.step_scale, self.length)
 
     def _features(self, counts: Floats, before: Floats) -> Floats:
         parts = np.arcsinh(counts / self.position_scale), np.arcsinh((counts - before) / self.step_scale)
@@ -132,20 +117,12 @@ def shapes(
 
 
 def _check(weights: Weights) -> None:
-    sizes = list[int]()
-    kernels = {"conv0/kernel": "(taps, 2 cells, filters)", "dense0/kernel": "(filters, units)"}
-    for name, expected in kernels.items():
-        shape = weights[name].shape if name in weights else None
-        if shape is None:
-            raise _error(f"{name} is missing")
-        if len(shape) != len(expected.split(", ")) or 0 in shape:
-            raise _error(f"{name} has shape {shape}, must be {expected}")
-        sizes += shape[0], shape[-1]
-    taps, filters, _, units = sizes
-    cells = max(weights["conv0/kernel"].shape[1] // 2, 1)
-    blocks = weights["dilations"].size if "dilations" in weights else 0
-    check_weights("Tcn", weights, shapes(taps, filters, units, blocks, cells))
-    dilations = weights["dilations"]
+    none = np.empty(0)
+    kernel, dense = (weights.get(f"{name}/kernel", none).shape for name in ("conv0", "dense0"))
+    taps, inputs, filters = (max(size, 1) for size in (*kernel, 1, 1, 1)[:3])
+    units, dilations = max((*dense, 1, 1)[1], 1), weights.get("dilations", none)
+    blocks = dilations.size
+    check_weights("Tcn", weights, shapes(taps, filters, units, blocks, max(inputs // 2, 1)))
     whole = blocks and dilations.dtype.kind in "iu"
     if not (whole and dilations.min() >= 1 and dilations.max() <= _MAX_DILATION):
         raise _error(f"dilations is {dilations.tolist()}, must be whole numbers from 1 to {_MAX_DILATION}")

@@ -36,9 +36,9 @@ _TABLE: Final = 2046  # largest step of a 10-bit count; asinh of whole numbers u
 
 
 def tcn_steps(
-    layers: Sequence[CausalLayer], position_scale: np.float32, step_scale: np.float32, length: int, hop: int
+    layers: Sequence[CausalLayer], position_scale: np.float32, step_scale: np.float32, length: int
 ) -> Steps:
-    """Return the step of a TCN from zeroed touch to scores, at every `hop`-th sample from `length` on.
+    """Return the step of a TCN from zeroed touch to scores, from the `length`-th sample on.
 
     Invalid cells take their last valid counts, or 0 before the first. If more than half of the cells are
     invalid, the score is NaN.
@@ -63,13 +63,12 @@ def tcn_steps(
             "step_scale": step_scale,
             "positions": np.arcsinh(whole / position_scale),
             "changes": np.arcsinh(whole / step_scale),
-            "hop": hop,
+            "length": length,
         },
         state={
             "counts": np.zeros(layers[0].kernel.shape[1] // 2, np.int16),  # last valid
             "memory": np.zeros(size + 2 * channels, np.float32),  # rings of each layer
             "seen": 0,  # samples
-            "due": length,  # samples until the next score
         },
         step=_score,
     )
@@ -79,10 +78,8 @@ def _score(settings: Record, state: Record, row: Record, out: Record) -> bool:
     valid = _enter(settings, state, row)
     probability = _advance(settings, state)
     state.seen += 1
-    state.due -= 1
-    if state.due:
+    if state.seen < settings.length:
         return False
-    state.due = settings.hop
     out.time = row.time
     out.probability = math.nan if 2 * valid < len(state.counts) else probability
     return True

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Align, Motion, Sample, Zeroed, concat, ms
+from operators import Align, Motion, Sample, Touch, Zero, Zeroed, concat, ms, s
 from operators.batch import Reals, Times
 
 How = Literal["nearest", "previous"]
@@ -129,3 +129,15 @@ def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match() -> None:
     align = Align(keep=50 * ms)
     align.push(NO_TOUCH, _motion(*range(0, 101, 10)))
     assert align.push(_touch(49, 50), NO_MOTION).matched.tolist() == [False, True]
+
+
+@pytest.mark.parametrize("rate", [5, 8, 100])
+def test_samples_that_waited_for_their_baseline_find_their_motion(rate: int) -> None:
+    zero, align, found = Zero(), Align(), list[Sample]()
+    for time in range(0, 30 * s, s // rate):
+        touch = Touch.zeros().later(time)
+        found.append(align.push(zero.push(touch), Motion.zeros().later(time)))
+    found.append(align.flush())
+    samples = concat(Sample, found)
+    assert len(samples) == 30 * rate
+    assert samples.matched.all()

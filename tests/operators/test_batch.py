@@ -49,6 +49,15 @@ def test_a_batch_type_whose_field_is_no_column_is_refused_when_it_is_defined() -
             normal: Reals  # plain, as in a dataclass
 
 
+@pytest.mark.parametrize(
+    "name", ["mean", "size", "T", "packed", "finger", "check", "later", "zeros", "cells"]
+)
+def test_a_column_named_as_what_batches_or_numpy_have_is_refused(name: str) -> None:
+    expected = rf"^Force\.{name}: is a name that batches or rows of numpy use: choose another one$"
+    with pytest.raises(BatchError, match=expected):
+        type("Force", (Batch,), {"__annotations__": {name: Reals}, name: column(np.float64)})
+
+
 def test_a_batch_type_that_is_decorated_as_a_dataclass_keeps_its_columns() -> None:
     class Force(Batch):
         normal: Reals = column(np.float64, unit="N")

@@ -191,6 +191,10 @@ def test_another_parameter_needs_no_other_program() -> None:
     assert sizes[0] == sizes[1]
 
 
+def _factorial(x: float) -> float:
+    return 1.0 if x <= 1 else x * _factorial(x - 1)
+
+
 def _around(level: float) -> Any:
     return lambda x: x > level
 
@@ -212,6 +216,7 @@ def _around(level: float) -> Any:
             _around(3.0),
             r".*/test_compilation.py:\d+: <lambda> reads variables of the function around it: use",
         ),
+        (_factorial, r".*/test_compilation.py:\d+: _factorial calls itself: use a loop"),
     ],
 )
 def test_a_function_that_cannot_be_compiled_is_named_with_its_line(

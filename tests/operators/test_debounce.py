@@ -18,7 +18,7 @@ def _events(debounce: Debounce, *probability: float) -> list[Event]:
     return list(zip(slips.state.tolist(), rows, starts, strict=True))
 
 
-def _reference(probability: list[float], consecutive: int, release: int, minimum: int) -> list[Event]:
+def _reference(probability: list[float], consecutive: int, release: int) -> list[Event]:
     """Reference implementation, row by row."""
     events: list[Event] = []
     for row, value in enumerate(probability):
@@ -31,7 +31,7 @@ def _reference(probability: list[float], consecutive: int, release: int, minimum
             continue
         if not slipping and value >= 0.5 and length >= consecutive:
             events.append((SLIP, row, run))
-        if slipping and value < 0.5 and length >= release and row >= events[-1][2] + minimum:
+        if slipping and value < 0.5 and length >= release:
             events.append((STATIC, row, run))
     return events
 
@@ -40,13 +40,10 @@ def _reference(probability: list[float], consecutive: int, release: int, minimum
     probability=st.lists(st.sampled_from([HIGH, LOW, 0.5, NONE]), max_size=80),
     consecutive=st.integers(1, 4),
     release=st.integers(1, 4),
-    minimum=st.integers(0, 12),
 )
-def test_events_are_those_of_the_rule(
-    probability: list[float], consecutive: int, release: int, minimum: int
-) -> None:
-    debounce = Debounce(consecutive=consecutive, release=release, minimum=minimum * 10 * ms)
-    assert _events(debounce, *probability) == _reference(probability, consecutive, release, minimum)
+def test_events_are_those_of_the_rule(probability: list[float], consecutive: int, release: int) -> None:
+    debounce = Debounce(consecutive=consecutive, release=release)
+    assert _events(debounce, *probability) == _reference(probability, consecutive, release)
 
 
 def test_a_slip_still_open_at_the_end_is_given_no_end() -> None:

@@ -14,13 +14,13 @@ from operators.extras import EXTRAS, install_command
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 
 
-def test_each_extra_for_users_has_a_use_and_packages() -> None:
+def test_each_extra_for_users_has_a_use_and_a_package() -> None:
     declared = {
         extra: {re.split("[<>=]", line)[0] for line in lines}
         for extra, lines in PROJECT["optional-dependencies"].items()
         if extra not in {"dev", "docs"}
     }
-    assert {extra: set(each.packages) for extra, each in EXTRAS.items()} == declared
+    assert {extra: {each.package} for extra, each in EXTRAS.items()} == declared
 
 
 @pytest.mark.parametrize(

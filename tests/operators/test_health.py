@@ -61,6 +61,14 @@ def test_a_cell_at_the_end_of_its_range_is_stuck_only_if_it_begins_there() -> No
     assert found == [(1, FaultKind.SATURATED), (0, FaultKind.SATURATED), (1, FaultKind.STUCK)]
 
 
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_cell_that_was_in_its_range_once_is_not_stuck_at_the_end_of_it(*, answers: bool) -> None:
+    counts, valid = _touch(6)
+    counts[1:, 0], valid[0, 0] = 1023, answers
+    found = [kind for *_, kind, begins in _changes(counts, valid) if begins]
+    assert found == [FaultKind.SATURATED] if answers else [FaultKind.SATURATED, FaultKind.STUCK]
+
+
 def test_a_dead_cell_is_not_stuck_until_it_answers_without_change() -> None:
     counts, valid = _touch(6)
     counts[100:, 1] = 610

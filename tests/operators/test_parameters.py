@@ -13,11 +13,9 @@ from operators import (
     Grip,
     Health,
     Label,
-    MaskLifted,
     ParameterError,
     Pool,
     Resample,
-    Score,
     StepGrip,
     Window,
     Zero,
@@ -25,9 +23,12 @@ from operators import (
 )  # fmt: skip
 from operators.detectors import Psd
 
-BASE = (0.0,) * 6
 REFUSED: dict[Any, list[dict[str, Any]]] = {
-    Zero: [{"scans": 0}, *({"baseline": each} for each in (-40_000, 40_000, (), (0, 0, 0, 0, 0, 40_000)))],
+    Zero: [
+        *({"baseline": each} for each in (-40_000, 40_000, (), (0, 0, 0, 0, 0, 40_000))),
+        *({"baseline": each} for each in (700.0, (700.9,) * 6, "x")),
+        {"scans": 0},
+    ],
     Align: [
         {"how": "next"},
         {"within": -1},
@@ -35,22 +36,17 @@ REFUSED: dict[Any, list[dict[str, Any]]] = {
         {"how": "previous", "wait": -1},
         {"wait": 10 * ms},
     ],
-    Label: [
-        *({"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"limit": nan}, {"rotation": -0.1}, {"within": -1})
-    ],
-    MaskLifted: [{"contact_pose": BASE, "margin": -0.001}],
+    Label: [{"speed": -1}, {"speed": 0.3}, {"speed": nan}, {"rotation": -0.1}],
     Resample: [{"rate": 0}, {"rate": 2e6}, {"rate": nan}, {"gap": 0}],
     Pool: [{"gain": 0.0}, {"gain": inf}, {"groups": ((),)}, {"groups": ((1, 1),)}, {"groups": ((-1,),)}],
-    Window: [{"length": 0}, {"hop": 0}],
-    Score: [{"detector": Psd(), "hop": 0}],
+    Window: [{"length": 0}, {"hop": 0}, {"length": 2.5}],
     Psd: [{"length": 1}, {"cutoff": -1}, {"cutoff": 48}, {"threshold": 0}],
     Debounce: [
         *({"threshold": each} for each in (0, 1.1, nan)),
-        *({"consecutive": 0}, {"release": 0}, {"minimum": -1}),
+        *({"consecutive": 0}, {"release": 0}, {"consecutive": 2.5}, {"threshold": "x"}),
     ],
     Health: [
-        *({"dead_after": 0}, {"stuck_after": 0}, {"saturated_after": 0}, {"pause": 0}),
-        *({"floor": 9, "ceiling": 9}, {"clear_after": -1}),
+        *({"dead_after": 0}, {"stuck_after": 0}, {"clear_after": -1}),
     ],
     DeviceClock: [{"window": 59}, {"window": 0}, {"jump": -1}],
     Grip: [
@@ -73,7 +69,7 @@ def test_a_parameter_out_of_range_is_refused_by_its_name(kind: type[Any], settin
     ("kind", "settings"),
     [
         *((Align, each) for each in ({"within": 0.02}, {"within": 20}, {"keep": 10.0}, {"wait": 1e8})),
-        *((Label, each) for each in ({"delay": 70}, {"delay": -0.07}, {"within": 20.0})),
+        *((Label, each) for each in ({"delay": 70}, {"delay": -0.07}, {"delay": "70ms"})),
     ],
 )
 def test_times_without_their_unit_are_refused(kind: type[Any], settings: dict[str, Any]) -> None:

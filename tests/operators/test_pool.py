@@ -46,9 +46,3 @@ def test_a_fingertip_without_the_cells_of_a_group_is_refused() -> None:
         Pool(SIX).output_fingertip(TAKKTILE)
     with pytest.raises(ParameterError, match="cells below 2: the fingertip has 2 cells"):
         Pool(SIX).push(rows([[1, 2]]))
-
-
-@pytest.mark.parametrize("groups", [((0,), (1, 2)), ()])
-def test_a_layout_of_other_cells_is_refused(groups: tuple[tuple[int, ...], ...]) -> None:
-    with pytest.raises(ParameterError, match=r"Pool: layout is .*, must be of \d cells, as the output"):
-        Pool(groups, layout=((0, 1, 2),)).output_fingertip(TAKKTILE)

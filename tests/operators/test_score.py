@@ -10,7 +10,6 @@ from operators import BatchError, ParameterError, Score, Zeroed, ms
 from operators.batch import Counts, Reals
 from operators.detectors import Detector
 from operators.fingertip import TAKKTILE, Fingertip
-from operators.steps import Steps
 from storage import load_detector
 
 
@@ -83,10 +82,6 @@ def test_scores_may_be_unknown_and_of_any_precision() -> None:
     assert str(scores.probability) == "[ 0.  1. nan]"
 
 
-def test_hop_scores_every_so_many_samples() -> None:
-    assert Score(_Keeper(), hop=3).push(_touch(rows=9)).probability.tolist() == [0.001, 0.004, 0.007]
-
-
 def test_a_detector_is_given_few_windows_at_once_and_all_of_them() -> None:
     keeper = _Keeper()
     scores = Score(keeper).push(_touch(rows=200))
@@ -123,22 +118,18 @@ class _Windowed:
         return self.detector.score(windows)
 
 
-@dataclass
-class _Uncompiled(_Windowed):
-    missing: str = "numba"
-
-    def steps(self, hop: int, cells: int) -> Steps:
-        raise ModuleNotFoundError(f"No module named {self.missing!r}", name=self.missing)
-
-
-@pytest.mark.parametrize("hop", [1, 11])
-@pytest.mark.parametrize("kind", [_Windowed, _Uncompiled])
-def test_a_streaming_detector_judges_as_one_of_windows(hop: int, kind: type[_Windowed]) -> None:
+@pytest.mark.parametrize("compiled", [True, False], ids=["windows", "without numba"])
+def test_a_streaming_detector_judges_as_one_of_windows(
+    monkeypatch: pytest.MonkeyPatch, *, compiled: bool
+) -> None:
     rng, tcn = np.random.default_rng(0), load_detector("tcn")
     shape = tcn.length + 400, 6
     counts, valid = rng.integers(-500, 50, shape).astype(np.int16), rng.random(shape) > 0.4
     touch = Zeroed(np.arange(len(counts)), counts, counts, valid, finger=6)
-    found, expected = (Score(each, hop).push(touch) for each in (tcn, kind(tcn, length=tcn.length)))
+    found = Score(tcn).push(touch)
+    if not compiled:
+        monkeypatch.setattr("operators.score.compiler", lambda: None)
+    expected = Score(_Windowed(tcn, length=tcn.length) if compiled else tcn).push(touch)
     np.testing.assert_allclose(found.probability, expected.probability, atol=1e-5)
     np.testing.assert_array_equal(found.time, expected.time)
     assert 0 < np.isnan(found.probability).sum() < len(found)
@@ -150,8 +141,3 @@ def test_a_detector_of_a_user_is_adapted_to_the_fingertip_too() -> None:
             return _Keeper(f"keeper of {given.cells} cells")
 
     assert Score(Adapted()).for_fingertip(TAKKTILE).detector.name == "keeper of 6 cells"
-
-
-def test_other_errors_of_a_streaming_detector_are_raised() -> None:
-    with pytest.raises(ModuleNotFoundError, match="torch"):
-        Score(_Uncompiled(_Keeper(), missing="torch")).push(Zeroed.zeros())

@@ -1,17 +1,20 @@
 """What a segment owes beyond the conformance of its operators: queues, cells, blocks, fingertips, order."""
 
 from collections.abc import Iterable
-from typing import Final
+from dataclasses import dataclass
+from typing import Any, Final, cast
 
 import numpy as np
 import pytest
 
+from flows.graph.testing import check_same
 from operators import (
     UNKNOWN,
     Align,
     Batch,
     BatchError,
     Debounce,
+    Join,
     Label,
     Labelled,
     Motion,
@@ -26,11 +29,12 @@ from operators import (
     concat,
     ms,
     s,
+    segment,
 )
 from operators.batch import Reals, Times
 from operators.operator import AnyOperator
 from operators.program import BLOCK
-from operators.steps import Record, RowType, Steps, record_type
+from operators.steps import Record, RowType, Steps, copy, record_type
 from tests.operators import test_conformance as suite
 
 CUTS: Final = [[], range(5000), [0, 1, 700, 1024, 1025, 1400]]
@@ -72,7 +76,7 @@ def _runs(step: AnyOperator, *streams: Batch) -> list[Batch]:
 def _check_equal(batches: Iterable[Batch]) -> Batch:
     first, *others = batches
     for each in others:
-        suite.same(each, first)
+        check_same(each, first)
     return first
 
 
@@ -101,16 +105,16 @@ def test_of_more_motion_than_the_queue_holds_the_newest_is_kept() -> None:
 
 
 def test_a_label_whose_motion_finds_the_queue_full_is_unknown() -> None:
-    """1024 rows are 20 ms at 50 kHz, less than the delay."""
+    """1024 rows are 20 ms at 50 kHz: the newest is 25 ms older than the delay."""
     sample = _sample(_times(3000, 50_000), np.arange(3000) / 30_000)
-    label = Label(rotation=0.2, delay=37 * ms, within=0)
+    label = Label(rotation=0.2, delay=45 * ms)
     labelled = _check_equal(_runs(label, sample))
     assert isinstance(labelled, Labelled)
     assert labelled.time.tolist() == sample.time.tolist()
     assert (labelled.label == UNKNOWN).all()
-    shorter = suite.run(Label(rotation=0.2, delay=10 * ms, within=0), [(sample,)])
+    shorter = suite.run(Label(rotation=0.2, delay=10 * ms), [(sample,)])
     assert isinstance(shorter, Labelled)
-    assert np.count_nonzero(shorter.label == UNKNOWN) == 500  # the last 10 ms
+    assert (shorter.label != UNKNOWN).all()
 
 
 # --- cells -----------------------------------------------------------------------------------------------
@@ -121,9 +125,46 @@ def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> N
     zero.push(_raw(3, 6))
     for rows in (1, 3):
         with pytest.raises(
-            BatchError, match=r"^Touch\.counts: has 9 cells, but the fingertip is described with 6$"
+            BatchError, match=r"^Touch\.counts: has 9 cells, but the fingertip was described or begun with 6$"
         ):
             zero.push(_raw(rows, 9))
+
+
+@dataclass
+class _Right(Join[Motion, Touch, Touch]):
+    def process(self, left: Motion, right: Touch) -> Touch:
+        return right
+
+
+@dataclass
+class _First(Join[Touch, Touch, Touch]):
+    def steps(self, *given: RowType) -> Steps:
+        return Steps(
+            state={"row": np.zeros((), given[0].packed), "new": 0}, takes=(_keep, _keep), give=_first
+        )
+
+
+def _keep(settings: Record, state: Record, row: Record) -> None:
+    copy(state.row, row)
+    state.new = 1
+
+
+def _first(settings: Record, state: Record, out: Record) -> bool:
+    if not state.new:
+        return False
+    copy(out, state.row)
+    state.new = 0
+    return True
+
+
+def test_the_output_of_a_join_has_the_cells_of_the_first_input_with_cells() -> None:
+    assert _Right().row_type(RowType(Motion), RowType(Touch, 4)).cells == 4
+
+
+def test_an_input_without_rows_yet_has_the_cells_of_the_other() -> None:
+    join, rows = _First(), _raw(3, 4)
+    assert join.push(Touch.empty(), rows[:1]).cells == 4
+    assert join.push(rows[1:2], Touch.empty()).time.tolist() == rows.time[1:2].tolist()
 
 
 # --- blocks, fingertips, order ---------------------------------------------------------------------------
@@ -136,7 +177,7 @@ def test_more_rows_than_a_call_takes_are_those_of_many_calls(rate: float) -> Non
     late = Scores.rows([-1], 0.5, finger=3)
     whole, cut = Debounce(), Debounce()
     found = whole.push(concat(Scores, [scores, late]))
-    suite.same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
+    check_same(found, concat(Slips, [cut.push(scores[row : row + 1000]) for row in range(0, rows, 1000)]))
     assert len(found) > BLOCK // 4
     assert (whole.late, cut.push(late).time.size, cut.late) == (1, 0, 1)
 
@@ -155,6 +196,17 @@ def test_two_inputs_with_more_rows_than_a_call_takes_come_in_the_order_of_time(r
 # --- operators of users ----------------------------------------------------------------------------------
 
 
+@dataclass
+class _Stepping(Operator[Scores, Scores]):
+    given: Steps | None = None
+
+    def steps(self, *given: RowType) -> Steps | None:
+        return self.given
+
+    def step(self, settings: Record, state: Record, row: Record, out: Record) -> bool:
+        return False
+
+
 def _take(settings: Record, state: Record, row: Record) -> None:
     state.left = settings.copies
 
@@ -167,9 +219,74 @@ def _give(settings: Record, state: Record, out: Record) -> bool:
     return True
 
 
-def test_a_name_that_numpy_uses_is_refused() -> None:
-    with pytest.raises(ParameterError, match="name of a value is 'size', must be none of numpy's"):
-        record_type({"size": 0})
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"size": 0}, "name of a value is 'size', must be none of numpy's"),
+        ({"limit": None}, "limit is None, must be a number of 64 bits"),
+        ({"table": {}}, "table is {}, must be a number"),
+        ({"big": 2**64}, f"big is {2**64}, must be a number"),
+        ({"big": 2**63}, f"big is {2**63}, must be a number"),
+        ({"rows": [[1], [1, 2]]}, r"rows is \[\[1\], \[1, 2\]\], must be a number"),
+    ],
+)
+def test_a_value_that_no_step_can_keep_is_refused_by_its_name(values: Any, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        record_type(values)
+
+
+@pytest.mark.parametrize(
+    ("steps", "message"),
+    [
+        (Steps(), "number of functions is 0, must be one step, or takes and give"),
+        (Steps(takes=(_take,)), "number of functions is 1"),
+        (Steps(step=_Stepping().step), "function is <bound method .*, must be a function of a module"),
+    ],
+)
+def test_functions_that_are_no_steps_are_refused(steps: Steps, message: str) -> None:
+    with pytest.raises(ParameterError, match=f"^Steps: {message}"):
+        _Stepping(steps).push(Scores.zeros(1))
+
+
+LIMIT = 1.0
+
+
+def _scaled(settings: Record, state: Record, row: Record, out: Record) -> bool | None:
+    state.ended += 1
+    if row.probability < 0.5:
+        return None
+    out.time, out.probability = row.time, row.probability * LIMIT
+    return True
+
+
+def _divided(settings: Record, state: Record, row: Record, out: Record) -> bool:
+    out.time, out.probability = row.time, int(row.time) // (int(row.time) - 1)
+    return True
+
+
+PLAIN = pytest.mark.parametrize("plain", [False, True], ids=["compiled", "Python"])
+
+
+@PLAIN
+def test_a_step_without_a_result_has_no_row_and_reads_the_globals_of_now(
+    monkeypatch: pytest.MonkeyPatch, *, plain: bool
+) -> None:
+    if plain:
+        monkeypatch.setattr(segment, "compiler", lambda: None)
+    scores = Scores.rows([0, 1, 2], [0.1, 0.5, 0.75])
+    for limit in (1.0, 2.0):
+        monkeypatch.setitem(globals(), "LIMIT", limit)
+        step: Any = _Stepping(Steps(state={"ended": 0}, step=cast("Any", _scaled)))
+        assert (step.push(scores).probability / limit).tolist() == [0.5, 0.75]
+        assert not len(step.flush())
+
+
+@PLAIN
+def test_division_by_zero_in_a_step_is_an_error(monkeypatch: pytest.MonkeyPatch, *, plain: bool) -> None:
+    if plain:
+        monkeypatch.setattr(segment, "compiler", lambda: None)
+    with pytest.raises(ZeroDivisionError):
+        _Stepping(Steps(step=_divided)).push(Scores.zeros(2).later(1))
 
 
 class _Copies(Operator[Scores, Scores]):

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TypeAlias, get_args
 
-from connectors.sim.scene import Curvature, Scene, surface_drop
+from connectors.sim.scene import Scene, surface_drop
 from connectors.ur.ur_state import Point, Pose, offset_pose
 from flows.graph.quantity import Length
+from operators.batch import Curvature
 from operators.checks import check_between, check_choice
 from operators.errors import ParameterError
 from operators.rotation import rotation_difference

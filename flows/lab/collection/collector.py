@@ -11,7 +11,7 @@ from typing import Final, TypeAlias, cast
 
 import numpy as np
 
-from connectors.sim.scene import MotionKind, Move, Scene, Vibration
+from connectors.sim.scene import Move, Scene, Vibration
 from connectors.sim.simulated_arm import SimulatedArm
 from connectors.sim.simulated_rig import episode
 from connectors.ur.ur_arm import UrArm
@@ -23,7 +23,7 @@ from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from flows.run.supervision import signals_to
 from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, Zero, ms, s
-from operators.batch import Episodes, Reals
+from operators.batch import Episodes, MotionKind, Reals
 from operators.errors import EndpointError, InputError
 from operators.ports import Clock, Description, Run, Sink
 from storage import Dataset, arrow

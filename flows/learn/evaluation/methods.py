@@ -146,7 +146,7 @@ def fitted_baseline(
 
     if name in _PSD:
         fingertip = training[0].fingertip
-        psd = Psd(sampling.scaled(_PSD[name]), rate=fingertip.rate, fingertip=fingertip)
+        psd = Psd(sampling.scaled(_PSD[name]), fingertip=fingertip)
         return psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
     return Logistic.fitted(seen(features.length(sampling)), slip, features, sampling)
 

@@ -21,7 +21,6 @@ from flows.learn.evaluation.methods import Candidate, FittedMethod, baselines, t
 from flows.learn.labelled_recordings import simulated_recordings
 from flows.report.results import joined
 from flows.run.executor import map_tasks, one_thread
-from operators.batch import BAROMETERS
 
 Change: TypeAlias = Callable[[Scene, float], Scene]
 NOMINAL: Final = "nominal"  # condition
@@ -134,14 +133,6 @@ def _value(part: str, name: str) -> Change:
     return lambda scene, value: _changed(scene, part, **{name: value})
 
 
-def _every_cell(fault: str) -> Change:
-    return lambda scene, value: _changed(scene, "faults", **{fault: (value,) * BAROMETERS})
-
-
-def _dead(scene: Scene, value: float) -> Scene:
-    return _changed(scene, "faults", dead=tuple(range(int(value))))
-
-
 def _friction(scene: Scene, value: float) -> Scene:
     p = scene.parameters
     static, kinetic = value * p.static_friction, value * p.kinetic_friction
@@ -166,10 +157,10 @@ def _scaled(scene: Scene, force: float = 1.0, speed: float = 1.0) -> Scene:
 
 FIELDS: Final[Mapping[str, StressField]] = {
     "noise": StressField(_value("parameters", "noise"), (0.6, 3.5, 7, 14, 28), "noise", "counts"),
-    "gain": StressField(_every_cell("gain"), (1, 1.5, 2.5, 0.5, 0.25, 0.1), "gain"),
-    "offset": StressField(_every_cell("offset"), (0, 200, 400, -200, -400), "offset", "counts"),
-    "drift": StressField(_every_cell("drift"), (0, 2, 6, 20, -2, -6, -20), "drift", "counts/s"),
-    "dead": StressField(_dead, (0, 1, 2, 3, 4), "dead cells"),
+    "gain": StressField(_value("faults", "gain"), (1, 1.5, 2.5, 0.5, 0.25, 0.1), "gain"),
+    "offset": StressField(_value("faults", "offset"), (0, 200, 400, -200, -400), "offset", "counts"),
+    "drift": StressField(_value("faults", "drift"), (0, 2, 6, 20, -2, -6, -20), "drift", "counts/s"),
+    "dead": StressField(_value("faults", "dead"), (0, 1, 2, 3, 4), "dead cells"),
     "lost": StressField(_value("touch", "dropped"), (0, 0.05, 0.1, 0.2, 0.4), "touch lost", "%", 100),
     "clock": StressField(
         _value("touch", "offset"), (0, 0.05, 0.1, -0.05, -0.1), "touch clock off", "ms", 1e3

@@ -239,7 +239,7 @@ def further(tcn: Tcn, recipe: Recipe) -> Recipe:
         filters=tcn.layers[0].kernel.shape[2],
         units=tcn.layers[-1].kernel.shape[1],
         taps=len(tcn.layers[0].kernel),
-        dilations=tcn.weights["dilations"].tolist(),
+        dilations=[layer.dilation for layer in tcn.layers[:-3:2]],
         position_scale=float(tcn.position_scale),
         step_scale=float(tcn.step_scale),
         steps=recipe.steps,

@@ -5,7 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from connectors.sim.arm_motion import Controller, PlannedArm, in_base
-from connectors.sim.scene import MotionKind, Move, Scene
+from connectors.sim.scene import Move, Scene
+from operators.batch import MotionKind
 from operators.errors import ParameterError
 
 PLAN = (

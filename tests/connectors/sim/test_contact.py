@@ -5,8 +5,8 @@ import pytest
 
 from connectors.sim import contact
 from connectors.sim.finger import contact_model, pad
-from connectors.sim.scene import Curvature, Parameters, Scene
-from operators.batch import Reals
+from connectors.sim.scene import Parameters, Scene
+from operators.batch import Curvature, Reals
 
 CURVATURES: tuple[Curvature, ...] = ("plane", "sphere", "cylinder_x", "cylinder_y")
 

@@ -24,7 +24,7 @@ SCENE = Scene(
     STROKE,
     vibration=Vibration(),
     touch=Timing(100.0, wander=0.004, dropped=0.2),
-    faults=Faults(dead=(0,), gain=(1.0, 1.1, 0.9, 1.0, 1.0, 1.0), drift=(0, 0, 5.0, 0, 0, 0)),
+    faults=Faults(dead=1, gain=1.1, drift=5.0),
 )
 
 

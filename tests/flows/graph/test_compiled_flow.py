@@ -10,7 +10,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
-from flows.graph.testing import TestSink, TestSource
+from flows.graph.testing import TestSink, TestSource, check_same
 from operators import (
     EVERY,
     Align,
@@ -178,7 +178,7 @@ class Unknowing:
 
 
 class UnknowingSteps(Unknowing):
-    def steps(self, hop: int, cells: int) -> Steps:
+    def steps(self, cells: int) -> Steps:
         return Steps(step=too_high)
 
 
@@ -193,15 +193,29 @@ def test_a_failing_detector_is_reported_with_the_line_of_its_file(kind: type[Unk
         compiled.pusher(compiled.entries[0])(touch(0))
 
 
-def test_an_operator_that_cannot_be_prepared_is_named() -> None:
-    @dataclass
-    class Unready(Forgetful):
-        def prepare(self) -> None:
-            raise OSError("no weights")
+class Unready(Operator[Scores, Scores]):
+    def steps(self, *given: RowType) -> Steps:
+        raise OSError("no weights")
 
+
+class Unlimited(Operator[Scores, Scores]):
+    def steps(self, *given: RowType) -> Steps:
+        return Steps({"limit": None}, step=too_high)
+
+
+@pytest.mark.parametrize(
+    ("kind", "reason"),
+    [
+        (Unready, r"OSError: no weights \(test_compiled_flow\.py:\d+\)$"),
+        (Unlimited, "Steps: limit is None, must be a number"),
+    ],
+)
+def test_an_operator_that_cannot_be_prepared_is_named(
+    kind: type[Operator[Scores, Scores]], reason: str
+) -> None:
     flow = Flow("f")
-    (flow.source(TestSource(Scores)) | Unready()).to(TestSink())
-    with pytest.raises(OperatorError, match=r"^flow 'f': Unready: OSError: no weights \(test_compiled_flow"):
+    (flow.source(TestSource(Scores)) | kind() | Debounce()).to(TestSink())
+    with pytest.raises(OperatorError, match=rf"^flow 'f': {kind.__name__}: {reason}"):
         CompiledFlow(flow)
 
 
@@ -322,7 +336,7 @@ def test_an_operator_between_those_of_users_gives_the_same_bits_as_alone(
     pushes = [dict(enumerate(piece)) for piece in suite.pieces(streams, cuts)]
     found = outputs(CompiledFlow(flow), pushes)
     expected = suite.run(case.step.reset_copy(), [streams])
-    suite.same(suite.joined(kind, found[streams[0].finger]), expected)
+    check_same(suite.joined(kind, found[streams[0].finger]), expected)
 
 
 @pytest.mark.parametrize("rows", [1, 7, 300], ids=["one by one", "cut", "at once"])
@@ -342,5 +356,5 @@ def test_motion_that_passes_a_segment_of_its_own_joins_the_touch_of_each_fingert
     for each in touches:
         samples = Align().push(Zero(baseline=400).push(each), DeviceClock().push(arm))
         joined = concat(Sample, cast("list[Sample]", found[each.finger]))
-        suite.same(joined[: len(samples)], samples)
+        check_same(joined[: len(samples)], samples)
         assert len(joined) == 300

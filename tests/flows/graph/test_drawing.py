@@ -1,5 +1,9 @@
+from dataclasses import dataclass
 from pathlib import Path
 from shutil import copy
+from typing import Any
+
+import numpy as np
 
 from flows.graph import Flow
 from flows.graph.drawing import describe
@@ -7,6 +11,12 @@ from flows.graph.testing import TestSink, TestSource
 from operators import Align, Debounce, Label, Motion, Score, Scores, Touch, Zero, ms
 from storage import load_detector
 from storage.models import shipped_path
+
+
+@dataclass
+class Held:
+    value: Any
+    other: Any = None
 
 
 def test_text_reads_like_the_declaration() -> None:
@@ -41,3 +51,9 @@ def test_a_detector_is_drawn_by_the_name_of_its_model(tmp_path: Path) -> None:
         "Score(tcn)",
         "Score(mine.safetensors)",
     ]
+
+
+def test_a_parameter_that_is_an_array_is_drawn() -> None:
+    assert describe(Held(np.zeros(2))) == "Held(array([0., 0.]))"
+    assert describe(Held(np.zeros(2), other=np.zeros(2))) == "Held(array([0., 0.]), other=array([0., 0.]))"
+    assert describe(Held(describe)) == "Held(describe)"

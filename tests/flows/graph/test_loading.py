@@ -117,6 +117,13 @@ def test_a_flow_imports_modules_of_its_folder(tmp_path: Path, monkeypatch: pytes
     assert load(_file(tmp_path, code)).flow().name == "beside"
 
 
+def test_a_helper_may_have_annotations_that_only_type_checkers_resolve(tmp_path: Path) -> None:
+    code = "from __future__ import annotations\nfrom typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
+    code += "    from decimal import Decimal\nfrom flows.graph import Flow\n"
+    code += "def helper(x: Decimal) -> int: return 1\ndef f() -> Flow: return Flow('f')\n"
+    assert load(_file(tmp_path, code)).name == "f"
+
+
 def test_flow_files_of_the_same_name_are_different_modules(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,5 +1,5 @@
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
 import pytest
 
@@ -19,7 +19,8 @@ from operators.errors import ParameterError
         (Speed, "0.003", 0.003),
         (Speed, "3mm/s", 0.003),
         (Force, "2N", 2.0),
-        (Annotated[int, "of the bus"], "3", 3),
+        (Literal["a", "b"], "b", "b"),
+        (Literal["a", 3] | None, "3", 3),
         (bool, "Yes", True),
         (int | None, "", None),
         (int | None, "4", 4),
@@ -42,6 +43,7 @@ def test_text_becomes_the_type_that_is_declared(kind: object, text: str, value: 
         (int | None, "two", "a whole number or none"),
         (Duration, "70", "a time with its unit: 500ms, 30s, 1h or 30d"),
         (Speed, "fast", "a speed with its unit: 3mm/s or 0.003m/s"),
+        (Literal["a", "b"], "c", "a or b"),
         (Force, "1e400", "a force with its unit: 2N or 0.5N"),
     ],
 )

@@ -4,7 +4,7 @@ import time
 import pytest
 
 from flows.graph.testing import check_cuts, run_virtually
-from operators import Operator, Scores
+from operators import Debounce, Operator, Scores
 from tests.operators import test_conformance as suite
 
 
@@ -13,6 +13,10 @@ def test_operators_of_slipflow_do_not_depend_on_the_cuts() -> None:
         if isinstance(case.step, Operator):
             [batch] = case.streams(7, 100)
             check_cuts(case.step, batch)
+
+
+def test_an_empty_batch_has_no_cuts() -> None:
+    check_cuts(Debounce(), Scores.empty())
 
 
 def test_an_operator_that_depends_on_the_cuts_is_an_error_that_names_the_column() -> None:

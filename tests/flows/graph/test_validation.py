@@ -8,8 +8,10 @@ from flows.graph.node import check_extras
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems, validate
 from operators import (
+    EVERY,
     Debounce,
     FlowError,
+    Join,
     Operator,
     ParameterError,
     Scores,
@@ -215,3 +217,34 @@ def test_a_source_of_a_plain_dataclass_is_reported() -> None:
     flow.source(TestSource(kind)).to(TestSink())  # type: ignore[type-var, arg-type]  # wrong on purpose
     with pytest.raises(ParameterError, match=r"TestSource: kind is .*Force.*, must be a batch type"):
         validate(flow)
+
+
+@dataclass
+class Compare(Join[Touch, Touch, Touch]):
+    def process(self, left: Touch, right: Touch) -> Touch:
+        return left
+
+
+@pytest.mark.parametrize(("right", "fits"), [((1,), False), ((0, 1), True), ((EVERY,), True), ((), True)])
+def test_joined_streams_without_a_common_fingertip_are_reported(
+    right: tuple[int, ...], *, fits: bool
+) -> None:
+    flow = Flow("f")
+    one = flow.source(TestSource(Touch, fingers=(0,)), "one")
+    other = flow.source(TestSource(Touch, fingers=right), "other")
+    (one & other | Compare()).to(TestSink())
+    assert problems(flow, fingertips=False) == []
+    found = [] if fits else [_one_problem(flow)]
+    reason = (
+        "fingertips [0] never meet [1]: join streams of the same fingertip, or set fingers of the sources"
+    )
+    assert found == ([] if fits else [f"one & other -> Compare: {reason}"])
+
+
+@pytest.mark.parametrize(("name", "records", "fits"), [("my flow", True, False), ("my flow", False, True)])
+def test_the_name_of_a_flow_that_records_begins_a_file_name(name: str, *, records: bool, fits: bool) -> None:
+    flow, sink = Flow(name), TestSink()
+    sink.records = records
+    flow.source(TestSource(Scores)).to(sink)
+    expected = "its name: begins the name of each session, which must be a file name of at most 128 letters"
+    assert problems(flow) == [] if fits else _one_problem(flow).startswith(expected)

@@ -1,5 +1,9 @@
 import asyncio
+from dataclasses import dataclass, field
 from itertools import pairwise
+from math import cos, sin
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +15,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestRecording, TestSink, TestSource, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from flows.run.replay_runner import ReplayRunner, in_slices
+from flows.run.replay_runner import ReplayRunner, declaration, in_slices
 from operators import (
     EVERY,
     Align,
@@ -21,9 +25,12 @@ from operators import (
     Label,
     Labelled,
     Motion,
+    Operator,
+    Score,
     Source,
     Touch,
     Zero,
+    Zeroed,
     ms,
     s,
 )
@@ -173,3 +180,54 @@ def test_slices_share_their_cuts_and_keep_every_row(streams: list[tuple[np.ndarr
         assert [t for cut in slices if entry in cut for t in cut[entry].time.tolist()] == whole
     for earlier, later in pairwise(slices):
         assert max(b.time[-1] for b in earlier.values()) <= min(b.time[0] for b in later.values())
+
+
+@dataclass
+class Table(Operator[Zeroed, Zeroed]):
+    """An operator with parameters of any kind."""
+
+    value: Any = None
+    hidden: Any = field(default=None, repr=False)
+
+    def process(self, batch: Zeroed) -> Zeroed:
+        return batch
+
+
+class Detector:
+    name, length = "mine", 5
+
+    def __init__(self, value: Any, weights: float = 0.0) -> None:
+        self.value, self._weights = value, np.array([weights])
+
+    def score(self, windows: Any) -> Any:
+        return np.zeros(len(windows))
+
+
+def _halved(value: float) -> float:
+    return value / 2
+
+
+LONG = np.zeros(2000)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (Table(Path("a/table.csv")), Table(Path("b/table.csv"))),
+        (Table(LONG), Table(np.where(np.arange(2000) == 1000, 1e-10, LONG))),
+        (Table(hidden=1), Table(hidden=2)),
+        (Table(sin), Table(cos)),
+        (Score(Detector(1)), Score(Detector(2))),
+        (Score(Detector(1, 0.1)), Score(Detector(1, 0.2))),
+    ],
+)
+def test_the_declaration_tells_parameters_apart_but_not_processes(
+    one: Operator[Zeroed, Any], other: Operator[Zeroed, Any]
+) -> None:
+    def declared(operator: Operator[Zeroed, Any]) -> list[str]:
+        flow = Flow("f")
+        (flow.source(TestSource(Zeroed)) | operator).to(TestSink())
+        return declaration(flow)
+
+    assert declared(one) == declared(one.reset_copy()) != declared(other)
+    assert "0x" not in "".join(declared(Table(_halved)))

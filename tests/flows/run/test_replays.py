@@ -24,7 +24,8 @@ from operators.detectors import Psd
 from operators.errors import FlowError, InputError
 from operators.fingertip import TAKKTILE, Fingertip
 from storage import Session, save_weights
-from storage.layout import session_folder
+from storage.files import put_checked, read_checked
+from storage.layout import SESSION, session_folder
 from storage.models import shipped_path
 from tests.flows.run.recorder import record
 from tests.storage.made import contents, session_names
@@ -156,6 +157,27 @@ def test_a_replay_whose_detector_was_trained_again_is_not_taken_for_done(
     FlowSource.flow.cache_clear()
     with pytest.raises(InputError, match="is of another recording, flow or detector"):
         Replays(flow, four[:1])
+
+
+def test_a_replay_by_other_code_or_without_a_declaration_is_not_taken_for_done(
+    four: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    (tmp_path / "felt.py").write_text(FLOW + "import beside\n")
+    (tmp_path / "beside.py").write_text("LEAST = 0.5\n")
+    flow = source(f"{tmp_path / 'felt.py'}:felt", out=str(tmp_path / "out"))
+    assert [each.error for each in Replays(flow, four[:1]).run()] == [""]
+    assert Replays(flow, four[:1]).existing == four[:1]
+    sys.modules.pop("beside")
+    (tmp_path / "beside.py").write_text("LEAST = 0.75\n")
+    FlowSource.flow.cache_clear()
+    with pytest.raises(InputError, match="is of another recording, flow or detector"):
+        Replays(flow, four[:1])
+    path = session_folder(tmp_path / "out", four[0].name) / SESSION
+    put_checked(path, {key: each for key, each in read_checked(path).items() if key != "declaration"})
+    with pytest.raises(InputError, match="is of another recording, flow or detector"):
+        Replays(flow, four[:1])
+    sys.modules.pop("beside")
 
 
 def test_recordings_of_one_name_need_two_datasets(felt: str, four: list[Path], tmp_path: Path) -> None:

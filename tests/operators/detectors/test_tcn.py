@@ -145,12 +145,3 @@ def test_a_convolution_that_belongs_to_no_block_is_refused() -> None:
 def test_a_scale_that_is_not_above_0_is_refused(name: str, scale: float) -> None:
     with pytest.raises(InputError, match=f"{name} is {scale}.*, must be above 0"):
         Tcn(_weights() | {name: np.array([scale], np.float32)})
-
-
-@sized
-def test_a_network_states_the_weights_that_it_was_made_of(size: Size) -> None:
-    weights = _weights(size)
-    found = Tcn(weights).weights
-    assert found.keys() == weights.keys()
-    for name, array in weights.items():
-        np.testing.assert_array_equal(found[name], array.astype(found[name].dtype))

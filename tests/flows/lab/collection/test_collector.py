@@ -15,7 +15,7 @@ import pytest
 import typer
 
 from connectors.sim.finger import Finger
-from connectors.sim.scene import NO_VIBRATION, Curvature
+from connectors.sim.scene import NO_VIBRATION
 from connectors.sim.simulated_arm import STIFFNESS, SimulatedArm, start_pose
 from connectors.ur.ur_state import Pose
 from flows.cli.collect import _report
@@ -40,6 +40,7 @@ from operators import (
     concat,
     s,
 )
+from operators.batch import Curvature
 from storage import Dataset, Session
 
 PLACE: Pose = (0.4, -0.1, 0.2, 3.0, 0.4, 0.1)  # the arm does not look straight down

@@ -14,6 +14,7 @@ from flows.learn.training.trained_model import Model, label_scores, provenance, 
 from flows.learn.training.trained_model import learned as seen
 from flows.learn.training.trainer import further, train
 from operators.detectors import Tcn
+from operators.detectors.weights import Weights
 from operators.errors import InputError
 from storage import load_debounce, load_detector
 
@@ -43,16 +44,21 @@ def stroked(
 
 
 @pytest.fixture(scope="module")
-def learned() -> Tcn:
-    """A small network that learned strokes of 0.5 s and 120 counts."""
+def arrays() -> Weights:
+    """Weights of a small network that learned strokes of 0.5 s and 120 counts."""
     recipe = Recipe(filters=6, units=8, steps=150, batch=8, crop=400, checks=1, rate=1e-2)
-    return Tcn(train_dense([stroked(seed) for seed in range(4)], [stroked(4)], recipe).arrays)
+    return train_dense([stroked(seed) for seed in range(4)], [stroked(4)], recipe).arrays
+
+
+@pytest.fixture(scope="module")
+def learned(arrays: Weights) -> Tcn:
+    return Tcn(arrays)
 
 
 @pytest.fixture
-def parent(learned: Tcn, tmp_path: Path) -> Path:
+def parent(arrays: Weights, tmp_path: Path) -> Path:
     card = {"detector": "tcn", "data": provenance([replace(stroked(0), split="train")])}
-    return write_model(tmp_path / "parent.safetensors", learned.weights, card).path
+    return write_model(tmp_path / "parent.safetensors", arrays, card).path
 
 
 def _loading(monkeypatch: pytest.MonkeyPatch, recordings: list[LabelledRecording]) -> None:
