@@ -18,7 +18,17 @@ from storage.description import read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
 from storage.journal import journal_files
-from storage.layout import SESSION, TABLE_OF, TABLES, Table, check_links, may_exist, session_folders, table_of
+from storage.layout import (
+    SESSION,
+    TABLE_OF,
+    TABLES,
+    Table,
+    check_links,
+    may_exist,
+    named,
+    session_folders,
+    table_of,
+)
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
 
@@ -71,7 +81,7 @@ class Session:
             InputError: if there is no session or several, it contains a link, or its description or manifest
                 is damaged.
         """
-        folder = Path(path)
+        folder = named(Path(path))
         if not may_exist(folder / SESSION):
             folder = _only_session(folder)
         check_links(folder)
@@ -85,8 +95,8 @@ class Session:
 
     @property
     def name(self) -> str:
-        """Name of the session."""
-        return str(self.about["session"])
+        """Name of its folder, which is safe as a file name, unlike the one in session.json."""
+        return self.folder.name
 
     @property
     def tables(self) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ def show(
     detector = detector or _fitting(opened)
     asyncio.run(_show(opened, detector, server, browse=not no_browser))
     if detector == _NONE:
-        dataset = opened.folder.parent.parent
+        dataset = opened.folder.absolute().parent.parent
         note(f"next: slipflow train {quote(str(dataset))} -o {quote(dataset.name)}.safetensors")
 
 

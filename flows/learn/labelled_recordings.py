@@ -84,6 +84,20 @@ class Sampling:
         """Return the times of consecutive samples, ns from the first one; (samples,)."""
         return np.arange(samples) * self.period
 
+    def places(self, time: Times) -> NDArray[np.int64]:
+        """Return the places of samples at `time` (n,) among regular ones, from 0; (n,) increasing.
+
+        Lost samples leave their places free, at most those of 1 s in a pause.
+
+        >>> Sampling().places(np.array([0, 11, 20, 51, 60, 9000]) * ms).tolist()
+        [0, 1, 2, 5, 6, 106]
+        """
+        order = np.arange(len(time))
+        places = np.rint((time - time[:1]) / self.period).astype(np.int64)
+        places = np.maximum.accumulate(places - order) + order
+        steps = np.diff(places, prepend=places[:1])
+        return np.minimum(steps, self.samples(s)).cumsum()
+
     def minutes(self, samples: int) -> float:
         """Return the duration of a number of samples."""
         return samples * self.period / (60 * s)
@@ -110,7 +124,7 @@ class Strokes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledRecording:
-    """Samples of one fingertip at a constant rate, with their labels."""
+    """Samples of one fingertip at a constant rate, with their labels; samples may be lost."""
 
     counts: Counts  # (n, cells) zeroed; invalid cells hold their last valid value, as in `Score`
     label: Codes  # (n,) by arm speed, as in the paper, or by hand: 1 slip, 0 static, -1 unknown
@@ -124,6 +138,7 @@ class LabelledRecording:
     plan: str = ""  # of a simulation
     fingertip: Fingertip = TAKKTILE
     dataset: str = ""  # path of its folder
+    time: Times | None = None  # (n,) ns; None: at the constant rate, without lost samples
 
     def __len__(self) -> int:
         return len(self.label)
@@ -144,6 +159,11 @@ class LabelledRecording:
         return Sampling(self.fingertip.rate)
 
     @property
+    def places(self) -> NDArray[np.int64]:
+        """Places of the samples (n,) among regular ones, as in `Sampling.places`."""
+        return np.arange(len(self)) if self.time is None else self.sampling.places(self.time)
+
+    @property
     def slip(self) -> Flags:
         """True where the label is slip; (n,)."""
         slip: Flags = self.label == SLIP
@@ -159,6 +179,7 @@ class LabelledRecording:
             sliding=None if self.sliding is None else self.sliding[rows],
             strokes=None,
             by_hand=0,
+            time=None if self.time is None else self.time[rows],
         )
 
     def known(self, hop: int) -> NDArray[np.intp]:
@@ -226,6 +247,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledReco
         _sliding(zeroed, replace(truth, time=touch.time)),  # the clock of the touch may be wrong
         _strokes(moves, truth.time),
         name=name,
+        time=zeroed.time,
     )
 
 
@@ -327,6 +349,7 @@ def _of_session(session: Session, finger: int, hand: HandLabels) -> LabelledReco
         str(session.about.get("group") or ""),
         _plan(session),
         fingertip,
+        time=samples.time,
     )
 
 
