@@ -3,7 +3,7 @@
 from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
 from flows.record import ARM_LATENCY, declare_recording
-from operators import Debounce, Label, Score
+from operators import Label, Score
 from storage import Dataset, identify_detector, load_debounce, load_detector
 
 
@@ -25,7 +25,7 @@ def demo(
     dataset = Dataset(out)
     label = Label(speed=0.003, delay=ARM_LATENCY)
     zeroed = declare_recording(flow, SimulatedRig(seed=seed), label, dataset)
-    debounce = load_debounce("tcn") or Debounce()
+    debounce = load_debounce("tcn")
     slips = zeroed | Score(load_detector("tcn")) | debounce
 
     slips.to(dataset)

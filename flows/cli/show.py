@@ -106,7 +106,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
 
     session.hand_labels()  # an error of its files ends the command before the scoring
     scored, has_slips = detector != _NONE, bool(session.fingers(Slips))
-    debounce = (load_debounce(detector) if scored else None) or Debounce()
+    debounce = load_debounce(detector) if scored else Debounce()
     page = SessionPage(session, debounce, detector if scored else None, recorded=has_slips)
     flow = Flow("show")
     zeroed = flow.source(Replay(session, Touch)) | Zero()

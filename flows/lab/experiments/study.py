@@ -16,7 +16,7 @@ from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.tap_and_lift import lift, tap
 from flows.lab.experiments.trial import RANDOM, Conditions, Outcome, Trace, Trial
 from flows.run.executor import map_tasks
-from operators import Debounce, Grip, GripController, StepGrip
+from operators import Grip, GripController, StepGrip
 from operators.batch import Counts, Reals
 from operators.checks import check_choice
 from operators.detectors import Detector
@@ -90,7 +90,7 @@ class Method:
         name = self.detector
         threshold = THRESHOLDS.get(name)
         if threshold is None:
-            threshold = (load_debounce(name) or Debounce()).threshold
+            threshold = load_debounce(name).threshold
         detector = StepThreshold() if name == "threshold" else load_detector(name)
         if self.rule == STEPS:
             return detector, StepGrip(threshold=threshold)

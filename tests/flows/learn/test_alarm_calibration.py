@@ -87,6 +87,8 @@ def test_too_little_static_time_is_an_error_with_the_time_that_is_needed() -> No
         calibrated(silent, 1.0, 0.95)
     assert raised.value.minutes == 2
     assert raised.value.needed == pytest.approx(-math.log(0.05))
+    with pytest.raises(TooLittleDataError, match=r"in 0\.02 .* but 0\.03 are needed; record 0\.00996 more"):
+        calibrated(trials(silent.alarms, np.full(4, 0.005)), 100.0, 0.95)
 
 
 def test_without_slips_the_most_sensitive_accepted_setting_is_chosen() -> None:
