@@ -51,7 +51,6 @@ _GRASPS: Final = 1000  # recordings of this plan
 _SEED_OFFSET: Final = {"tiny": 1_000_000}  # no recording of a small plan occurs in a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
 _SPACING: Final = 600 * s  # ns between the starts of two recordings, which are shorter
-_PART_SPAN: Final = 3600 * s  # ns, longer than any recording, so that each table of a session is one part
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +151,7 @@ def _record(root: Path, plan: str, seed: int, planned: PlannedRecording) -> None
 
 async def _run(root: Path, plan: str, seed: int, planned: PlannedRecording) -> None:
     """Replay what was simulated through a flow that records it; describe it as a live run would."""
-    flow, dataset = Flow("simulate"), Dataset(root, part_span=_PART_SPAN, host="simulated")
+    flow, dataset = Flow("simulate"), Dataset(root)
     sources: dict[str, dict[str, Any]]
     if planned.scene is None:
         touch, truth = simulate_grasp(seed, planned.seed)

@@ -128,7 +128,8 @@ def distance(label: Codes, places: NDArray[np.int64], sampling: Sampling) -> Rea
     following = changes.searchsorted(places)  # (n,) number of the first change from each sample on
     after = np.abs(changes.take(following, mode="clip") - places)
     before = np.abs(places - changes.take(following - 1, mode="clip"))
-    return np.minimum(before, after) * (sampling.period / ms)
+    steps: Reals = np.minimum(before, after) * (sampling.period / ms)
+    return steps
 
 
 def motion_name(surface: str, kind: str, speed: float | None) -> str:
