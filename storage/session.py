@@ -12,13 +12,13 @@ from operators.checks import check_at_least
 from operators.errors import EndpointError, InputError
 from operators.fingertip import Fingertip, measured
 from operators.ports import Description, SomeBatch
-from storage import layout, schema
+from storage import schema
 from storage.arrow import pa
 from storage.description import read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
-from storage.journal import journal_files
 from storage.layout import (
+    JOURNAL,
     SESSION,
     TABLE_OF,
     TABLES,
@@ -85,12 +85,9 @@ class Session:
         if not may_exist(folder / SESSION):
             folder = _only_session(folder)
         check_links(folder)
-        if journal_files(folder):
+        if may_exist(folder / JOURNAL):
             _recover(folder)
         about = read_session(folder)
-        if may_exist(folder / layout.JOURNAL) and not {"end_ns", "recovered"} & {*about}:
-            _recover(folder)
-            about = read_session(folder)
         return cls(folder, about, read_manifest(folder, about))
 
     @property

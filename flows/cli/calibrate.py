@@ -1,12 +1,10 @@
 """The command `slipflow calibrate`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson
 from flows.cli.terminal import check_output_file, note
 
 
@@ -42,7 +40,6 @@ def calibrate(
             " into this folder).",
         ),
     ] = None,
-    as_json: AsJson = False,
 ) -> None:
     """Choose settings of the debounce that keep a stated rate of false alarms.
 
@@ -68,4 +65,4 @@ def calibrate(
     if out is not None:
         check_output_file(out)
     found = calibrate_model(model, on, round(rate, 9), share, out=out, log=note)
-    typer.echo(json.dumps({"path": str(found.path), **found.entry}) if as_json else found.report())
+    typer.echo(found.report())

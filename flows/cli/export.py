@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flows.cli.options import DatasetOrSession
-from flows.cli.terminal import check_output_file, progress_bar
+from flows.cli.terminal import progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
@@ -82,8 +82,6 @@ def _mcap(source: Path, out: Path) -> str:
 
     sessions = _sessions(source)
     files, single = dict[Path, int](), len(sessions) == 1 and out.suffix == ".mcap"
-    if single:
-        check_output_file(out)
     with progress_bar("exporting") as update:
         for number, session in enumerate(sessions):
             name = session.name

@@ -132,7 +132,7 @@ def report_run(run: "Run", *, as_json: bool) -> None:
     typer.echo(json.dumps(summary.as_dict()) if as_json else summary.report())
     if run.error:
         raise typer.Exit(130)
-    if summary.lost:
+    if summary.error:
         raise typer.Exit(1)
 
 
@@ -191,7 +191,7 @@ def replay_all(
         rows = counted(sum(one.rows for each in summaries for one in each.sources.values()), "row")
         failures = f"; {failed} failed" if failed else ""
         typer.echo(f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}")
-    if failed or any(each.lost for each in summaries):
+    if failed or any(each.error for each in summaries):
         raise typer.Exit(1)
 
 

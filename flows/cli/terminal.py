@@ -1,6 +1,5 @@
 """Output of the commands: log of a run, notes, progress and reports."""
 
-import json
 import logging
 import shlex
 import sys
@@ -68,8 +67,8 @@ def command_line() -> str:
     return shlex.join(["slipflow", *sys.argv[1:]])
 
 
-def write_report(report: "Report", folder: Path, name: str, *, as_json: bool) -> None:
+def write_report(report: "Report", folder: Path, name: str) -> None:
     """Write a report as NAME.html, .md, .json and figures; print its tables."""
     paths = report.write(folder, name)
     note(f"wrote {', '.join(map(str, paths))}")
-    typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())
+    typer.echo(report.terminal())

@@ -1,13 +1,12 @@
 """The command `slipflow train`."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Seed
-from flows.cli.terminal import note, progress_bar
+from flows.cli.options import Seed
+from flows.cli.terminal import check_output_file, note, progress_bar
 
 if TYPE_CHECKING:
     from flows.learn.training.trained_model import Check
@@ -46,7 +45,6 @@ def train(
         typer.Option(min=1, help="Number of training steps of a tcn (default: 6000; with --from 300)."),
     ] = None,
     seed: Seed = 0,
-    as_json: AsJson = False,
 ) -> None:
     """Train a slip detector.
 
@@ -69,6 +67,7 @@ def train(
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")
+    check_output_file(out)
     recipe: Recipe | PaperRecipe
     if method == "tcn":
         usual = Recipe().steps if parent is None else FURTHER_STEPS
@@ -89,4 +88,4 @@ def train(
         except KeyboardInterrupt:
             note(f"stopped: no model was written to {out}")
             raise
-    typer.echo(json.dumps({"path": str(model.path), **model.card}) if as_json else model.report())
+    typer.echo(model.report())

@@ -31,7 +31,7 @@ from flows.run.replay_runner import ReplayRunner
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Zero, ms
 from operators.batch import Batch, Episodes, Motion, Touch, Truth, concat, s
-from operators.checks import check_at_least, check_choice
+from operators.checks import check_choice
 from operators.fingertip import TAKKTILE
 from storage import Dataset
 from storage.files import partial_output
@@ -72,10 +72,9 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     ('plane-050-01', 'plane')
 
     Raises:
-        ParameterError: on an unknown plan or a negative seed.
+        ParameterError: on an unknown plan.
     """
     check_choice("simulate", "plan", plan, (*PLANS, GRASPS))
-    check_at_least("simulate", "seed", seed, 0)
     if plan == GRASPS:
         return [
             PlannedRecording(f"grasp-{n:03d}", None, n, _start(seed, n, _GRASPS), TURNS[n % len(TURNS)])
@@ -130,7 +129,7 @@ def simulate(
         progress: Called with the number of recordings done and their total.
 
     Raises:
-        ParameterError: on an unknown plan or a negative seed.
+        ParameterError: on an unknown plan.
         EndpointError: if the folder is not empty or cannot be written to.
         SlipflowError: if a recording cannot be simulated; the folder is deleted then.
     """

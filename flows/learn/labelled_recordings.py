@@ -60,8 +60,8 @@ _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written
 class Sampling:
     """Constant rate of samples.
 
-    >>> Sampling(200.0).period, Sampling(200.0).warm_up, Sampling(200.0).scaled(2)
-    (5000000, 199, 4)
+    >>> Sampling(200.0).period, Sampling(200.0).warm_up, Sampling(16.0).warm_up, Sampling(200.0).scaled(2)
+    (5000000, 199, 99, 4)
     """
 
     rate: float = _RATE  # Hz

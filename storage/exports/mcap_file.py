@@ -141,8 +141,7 @@ def _rows(session: Session, table: Table, finger: int) -> Iterator[_Message]:
 
 def _property(name: str, column: Column, sizes: tuple[int, ...]) -> dict[str, Any]:
     if _is_span(column):
-        title = "duration" if name == "offset" else "time"
-        return {**_STAMP, "title": title, "description": column.unit}
+        return {**_STAMP, "title": "time", "description": column.unit}
     if column.names:
         return {"type": "string", "enum": [*column.names]}
     unknown = "; null or omitted: unknown" if column.dtype.kind == "f" else ""
