@@ -66,10 +66,6 @@ class Dataset(Sink[Recordable]):
         """Rows that are neither in a part nor in the journal."""
         return self._writer.pending if self._writer else 0
 
-    def with_path(self, path: str | Path) -> "Dataset":
-        """Return a sink that writes to another folder."""
-        return Dataset(path)
-
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check the free space of the disk and the time of an fsync."""
         for finding in await asyncio.to_thread(check_disk, self._root):

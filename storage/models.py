@@ -59,6 +59,7 @@ def save_weights(
     path = Path(path)
     if path.suffix != _SUFFIX:
         raise ParameterError("save_weights", "path", str(path), f"a path that ends in {_SUFFIX}")
+    path.parent.mkdir(parents=True, exist_ok=True)
     contiguous = {name: np.asarray(array, order="C") for name, array in weights.items()}
     files.put(path, safetensors.save(contiguous, dict(about or {})))
 

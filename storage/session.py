@@ -25,7 +25,6 @@ from storage.layout import (
     Table,
     check_links,
     may_exist,
-    named,
     session_folders,
     table_of,
 )
@@ -81,9 +80,7 @@ class Session:
             InputError: if there is no session or several, it contains a link, or its description or manifest
                 is damaged.
         """
-        folder = named(Path(path))
-        if not may_exist(folder / SESSION):
-            folder = _only_session(folder)
+        folder = _only_session(Path(path))
         check_links(folder)
         if may_exist(folder / JOURNAL):
             _recover(folder)

@@ -25,13 +25,7 @@ class SessionWriter:
     Only `full`, `add` and `begin_commit` do not wait for the disk. `append`, `commit` and a sync of the
     journal may run in other threads, each once at a time. All tables are committed together, so that their
     parts cover the same time. The rows of a live run are in a journal until then. A replay can be repeated,
-    so nothing of it is made durable.
-
-    Args:
-        root: Folder of the dataset.
-        run: Run that is recorded.
-        part_span: Longest event time span of a part, ns.
-        part_rows: Maximum number of rows of a part.
+    so nothing of it is made durable. A part spans `part_span` (ns) and has `part_rows` at most.
 
     Attributes:
         folder: Folder of the session.

@@ -27,20 +27,6 @@ def note(text: str) -> None:
     typer.echo(text, err=True)
 
 
-def check_output_file(path: Path) -> None:
-    """Require that a file can be created at `path`: its folder exists, and `path` is not a folder.
-
-    Raises:
-        EndpointError: if it cannot.
-    """
-    from operators.errors import EndpointError
-
-    if not path.parent.is_dir():
-        raise EndpointError(str(path), f"folder {path.parent} does not exist: create it, or write elsewhere")
-    if path.is_dir():
-        raise EndpointError(str(path), "is a folder: give a file name")
-
-
 @contextmanager
 def progress_bar(action: str) -> Generator[Callable[..., None]]:
     """Show a progress bar on stderr if it is a terminal; yield the callback that updates it.

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flows.cli.options import Seed
-from flows.cli.terminal import check_output_file, note, progress_bar
+from flows.cli.terminal import note, progress_bar
 
 if TYPE_CHECKING:
     from flows.learn.training.trained_model import Check
@@ -62,12 +62,13 @@ def train(
     from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
+    from flows.report.report_page import check_output_folder
 
     if (parent or method != "tcn") and filters != 24:
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")
-    check_output_file(out)
+    check_output_folder(out.parent)
     recipe: Recipe | PaperRecipe
     if method == "tcn":
         usual = Recipe().steps if parent is None else FURTHER_STEPS

@@ -287,6 +287,7 @@ def calibrate_model(
         ALARMS: [entries[each] for each in sorted(entries)],
     }
     if path.absolute() != source.absolute():
+        path.parent.mkdir(parents=True, exist_ok=True)
         files.put(path, weights)
     save_card(path, card)
     return CalibratedModel(path, entry, found)

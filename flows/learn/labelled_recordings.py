@@ -84,20 +84,6 @@ class Sampling:
         """Return the times of consecutive samples, ns from the first one; (samples,)."""
         return np.arange(samples) * self.period
 
-    def places(self, time: Times) -> NDArray[np.int64]:
-        """Return the places of samples at `time` (n,) among regular ones, from 0; (n,) increasing.
-
-        Lost samples leave their places free, at most those of 1 s in a pause.
-
-        >>> Sampling().places(np.array([0, 11, 20, 51, 60, 9000]) * ms).tolist()
-        [0, 1, 2, 5, 6, 106]
-        """
-        order = np.arange(len(time))
-        places = np.rint((time - time[:1]) / self.period).astype(np.int64)
-        places = np.maximum.accumulate(places - order) + order
-        steps = np.diff(places, prepend=places[:1])
-        return np.minimum(steps, self.samples(s)).cumsum()
-
     def minutes(self, samples: int) -> float:
         """Return the duration of a number of samples."""
         return samples * self.period / (60 * s)
@@ -160,8 +146,13 @@ class LabelledRecording:
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """Places of the samples (n,) among regular ones, as in `Sampling.places`."""
-        return np.arange(len(self)) if self.time is None else self.sampling.places(self.time)
+        """Places of the samples (n,) among regular ones; lost ones leave theirs free, at most those of 1 s."""
+        order, sampling = np.arange(len(self)), self.sampling
+        if self.time is None:
+            return order
+        near = np.rint((self.time - self.time[:1]) / sampling.period).astype(np.int64)
+        places = np.maximum.accumulate(near - order) + order
+        return np.minimum(np.diff(places, prepend=places[:1]), sampling.samples(s)).cumsum()
 
     @property
     def slip(self) -> Flags:
