@@ -24,13 +24,6 @@ def demo(out: str = "recordings", broker: str | None = None) -> Flow:
     slips.to(dataset)
     slips.to(Console())
     if broker:
-        slips.to(
-            Mqtt(
-                broker,
-                rig="demo",
-                model=identify_detector("tcn"),
-                threshold=debounce.threshold,
-                consecutive=debounce.consecutive,
-            )
-        )
+        rules = debounce.threshold, debounce.consecutive
+        slips.to(Mqtt(broker, "lab", "demo", identify_detector("tcn"), *rules))
     return flow

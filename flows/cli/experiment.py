@@ -60,7 +60,7 @@ def experiment(
 
     # a repeated method or object counts once, else its trials would count twice
     methods = list(dict.fromkeys(map(parse_method, method or ()))) or list(METHODS)
-    chosen = Trials(trials, objects=tuple(dict.fromkeys(objects or Trials.objects)))
+    chosen = Trials(trials, tuple(dict.fromkeys(objects or Trials.objects)))
     check_output_folder(out)
     with workers(jobs, cluster) as executor, progress_bar(name) as update:
         results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)

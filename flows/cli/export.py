@@ -84,12 +84,8 @@ def _mcap(source: Path, out: Path) -> str:
     files, single = dict[Path, int](), len(sessions) == 1 and out.suffix == ".mcap"
     with progress_bar("exporting") as update:
         for number, session in enumerate(sessions):
-            name = session.name
-
-            def progress(rows: int, number: int = number, name: str = name) -> None:
-                update(number, len(sessions), f"{name}, {rows:,} rows")
-
-            path = out if single else out / f"{name}.mcap"
-            files[path] = sum(mcap_file.export(session, path, progress).values())
+            update(number, len(sessions), session.name)
+            path = out if single else out / f"{session.name}.mcap"
+            files[path] = sum(mcap_file.export(session, path).values())
     size = f"{counted(len(files), 'file')}, {counted(sum(files.values()), 'row')}"
     return f"{size}\nwrote {', '.join(map(str, files))}"

@@ -193,10 +193,10 @@ def import_frame(
         about: Further entries of the session's description.
 
     Raises:
-        InputError: that lists all problems of the data, with a map that solves them.
+        InputError: that lists all problems of the data, with a map that solves them; or if the dataset has
+            another session of that name.
         ParameterError: on an invalid map or name of the session.
         EndpointError: if the dataset cannot be written.
-        InputError: if it has another session of that name.
     """
     stated = columns if isinstance(columns, ColumnMap) else ColumnMap.parse(columns)
     about = {**(about or {}), **({} if group is None else {"group": group})}

@@ -202,7 +202,6 @@ class TooLittleDataError(SlipflowError):
             f"a rate of {rate:g} false alarms per minute cannot be shown with {100 * confidence:g} %"
             f" confidence: {found}{advice}"
         )
-        self.minutes, self.needed = minutes, needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +209,6 @@ class CalibratedModel:
     """Model on disk with settings for a rate of false alarms."""
 
     path: Path
-    entry: Mapping[str, Any]  # of the card
     found: Calibrated
 
     def report(self) -> str:
@@ -280,7 +278,7 @@ def calibrate_model(
     log(f"scoring {counted(len(recordings), 'recording')}")
     trials = try_settings(recordings, [one.probabilities(detector) for one in recordings])
     found = calibrated(trials, rate, confidence)
-    entry = entries[rate] = _entry(found, provenance(recordings))
+    entries[rate] = _entry(found, provenance(recordings))
     card |= {
         "file": path.name,
         "sha256": hashlib.sha256(weights).hexdigest(),
@@ -290,7 +288,7 @@ def calibrate_model(
         path.parent.mkdir(parents=True, exist_ok=True)
         files.put(path, weights)
     save_card(path, card)
-    return CalibratedModel(path, entry, found)
+    return CalibratedModel(path, found)
 
 
 def _unseen(

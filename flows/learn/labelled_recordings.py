@@ -80,10 +80,6 @@ class Sampling:
         """Return the number of samples in a time (ns), at least 1."""
         return max(round(time * self.rate / s), 1)
 
-    def times(self, samples: int) -> Times:
-        """Return the times of consecutive samples, ns from the first one; (samples,)."""
-        return np.arange(samples) * self.period
-
     def minutes(self, samples: int) -> float:
         """Return the duration of a number of samples."""
         return samples * self.period / (60 * s)
@@ -146,7 +142,7 @@ class LabelledRecording:
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """Places of the samples (n,) among regular ones; lost ones leave theirs free, at most those of 1 s."""
+        """Places of the samples (n,) among regular ones; lost ones leave theirs free, 1 s of them at most."""
         order, sampling = np.arange(len(self)), self.sampling
         if self.time is None:
             return order
@@ -201,7 +197,7 @@ class LabelledRecording:
         probability, counts = np.full(len(self), np.nan), self.counts
         if len(self):
             valid = np.ones(counts.shape, np.bool_) if self.valid is None else self.valid
-            touch = Zeroed(self.sampling.times(len(self)), counts, np.zeros_like(counts), valid)
+            touch = Zeroed(self.places * self.sampling.period, counts, np.zeros_like(counts), valid)
             scores = score.push(touch).probability
             probability[len(self) - len(scores) :] = scores
             probability[: self.sampling.warm_up] = np.nan

@@ -71,15 +71,15 @@ def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("missed", "text"), [(0, "; no slips\n"), (2, "; 100.0 % of slips missed\n")])
 def test_the_report_has_no_delay_without_detected_slips(missed: int, text: str) -> None:
     events = EventMetrics(np.empty(0), missed, false_alarms=0, repeats=0, minutes=9.0)
-    assert text in CalibratedModel(Path("m"), {}, Calibrated(1.0, 0.95, Debounce(), 0.5, events)).report()
+    assert text in CalibratedModel(Path("m"), Calibrated(1.0, 0.95, Debounce(), 0.5, events)).report()
 
 
 def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp_path: Path) -> None:
     path, recordings, notes = model(tmp_path), load(tiny), list[str]()
     known = [each for each in recordings if each.split != "test"]
     save_card(path, {**load_card(path), "data": provenance(recordings)})
-    done = calibrate_model(str(path), [tiny], 40.0, 0.8, log=notes.append)
-    assert done.entry["data"][0]["recordings"] == {"test": len(recordings) - len(known)}
+    calibrate_model(str(path), [tiny], 40.0, 0.8, log=notes.append)
+    assert load_card(path)["alarms"][0]["data"][0]["recordings"] == {"test": len(recordings) - len(known)}
     assert f"left out {len(known)} recordings: {path} has learned from them" in notes
     with pytest.raises(InputError, match="no recordings are left"):
         calibrate_model(str(path), [tiny / "sessions" / known[0].name], 40.0, 0.8)

@@ -11,7 +11,7 @@ from flows.report.report_page import Report
 from flows.report.results import Metrics, joined, result_rows
 
 OURS, NONE = Method("psd"), Method("psd", "none")
-TRIALS = Trials(2, 7, ("ball", "box", "random"))
+TRIALS = Trials(2, ("ball", "box", "random"))
 HELD: Metrics = {
     "trials": 1,
     "success": 1,
