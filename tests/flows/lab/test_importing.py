@@ -191,7 +191,7 @@ def test_a_frame_becomes_a_session(tmp_path: Path, *, notebook: bool) -> None:
     with pytest.raises(InputError, match="one: has no two times, which tell the rate"):
         import_frame(frame[:1], tmp_path, "one", "label=state,units.counts=kPa")
     found = import_frame(frame[:1], tmp_path, "one", "label=state,units.counts=kPa,rate=100")
-    assert "one: 1 row, 0.0 s, 100.0 Hz\n" in found.report()
+    assert "one: 1 row, 0.0 s, 100.0 Hz (slip: slip)\n" in found.report()
     with pytest.raises(ParameterError, match=r"session is '\.\./x'"):
         import_frame(frame, tmp_path, "../x", "units.counts=kPa")
 
