@@ -8,7 +8,7 @@ from pathlib import Path
 from connectors import Console, Mqtt, SimulatedRig, TakkTile
 from flows.graph import Flow
 from flows.graph.quantity import Rate
-from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
+from operators import Faults, Health, Score, Sink, Slips, Zero, s
 from storage import Dataset, identify_detector, load_debounce, load_detector
 
 
@@ -37,7 +37,7 @@ def fingertip(
     """
     flow = Flow("fingertip")
     touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
-    debounce = load_debounce(detector, false_alarms) or Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector, false_alarms)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
     faults = touch | Health(clear_after=2 * s)
 

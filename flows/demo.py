@@ -3,41 +3,27 @@
 from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
 from flows.record import ARM_LATENCY, declare_recording
-from operators import Debounce, Label, Score
+from operators import Label, Score
 from storage import Dataset, identify_detector, load_debounce, load_detector
 
 
-def demo(
-    out: str = "recordings",
-    broker: str | None = None,
-    rig: str = "demo",
-    seed: int = 0,
-) -> Flow:
+def demo(out: str = "recordings", broker: str | None = None) -> Flow:
     """Record a simulated fingertip and arm into `out`, detect slip, and publish the events to `broker`.
 
     Args:
         out: Folder of the dataset.
         broker: Broker URL, such as mqtt://localhost; None: publish nothing.
-        rig: Rig name used in topics.
-        seed: Random seed of the simulation.
     """
     flow = Flow("demo")
     dataset = Dataset(out)
     label = Label(speed=0.003, delay=ARM_LATENCY)
-    zeroed = declare_recording(flow, SimulatedRig(seed=seed), label, dataset)
-    debounce = load_debounce("tcn") or Debounce()
+    zeroed = declare_recording(flow, SimulatedRig(), label, dataset)
+    debounce = load_debounce("tcn")
     slips = zeroed | Score(load_detector("tcn")) | debounce
 
     slips.to(dataset)
     slips.to(Console())
     if broker:
-        slips.to(
-            Mqtt(
-                broker,
-                rig=rig,
-                model=identify_detector("tcn"),
-                threshold=debounce.threshold,
-                consecutive=debounce.consecutive,
-            )
-        )
+        rules = debounce.threshold, debounce.consecutive
+        slips.to(Mqtt(broker, "lab", "demo", identify_detector("tcn"), *rules))
     return flow

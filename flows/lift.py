@@ -6,7 +6,7 @@ from connectors import Console, Gripper, TakkTile
 from connectors.gripper.robotiq import WEAKEST
 from flows.graph import Flow
 from flows.graph.quantity import Force
-from operators import Debounce, Grip, Score, Zero, s
+from operators import Grip, Score, Zero, s
 from storage import load_debounce, load_detector
 
 SETTLE: Final = 2 * s  # ns; the fingers close in 1.4 s
@@ -31,7 +31,7 @@ def lift(
         bus: I2C bus of the fingertip.
         gripper: Address of the gripper; the default is that of a new one.
     """
-    flow, debounce = Flow("lift"), load_debounce(detector) or Debounce()
+    flow, debounce = Flow("lift"), load_debounce(detector)
     rule = Grip(force=force, max_force=max_force, threshold=debounce.threshold, settle=SETTLE)
     scores = flow.source(TakkTile(bus=bus)) | Zero() | Score(load_detector(detector))
     (scores | debounce).to(Console())

@@ -3,7 +3,7 @@
 from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
 from flows.graph.quantity import Rate
-from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
+from operators import Faults, Health, Score, Sink, Slips, Zero, s
 from storage import identify_detector, load_debounce, load_detector
 
 
@@ -28,7 +28,7 @@ def live(
     """
     flow = Flow("live")
     touch = flow.source(SimulatedRig(seed=seed).touch)
-    debounce = load_debounce(detector, false_alarms) or Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector, false_alarms)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
 
     faults = touch | Health(clear_after=2 * s)

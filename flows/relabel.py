@@ -4,7 +4,7 @@ from connectors import SimulatedRig
 from flows.graph import Flow
 from flows.graph.quantity import Duration, Rate, Speed
 from flows.record import ARM_LATENCY
-from operators import Align, Debounce, Label, Score, Zero, ms
+from operators import Align, Label, Score, Zero, ms
 from storage import Dataset, load_debounce, load_detector
 
 
@@ -31,7 +31,7 @@ def relabel(
 
     zeroed = touch | Zero()
     samples = zeroed & motion | Align(within=20 * ms) | Label(speed=speed, delay=delay)
-    debounce = load_debounce(detector, false_alarms) or Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector, false_alarms)
     slips = zeroed | Score(load_detector(detector)) | debounce
 
     samples.to(dataset)

@@ -6,18 +6,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from operators.batch import Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
-from operators.checks import check_at_least, check_between
+from operators.batch import Episodes, Faults, Labelled, Motion, Slips, Touch, Truth
 from operators.errors import EndpointError
 from operators.ports import Clock, Finding, Run, Sink
 from storage.background_task import BackgroundTask
 from storage.files import check_disk
 from storage.journal import APPEND_AT, Journal
+from storage.parts import PART_ROWS, PART_SPAN
 from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Episodes | Truth
 
-PART_ROWS_MAX: Final = 1_000_000  # below the limit of readers
 APPEND_INTERVAL: Final = 0.05  # s; a row waits no longer for the journal
 SYNC_INTERVAL: Final = 0.2  # s, from the end of an fsync of the journal to the next
 
@@ -30,7 +29,7 @@ class Dataset(Sink[Recordable]):
     Labelled to samples, each other type to the table of its name.
 
     The rows of a live run go to a journal within 50 ms, and parts are committed in the background; while that
-    is slow, a part may become longer than `part_span`. A kill loses at most the last 10 rows of a table that
+    is slow, a part may become longer than 60 s. A kill loses at most the last 10 rows of a table that
     the dataset has taken, or a larger batch that is being written; a power cut loses the rows of at most
     0.3 s on a disk that syncs within 50 ms. `storage.recover` turns the journal into parts.
 
@@ -42,24 +41,15 @@ class Dataset(Sink[Recordable]):
 
     Args:
         path: Folder of the dataset, created if missing.
-        part_span: Longest event time span of a part, ns; default 60 s.
-        part_rows: Maximum number of rows of a part.
-        host: Name of the machine in session.json; default: its host name.
-
-    Raises:
-        ParameterError: if `part_span` is below 1, or `part_rows` is not from 1 to 1,000,000.
     """
 
     shared = True
     records = True
+    part_span = PART_SPAN  # smaller in tests, as part_rows
+    part_rows = PART_ROWS
 
-    def __init__(
-        self, path: str | Path, *, part_span: int = 60 * s, part_rows: int = 100_000, host: str | None = None
-    ) -> None:
-        check_at_least("Dataset", "part_span", part_span, 1)
-        check_between("Dataset", "part_rows", part_rows, 1, PART_ROWS_MAX)
+    def __init__(self, path: str | Path) -> None:
         self._root = Path(path).resolve()
-        self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
         self._tasks: tuple[BackgroundTask, ...] = ()  # that append and sync rows of a live run
         self._committing: asyncio.Task[None] | None = None
@@ -76,11 +66,6 @@ class Dataset(Sink[Recordable]):
         """Rows that are neither in a part nor in the journal."""
         return self._writer.pending if self._writer else 0
 
-    def with_path(self, path: str | Path) -> "Dataset":
-        """Return a sink with the same settings that writes to another folder."""
-        span, rows, host = self._part_span, self._part_rows, self._host
-        return Dataset(path, part_span=span, part_rows=rows, host=host)
-
     async def diagnose(self, clock: Clock) -> AsyncGenerator[Finding]:
         """Check the free space of the disk and the time of an fsync."""
         for finding in await asyncio.to_thread(check_disk, self._root):
@@ -95,8 +80,8 @@ class Dataset(Sink[Recordable]):
             InputError: if dataset.json or the description of a source is invalid, or the folder has other
                 files and is not a dataset.
         """
-        bounds = self._part_span, self._part_rows
-        self._writer = await asyncio.to_thread(SessionWriter, self._root, run, *bounds, self._host)
+        bounds = self.part_span, self.part_rows
+        self._writer = await asyncio.to_thread(SessionWriter, self._root, run, *bounds)
         self._tasks, self._appending = (), asyncio.Lock()  # a later run may have another event loop
         self._urgent = asyncio.Event()
         if journal := self._writer.journal:

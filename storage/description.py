@@ -49,14 +49,7 @@ def read_dataset(root: Path) -> Description:
     return about
 
 
-def describe_session(
-    folder: Path,
-    run: Run,
-    destination: str,
-    *,
-    host: str | None = None,
-    ended: bool = False,
-) -> None:
+def describe_session(folder: Path, run: Run, destination: str, *, ended: bool = False) -> None:
     """Write session.json at the start of a run, and when it has `ended`; without error it is complete then.
 
     The run names its tables and fingertips by `destination`, the folder of the dataset.
@@ -72,7 +65,7 @@ def describe_session(
         "start": _rfc3339(run.start),
         "start_ns": run.start,
         "software": f"slipflow {software_version()}",
-        "host": platform.node() if host is None else host,
+        "host": platform.node() if run.live else None,  # a replay is the same on every machine
         "declaration": list(run.declaration),
         "tables": [table.name for table in TABLES if table in map(TABLE_OF.get, kinds)],
         "sources": {name: dict(each) for name, each in run.describe.items()},

@@ -23,9 +23,7 @@ from storage.layout import FINGER_MAX, LABEL_FILES, LABELS, file_name, numbered_
 
 FORMAT: Final = 1
 VALUES: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
-
 SPANS_MAX: Final = 100_000  # of a session
-
 _TIME_LIMIT: Final = 2**63  # ns
 
 

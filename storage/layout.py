@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from errno import ELOOP, ENOENT, ENOTDIR
 from fnmatch import fnmatch
 from functools import cached_property
+from os.path import abspath
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -176,7 +177,7 @@ def session_folders(path: Path, *, lost: bool = False) -> list[Path]:
         InputError: if the path is neither, or may not be read.
     """
     if may_exist(path / SESSION) or may_exist(path / MANIFEST):
-        return [path]
+        return [named(path)]
     sessions = path / SESSIONS
     if not path.is_dir() or sessions.is_file():
         path, kind = (sessions, "of the sessions") if path.is_dir() else (path, "of a dataset or session")
@@ -190,6 +191,15 @@ def session_folders(path: Path, *, lost: bool = False) -> list[Path]:
         for each in found
         if may_exist(each / SESSION) or (lost and any(file.suffix != SCRATCH for file in files_of(each, "*")))
     ]
+
+
+def named(folder: Path) -> Path:
+    """Return a path of a folder that ends in its name, which `.` and `..` do not.
+
+    >>> named(Path("recordings")), named(Path("..")).name == Path.cwd().parent.name
+    (PosixPath('recordings'), True)
+    """
+    return folder if folder.name not in {"", ".."} else Path(abspath(folder))  # noqa: PTH100 - keeps links
 
 
 def may_exist(path: Path) -> bool:
@@ -228,9 +238,9 @@ def check_links(folder: Path) -> None:
     Raises:
         InputError: if it does, or may not be read.
     """
-    sessions = folder.absolute().parent
-    if sessions.name == SESSIONS:
-        session_folder(sessions.parent, folder.name)
+    own = named(folder).absolute()
+    if own.parent.name == SESSIONS:
+        session_folder(own.parent.parent, own.name)
     folders = [os.fspath(folder)]
     while folders:
         try:

@@ -23,14 +23,7 @@ _SHIPPED: Final = Path(__file__).parent / "trained"
 _SUFFIX: Final = ".safetensors"
 ALARMS: Final = "alarms"  # entry of a model card: debounce settings by rate of false alarms
 LIMIT: Final = 256 * files.MiB  # bytes of a file
-
-
-# not in the cards: a card is written by a training, and not specific to a task
-PURPOSES: Final = {
-    "tcn": "default, for surfaces that a fingertip slides over and objects that fingers hold",
-    "paper_tcn": "the paper's TCN, for comparison",
-    "frequency_cnn": "the paper's network on spectra, for comparison",
-}
+UNTUNED: Final = {"consecutive": 2, "release": 10}  # debounce settings without a card
 
 
 def read_weights(path: Path, data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
@@ -66,6 +59,7 @@ def save_weights(
     path = Path(path)
     if path.suffix != _SUFFIX:
         raise ParameterError("save_weights", "path", str(path), f"a path that ends in {_SUFFIX}")
+    path.parent.mkdir(parents=True, exist_ok=True)
     contiguous = {name: np.asarray(array, order="C") for name, array in weights.items()}
     files.put(path, safetensors.save(contiguous, dict(about or {})))
 
@@ -103,8 +97,6 @@ def load_detector(name: str | Path) -> Detector:
         raise InputError(str(name), error.reason) from error
     if isinstance(detector, ForOneFingertip):
         detector.model = Path(name).name
-        if purpose := PURPOSES.get(str(name)):
-            detector.purpose = f"{name}: {purpose}"
         if "fingertip" in card:
             detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
     return detector
@@ -147,8 +139,8 @@ def load_card(path: Path) -> dict[str, Any]:
     return files.read_checked(card) if card.exists() else {}
 
 
-def load_debounce(name: str | Path, false_alarms: float | None = None) -> Debounce | None:
-    """Return debounce settings of a detector's card, None if it has none.
+def load_debounce(name: str | Path, false_alarms: float | None = None) -> Debounce:
+    """Return the debounce settings of a detector's card; without a card, 2 decisions to start and 10 to end.
 
     Args:
         name: Built-in detector or weights file.
@@ -160,26 +152,36 @@ def load_debounce(name: str | Path, false_alarms: float | None = None) -> Deboun
     """
     path = shipped(str(name)) or Path(name)
     card = load_card(path) if path.suffix == _SUFFIX else {}
-    settings = card.get("debounce")
+    settings = card.get("debounce") or UNTUNED
     if false_alarms is not None:
         settings = _alarm_settings(str(name), card, false_alarms * minute)
-    if settings is None:
-        return None
     try:
         return Debounce(**settings)
     except (TypeError, ParameterError) as error:
         raise InputError(str(path.with_suffix(".json")), f"debounce: {error}") from error
 
 
+def alarm_entries(name: str, card: Mapping[str, Any]) -> dict[float, Mapping[str, Any]]:
+    """Return the calibrations in a card by their rate of false alarms per minute.
+
+    Raises:
+        InputError: if they are damaged.
+    """
+    try:
+        return {
+            float(each["false_alarms_per_min"]): each for each in card.get(ALARMS, ()) if each["debounce"]
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        reason = f"its card has damaged settings in {ALARMS!r}: remove them, then calibrate it again"
+        raise InputError(name, reason) from error
+
+
 def _alarm_settings(name: str, card: Mapping[str, Any], per_minute: float) -> Any:
     """Return the settings of a card for a rate of false alarms."""
-    try:
-        found = {float(each["false_alarms_per_min"]): each["debounce"] for each in card.get(ALARMS, ())}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(name, f"its card has damaged settings in {ALARMS!r}: calibrate it again") from error
-    for rate, settings in found.items():
+    found = alarm_entries(name, card)
+    for rate, entry in found.items():
         if isclose(rate, per_minute, rel_tol=1e-6):
-            return settings
+            return entry["debounce"]
     known = (
         f"calibrated for {', '.join(f'{rate:g}/min' for rate in found)} only" if found else "not calibrated"
     )

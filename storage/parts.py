@@ -11,7 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
 
-from operators.batch import packed_type
+from operators.batch import packed_type, s
 from operators.errors import EndpointError, InputError
 from operators.ports import Description
 from storage import files
@@ -21,6 +21,8 @@ from storage.layout import MANIFEST, TABLES, Table, file_name, may_exist, number
 from storage.schema import cells_of, fields_of, flat, schema
 
 MANIFEST_VERSION: Final = 2
+PART_SPAN: Final = 60 * s  # ns, longest event time span of a part
+PART_ROWS: Final = 100_000  # most rows of a part
 UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
 
 _FIX: Final = "restore a copy; each part is a Parquet file, which other programs read without it"

@@ -7,7 +7,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, cast
 
 from operators.errors import EndpointError, os_error_reason
 from operators.ports import Description
@@ -31,10 +31,8 @@ from storage.layout import (
     may_exist,
     numbered_files,
 )
-from storage.parts import Part, read_manifest, write_manifest, write_parts
+from storage.parts import PART_ROWS, Part, read_manifest, write_manifest, write_parts
 from storage.schema import to_arrow
-
-PART_ROWS: Final = 100_000  # of a part made from the journal
 
 
 def recover(folder: str | Path) -> "Recovery":

@@ -12,13 +12,22 @@ from operators.checks import check_at_least
 from operators.errors import EndpointError, InputError
 from operators.fingertip import Fingertip, measured
 from operators.ports import Description, SomeBatch
-from storage import layout, schema
+from storage import schema
 from storage.arrow import pa
 from storage.description import read_session
 from storage.files import locked
 from storage.hand_labels import HandLabels, LabelSpan, read_hand_labels, write_hand_labels
-from storage.journal import journal_files
-from storage.layout import SESSION, TABLE_OF, TABLES, Table, check_links, may_exist, session_folders, table_of
+from storage.layout import (
+    JOURNAL,
+    SESSION,
+    TABLE_OF,
+    TABLES,
+    Table,
+    check_links,
+    may_exist,
+    session_folders,
+    table_of,
+)
 from storage.parts import Part, read_manifest, read_part
 from storage.recovery import recover
 
@@ -71,22 +80,17 @@ class Session:
             InputError: if there is no session or several, it contains a link, or its description or manifest
                 is damaged.
         """
-        folder = Path(path)
-        if not may_exist(folder / SESSION):
-            folder = _only_session(folder)
+        folder = _only_session(Path(path))
         check_links(folder)
-        if journal_files(folder):
+        if may_exist(folder / JOURNAL):
             _recover(folder)
         about = read_session(folder)
-        if may_exist(folder / layout.JOURNAL) and not {"end_ns", "recovered"} & {*about}:
-            _recover(folder)
-            about = read_session(folder)
         return cls(folder, about, read_manifest(folder, about))
 
     @property
     def name(self) -> str:
-        """Name of the session."""
-        return str(self.about["session"])
+        """Name of its folder, which is safe as a file name, unlike the one in session.json."""
+        return self.folder.name
 
     @property
     def tables(self) -> tuple[str, ...]:

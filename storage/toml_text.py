@@ -1,7 +1,6 @@
 """TOML files of users, read with typed errors."""
 
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,25 +27,11 @@ def parse_toml(text: str, where: str) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` names its file in errors.
 
     Raises:
-        InputError: if it is not TOML, nests too many levels, or has a number of more than 64 bits.
+        InputError: if it is not TOML, or nests too many levels.
     """
     try:
-        table = tomllib.loads(text)
-        large = next(_too_large(table), None)
+        return tomllib.loads(text)
     except ValueError as error:  # with line and column
         raise InputError(where, f"is not valid TOML: {error}") from None
     except RecursionError:
         raise InputError(where, "is not valid TOML: it nests too many levels") from None
-    if large:
-        raise InputError(where, f"{large[1:]} is a number of more than 64 bits")
-    return table
-
-
-def _too_large(value: object) -> Iterator[str]:
-    """Yield the dotted keys of integers of more than 64 bits, each after a dot."""
-    if isinstance(value, dict):
-        yield from (f".{key}{rest}" for key, each in value.items() for rest in _too_large(each))
-    elif isinstance(value, list):
-        yield from (rest for each in value for rest in _too_large(each))
-    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        yield ""

@@ -28,6 +28,7 @@ from storage.layout import (
     file_name,
     files_of,
     may_exist,
+    named,
     numbered_files,
     session_folders,
     table_of,
@@ -85,7 +86,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         InputError: if `path` is neither, cannot be read, or it or one of its sessions has another version.
         EndpointError: if the disk fails, or memory or file descriptors are short.
     """
-    root, findings = Path(path), list[SessionFinding]()
+    root, findings = named(Path(path)), list[SessionFinding]()
     folders = session_folders(root, lost=True)
     if folders != [root]:
         try:

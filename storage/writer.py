@@ -2,7 +2,6 @@
 
 import os
 import weakref
-from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -26,7 +25,7 @@ class SessionWriter:
     Only `full`, `add` and `begin_commit` do not wait for the disk. `append`, `commit` and a sync of the
     journal may run in other threads, each once at a time. All tables are committed together, so that their
     parts cover the same time. The rows of a live run are in a journal until then. A replay can be repeated,
-    so nothing of it is made durable. The last three arguments are those of `storage.Dataset`.
+    so nothing of it is made durable. A part spans `part_span` (ns) and has `part_rows` at most.
 
     Attributes:
         folder: Folder of the session.
@@ -37,18 +36,16 @@ class SessionWriter:
         SlipflowError: as `storage.Dataset.open`.
     """
 
-    def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
+    def __init__(self, root: Path, run: Run, part_span: int, part_rows: int) -> None:
         arrow.load()
         self.folder = new_session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
-        self._host = host
         tables = map(TABLE_OF.get, run.sink_types.get(str(root), {}))
         self._buffers = {each.name: Buffer(each.kind) for each in tables if each and not each.parted}
         self._committing: dict[str, Buffer] | None = None  # buffers of the commit in progress
         self._single: list[NumberedRows] = []  # rows of single-file tables when the commit began
         self._failed = False  # the last commit failed: it must succeed before more rows are added
         self._parts: list[Part] = []
-        self._numbers = Counter[str]()  # of parts, by table
         self.journal: Journal | None = None
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
@@ -202,8 +199,7 @@ class SessionWriter:
         self._release()
 
     def _describe(self, *, ended: bool = False) -> None:
-        where = str(self._root)
-        describe_session(self.folder, self._run, where, host=self._host, ended=ended)
+        describe_session(self.folder, self._run, str(self._root), ended=ended)
 
     def _write_manifest(self) -> None:
         about: Description = {"session": self._run.session, "start_ns": self._run.start}
@@ -229,11 +225,9 @@ class SessionWriter:
 
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:
         rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])
-        number = self._numbers[table.name]
+        number = sum(table.has(part.path) for part in self._parts)
         limit, live = self._part_rows, self._run.live
-        parts = write_parts(self.folder, table, rows, number=number, limit=limit, durable=live)
-        self._parts += parts
-        self._numbers[table.name] += len(parts)
+        self._parts += write_parts(self.folder, table, rows, number=number, limit=limit, durable=live)
 
     @contextmanager
     def _reporting(self) -> Generator[None]:

@@ -1,13 +1,11 @@
 """The command `slipflow calibrate`."""
 
-import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson
-from flows.cli.terminal import check_output_file, note
+from flows.cli.terminal import note
 
 
 def calibrate(
@@ -42,7 +40,6 @@ def calibrate(
             " into this folder).",
         ),
     ] = None,
-    as_json: AsJson = False,
 ) -> None:
     """Choose settings of the debounce that keep a stated rate of false alarms.
 
@@ -58,6 +55,7 @@ def calibrate(
     """
     from flows.graph.quantity import parse_quantity
     from flows.learn.alarm_calibration import calibrate_model
+    from flows.report.report_page import check_output_folder
     from operators import minute
     from operators.checks import check_above, check_between
 
@@ -66,6 +64,6 @@ def calibrate(
     check_above("calibrate", "--false-alarms", rate, 0, "per minute")
     check_between("calibrate", "--confidence", share, 0.8, 0.999)
     if out is not None:
-        check_output_file(out)
+        check_output_folder(out.parent)
     found = calibrate_model(model, on, round(rate, 9), share, out=out, log=note)
-    typer.echo(json.dumps({"path": str(found.path), **found.entry}) if as_json else found.report())
+    typer.echo(found.report())

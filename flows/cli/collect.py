@@ -124,7 +124,7 @@ def _report(result: "Collector") -> None:
         typer.echo(f"error: {result.error}; the arm has stopped where it is", err=True)
         raise typer.Exit(2)
     gaps = [gap for each in result.summaries for source in each.sources.values() for gap in source.gaps]
-    if gaps or any(each.lost for each in result.summaries):
+    if gaps or any(each.error for each in result.summaries):
         raise typer.Exit(1)
 
 

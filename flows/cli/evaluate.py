@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
+from flows.cli.options import Cluster, Jobs, ReportFolder
 from flows.cli.terminal import command_line, note, progress_bar, write_report
 
 _TURN = 0.02  # s, CPU time of each turn of timing
@@ -46,7 +46,6 @@ def evaluate(
     jobs: Jobs = None,
     cluster: Cluster = None,
     out: ReportFolder = Path("evaluation"),
-    as_json: AsJson = False,
 ) -> None:
     """Compare detectors on a dataset.
 
@@ -100,4 +99,4 @@ def evaluate(
     for line in (*(f"not evaluated: {name}: {why}" for name, why in found.missing.items()), *found.notes):
         note(line)
     report = (stress_report if stress else evaluation_report)(found, command_line())
-    write_report(report, out, "stress" if stress else "evaluation", as_json=as_json)
+    write_report(report, out, "stress" if stress else "evaluation")

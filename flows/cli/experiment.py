@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Cluster, Jobs, ReportFolder
+from flows.cli.options import Cluster, Jobs, ReportFolder
 from flows.cli.terminal import command_line, progress_bar, write_report
 
 
@@ -36,16 +36,12 @@ def experiment(
             " times as many trials); repeatable (default: all).",
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Random seed of the first trial; it increases by 1 per trial.")
-    ] = 900_000,
     stress: Annotated[
         bool, typer.Option("--stress", help="Also vary friction, mass, delay, sample rate and stiffness.")
     ] = False,
     jobs: Jobs = None,
     cluster: Cluster = None,
     out: ReportFolder = Path("experiment"),
-    as_json: AsJson = False,
 ) -> None:
     """Run a robot experiment of the paper in simulation.
 
@@ -64,9 +60,9 @@ def experiment(
 
     # a repeated method or object counts once, else its trials would count twice
     methods = list(dict.fromkeys(map(parse_method, method or ()))) or list(METHODS)
-    chosen = Trials(trials, seed, tuple(dict.fromkeys(objects or Trials.objects)))
+    chosen = Trials(trials, tuple(dict.fromkeys(objects or Trials.objects)))
     check_output_folder(out)
     with workers(jobs, cluster) as executor, progress_bar(name) as update:
         results = run_study(name, methods, chosen, stress=stress, executor=executor, progress=update)
     report = experiment_report(name, results, chosen, command_line())
-    write_report(report, out, name, as_json=as_json)
+    write_report(report, out, name)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from flows.cli.options import DatasetOrSession
-from flows.cli.terminal import check_output_file, progress_bar
+from flows.cli.terminal import progress_bar
 from flows.report.table import counted
 
 if TYPE_CHECKING:
@@ -82,16 +82,10 @@ def _mcap(source: Path, out: Path) -> str:
 
     sessions = _sessions(source)
     files, single = dict[Path, int](), len(sessions) == 1 and out.suffix == ".mcap"
-    if single:
-        check_output_file(out)
     with progress_bar("exporting") as update:
         for number, session in enumerate(sessions):
-            name = session.name
-
-            def progress(rows: int, number: int = number, name: str = name) -> None:
-                update(number, len(sessions), f"{name}, {rows:,} rows")
-
-            path = out if single else out / f"{name}.mcap"
-            files[path] = sum(mcap_file.export(session, path, progress).values())
+            update(number, len(sessions), session.name)
+            path = out if single else out / f"{session.name}.mcap"
+            files[path] = sum(mcap_file.export(session, path).values())
     size = f"{counted(len(files), 'file')}, {counted(sum(files.values()), 'row')}"
     return f"{size}\nwrote {', '.join(map(str, files))}"

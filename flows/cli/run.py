@@ -1,7 +1,6 @@
 """The command `slipflow run`: a flow live, or over recordings, and the report of its result."""
 
 import json
-import logging
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from flows.graph import Flow
     from flows.run.replays import Replayed
     from operators.ports import Run
-
-models = logging.getLogger("slipflow.models")
 
 
 def run(
@@ -121,21 +118,10 @@ async def execute(flow: "Flow", limit: int | None = None) -> "Run":
     from flows.run.live_runner import LiveRunner
     from flows.run.supervision import signals_to
 
-    log_models(flow)
     session = f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
     live = LiveRunner(flow, session, duration=limit)
     with signals_to(live.stop):
         return await live.execute()
-
-
-def log_models(flow: "Flow") -> None:
-    """Log what each shipped model of a flow is meant for."""
-    from operators.score import Score
-
-    detectors = [node.part.detector for node in flow.nodes if isinstance(node.part, Score)]
-    for purpose in dict.fromkeys(getattr(each, "purpose", "") for each in detectors):
-        if purpose:
-            models.info("model %s", purpose)
 
 
 def report_run(run: "Run", *, as_json: bool) -> None:
@@ -146,7 +132,7 @@ def report_run(run: "Run", *, as_json: bool) -> None:
     typer.echo(json.dumps(summary.as_dict()) if as_json else summary.report())
     if run.error:
         raise typer.Exit(130)
-    if summary.lost:
+    if summary.error:
         raise typer.Exit(1)
 
 
@@ -186,8 +172,6 @@ def replay_all(
             for each in replays.run(executor, progress=update):
                 if each.error and len(replays.recordings) == 1:
                     raise SlipflowError(each.error)
-                if not done:
-                    log_models(replays.flow)
                 done.append(each)
                 _print(each, reasons, as_json=as_json)
         except KeyboardInterrupt:
@@ -207,7 +191,7 @@ def replay_all(
         rows = counted(sum(one.rows for each in summaries for one in each.sources.values()), "row")
         failures = f"; {failed} failed" if failed else ""
         typer.echo(f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{failures}")
-    if failed or any(each.lost for each in summaries):
+    if failed or any(each.error for each in summaries):
         raise typer.Exit(1)
 
 

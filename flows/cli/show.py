@@ -55,7 +55,7 @@ def show(
     detector = detector or _fitting(opened)
     asyncio.run(_show(opened, detector, server, browse=not no_browser))
     if detector == _NONE:
-        dataset = opened.folder.parent.parent
+        dataset = opened.folder.absolute().parent.parent
         note(f"next: slipflow train {quote(str(dataset))} -o {quote(dataset.name)}.safetensors")
 
 
@@ -106,7 +106,7 @@ async def load(session: "Session", detector: str = _DEFAULT) -> "SessionPage":
 
     session.hand_labels()  # an error of its files ends the command before the scoring
     scored, has_slips = detector != _NONE, bool(session.fingers(Slips))
-    debounce = (load_debounce(detector) if scored else None) or Debounce()
+    debounce = load_debounce(detector) if scored else Debounce()
     page = SessionPage(session, debounce, detector if scored else None, recorded=has_slips)
     flow = Flow("show")
     zeroed = flow.source(Replay(session, Touch)) | Zero()

@@ -1,6 +1,5 @@
 """Output of the commands: log of a run, notes, progress and reports."""
 
-import json
 import logging
 import shlex
 import sys
@@ -26,20 +25,6 @@ def begin_log() -> None:
 def note(text: str) -> None:
     """Print a message on stderr, as stdout is for the result."""
     typer.echo(text, err=True)
-
-
-def check_output_file(path: Path) -> None:
-    """Require that a file can be created at `path`: its folder exists, and `path` is not a folder.
-
-    Raises:
-        EndpointError: if it cannot.
-    """
-    from operators.errors import EndpointError
-
-    if not path.parent.is_dir():
-        raise EndpointError(str(path), f"folder {path.parent} does not exist: create it, or write elsewhere")
-    if path.is_dir():
-        raise EndpointError(str(path), "is a folder: give a file name")
 
 
 @contextmanager
@@ -68,8 +53,8 @@ def command_line() -> str:
     return shlex.join(["slipflow", *sys.argv[1:]])
 
 
-def write_report(report: "Report", folder: Path, name: str, *, as_json: bool) -> None:
+def write_report(report: "Report", folder: Path, name: str) -> None:
     """Write a report as NAME.html, .md, .json and figures; print its tables."""
     paths = report.write(folder, name)
     note(f"wrote {', '.join(map(str, paths))}")
-    typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())
+    typer.echo(report.terminal())

@@ -1,12 +1,11 @@
 """The command `slipflow train`."""
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Seed
+from flows.cli.options import Seed
 from flows.cli.terminal import note, progress_bar
 
 if TYPE_CHECKING:
@@ -46,7 +45,6 @@ def train(
         typer.Option(min=1, help="Number of training steps of a tcn (default: 6000; with --from 300)."),
     ] = None,
     seed: Seed = 0,
-    as_json: AsJson = False,
 ) -> None:
     """Train a slip detector.
 
@@ -64,11 +62,13 @@ def train(
     from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
     from flows.learn.training.trainer import FURTHER_STEPS
     from flows.learn.training.trainer import train as run_training
+    from flows.report.report_page import check_output_folder
 
     if (parent or method != "tcn") and filters != 24:
         raise typer.BadParameter("--filters is for a new tcn")
     if method != "tcn" and (parent or steps):
         raise typer.BadParameter(f"--from and --steps are for a tcn, not for {method}")
+    check_output_folder(out.parent)
     recipe: Recipe | PaperRecipe
     if method == "tcn":
         usual = Recipe().steps if parent is None else FURTHER_STEPS
@@ -89,4 +89,4 @@ def train(
         except KeyboardInterrupt:
             note(f"stopped: no model was written to {out}")
             raise
-    typer.echo(json.dumps({"path": str(model.path), **model.card}) if as_json else model.report())
+    typer.echo(model.report())

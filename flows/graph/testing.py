@@ -2,7 +2,7 @@
 
 import asyncio
 import selectors
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Iterator
 from concurrent.futures import Executor
 from typing import Any, Generic, TypeVar, TypeVarTuple, Unpack
 
@@ -94,30 +94,16 @@ class TestSource(Source[B], Generic[B]):
 
 
 class TestSink(Sink[Batch]):
-    """Sink that keeps the batches, and can fail or wait on purpose.
+    """Sink that keeps the batches.
 
     Args:
         destination: Declared destination; unique by default.
-        lossless: Whether the runner must not drop batches when the sink is slow.
-        capacity: Batches in the queue.
-        failures: Exceptions that the first writes raise; None: the write succeeds.
-        before_write: Function that is awaited before each write.
     """
 
     __test__ = False
 
-    def __init__(
-        self,
-        destination: str = "",
-        *,
-        lossless: bool = True,
-        capacity: int = 4096,
-        failures: Sequence[Exception | None] = (),
-        before_write: Callable[[], Coroutine[Any, Any, None]] | None = None,
-    ) -> None:
+    def __init__(self, destination: str = "") -> None:
         self._destination = destination or f"test sink {id(self)}"
-        self.lossless, self.capacity = lossless, capacity
-        self._failures, self._before_write = list(failures), before_write
         self.written: list[Batch] = []
         self.opened = self.closed = 0
 
@@ -132,22 +118,9 @@ class TestSink(Sink[Batch]):
         self.opened += 1
 
     def take(self, batch: Batch) -> bool:
-        """Keep the batch, or raise the next failure; return False if a write has to wait."""
-        if self._before_write:
-            return False
-        self._keep(batch)
-        return True
-
-    async def write(self, batch: Batch) -> None:
-        """Keep the batch, or raise the next failure."""
-        if self._before_write:
-            await self._before_write()
-        self._keep(batch)
-
-    def _keep(self, batch: Batch) -> None:
-        if self._failures and (failure := self._failures.pop(0)):
-            raise failure
+        """Keep the batch."""
         self.written.append(batch)
+        return True
 
     async def close(self) -> None:
         """Count the call."""

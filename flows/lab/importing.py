@@ -27,6 +27,7 @@ from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import Codes, Labelled, Motion, Sample, Touch, concat
 from operators.errors import InputError, ParameterError, SlipflowError
 from operators.fingertip import TAKKTILE
+from operators.label import LIMIT
 from operators.ports import Description
 from storage import Dataset
 from storage.description import read_session
@@ -176,7 +177,7 @@ class TraceImport:
         lines += [f"  warning: {each}" for each in part.warnings]
         absent = [name for name in ("slip", "static") if not many[name]]
         if absent and not self.label_source and np.any(speeds > _LABEL.speed):
-            limits = f"above {_LABEL.speed:g} and below {_LABEL.limit:g} m/s in the base's x-y plane"
+            limits = f"above {_LABEL.speed:g} and below {LIMIT:g} m/s in the base's x-y plane"
             lines.append(f"  warning: no row is {absent[0]}, but the arm moves: slip is a speed {limits}")
         about = self.trace.describe()
         stated = "".join(f", {name} {about[name]}" for name in ("group", "split") if name in about)
@@ -210,10 +211,10 @@ def import_frame(
         about: Further entries of the session's description.
 
     Raises:
-        InputError: that lists all problems of the data, with a map that solves them.
+        InputError: that lists all problems of the data, with a map that solves them; or if the dataset has
+            another session of that name.
         ParameterError: on an invalid map or name of the session.
         EndpointError: if the dataset cannot be written.
-        InputError: if it has another session of that name.
     """
     stated = columns if isinstance(columns, ColumnMap) else ColumnMap.parse(columns)
     about = {**(about or {}), **({} if group is None else {"group": group})}

@@ -31,7 +31,7 @@ from flows.run.replay_runner import ReplayRunner
 from flows.run.session_output import new_session, remove_partial
 from operators import Align, Label, Zero, ms
 from operators.batch import Batch, Episodes, Motion, Touch, Truth, concat, s
-from operators.checks import check_at_least, check_choice
+from operators.checks import check_choice
 from operators.fingertip import TAKKTILE
 from storage import Dataset
 from storage.files import partial_output
@@ -51,7 +51,6 @@ _GRASPS: Final = 1000  # recordings of this plan
 _SEED_OFFSET: Final = {"tiny": 1_000_000}  # no recording of a small plan occurs in a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
 _SPACING: Final = 600 * s  # ns between the starts of two recordings, which are shorter
-_PART_SPAN: Final = 3600 * s  # ns, longer than any recording, so that each table of a session is one part
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +72,9 @@ def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
     ('plane-050-01', 'plane')
 
     Raises:
-        ParameterError: on an unknown plan or a negative seed.
+        ParameterError: on an unknown plan.
     """
     check_choice("simulate", "plan", plan, (*PLANS, GRASPS))
-    check_at_least("simulate", "seed", seed, 0)
     if plan == GRASPS:
         return [
             PlannedRecording(f"grasp-{n:03d}", None, n, _start(seed, n, _GRASPS), TURNS[n % len(TURNS)])
@@ -131,7 +129,7 @@ def simulate(
         progress: Called with the number of recordings done and their total.
 
     Raises:
-        ParameterError: on an unknown plan or a negative seed.
+        ParameterError: on an unknown plan.
         EndpointError: if the folder is not empty or cannot be written to.
         SlipflowError: if a recording cannot be simulated; the folder is deleted then.
     """
@@ -152,7 +150,7 @@ def _record(root: Path, plan: str, seed: int, planned: PlannedRecording) -> None
 
 async def _run(root: Path, plan: str, seed: int, planned: PlannedRecording) -> None:
     """Replay what was simulated through a flow that records it; describe it as a live run would."""
-    flow, dataset = Flow("simulate"), Dataset(root, part_span=_PART_SPAN, host="simulated")
+    flow, dataset = Flow("simulate"), Dataset(root)
     sources: dict[str, dict[str, Any]]
     if planned.scene is None:
         touch, truth = simulate_grasp(seed, planned.seed)

@@ -15,13 +15,13 @@ from flows.learn.evaluation.folds import repeated
 from flows.learn.event_metrics import EventMetrics, TrueSlips, debounce_settings
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.training.trained_model import learned, provenance
-from flows.report.table import counted
+from flows.report.table import counted, show
 from operators import Debounce
 from operators.batch import Reals
 from operators.errors import InputError, ParameterError, SlipflowError
 from operators.extras import software_version
 from storage import files, load_detector
-from storage.models import ALARMS, LIMIT, load_card, save_card, shipped
+from storage.models import ALARMS, LIMIT, alarm_entries, load_card, save_card, shipped
 
 _MISSED: Final = 1000.0  # ms, delay that a missed slip counts as in the choice among settings that hold
 _PIECES: Final = 10  # into which a single session is cut
@@ -188,20 +188,20 @@ class TooLittleDataError(SlipflowError):
 
     def __init__(self, rate: float, confidence: float, alarms: int, minutes: float, needed: float) -> None:
         had = f"{alarms} false alarm{'' if alarms == 1 else 's'}" if alarms else "no false alarm"
-        found = f"the strictest setting had {had} in {minutes:.1f} static minutes"
+        found = f"the strictest setting had {had} in {show(minutes, None)} static minutes"
         if alarms > rate * minutes:
             advice = (
                 f", {alarms / minutes:.2g} per minute, so more data will not help;"
                 " allow a higher rate, or train the model for such recordings"
             )
         else:
-            more = f"{needed - minutes:.1f} more static minutes{' without a further one' if alarms else ''}"
-            advice = f", but {needed:.1f} are needed; record {more}, or allow a higher rate"
+            more = f"{show(needed - minutes, None)} more static minutes"
+            more += " without a further one" if alarms else ""
+            advice = f", but {show(needed, None)} are needed; record {more}, or allow a higher rate"
         super().__init__(
             f"a rate of {rate:g} false alarms per minute cannot be shown with {100 * confidence:g} %"
             f" confidence: {found}{advice}"
         )
-        self.minutes, self.needed = minutes, needed
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,20 +209,21 @@ class CalibratedModel:
     """Model on disk with settings for a rate of false alarms."""
 
     path: Path
-    entry: Mapping[str, Any]  # of the card
     found: Calibrated
 
     def report(self) -> str:
         """Return the result as text."""
         found, events, rate = self.found, self.found.measured, f"{self.found.rate:g}/min"
         rule = found.debounce
-        slips = f"{events.missed:.1f} % of slips missed, median delay {np.median(events.delays):.0f} ms"
+        slips = f"{events.missed:.1f} % of slips missed" if events.slips else "no slips"
+        if len(events.delays):
+            slips += f", median delay {np.median(events.delays):.0f} ms"
         return (
             f"threshold {rule.threshold:g}; {counted(rule.consecutive, 'decision')} to start,"
             f" {rule.release} to end: at most {found.bound:.2g} false alarms per static minute with"
             f" {100 * found.confidence:g} % confidence ({rate} wanted)\n"
             f"measured: {counted(events.false_alarms, 'false alarm')} in {events.minutes:.1f} static minutes;"
-            f" {slips if events.slips else 'no slips'}\n"
+            f" {slips}\n"
             f"wrote {self.path} and its card; use it with"
             f" `slipflow run live --set detector={self.path} --set false_alarms={rate}`"
         )
@@ -268,6 +269,7 @@ def calibrate_model(
     if out is None and path != source and path.exists():
         raise InputError(str(path), "exists: calibrate it, or give another file with -o")
     card, weights = load_card(source), files.read(source, LIMIT)
+    entries = alarm_entries(model, card)
     recordings = _unseen(model, card, paths, log)
     if not recordings:
         raise InputError("calibrate", "no recordings are left: give some that the model has not learned from")
@@ -276,17 +278,17 @@ def calibrate_model(
     log(f"scoring {counted(len(recordings), 'recording')}")
     trials = try_settings(recordings, [one.probabilities(detector) for one in recordings])
     found = calibrated(trials, rate, confidence)
-    entry = _entry(found, provenance(recordings))
-    entries = {float(each["false_alarms_per_min"]): each for each in (*card.get(ALARMS, ()), entry)}
+    entries[rate] = _entry(found, provenance(recordings))
     card |= {
         "file": path.name,
         "sha256": hashlib.sha256(weights).hexdigest(),
         ALARMS: [entries[each] for each in sorted(entries)],
     }
     if path.absolute() != source.absolute():
+        path.parent.mkdir(parents=True, exist_ok=True)
         files.put(path, weights)
     save_card(path, card)
-    return CalibratedModel(path, entry, found)
+    return CalibratedModel(path, found)
 
 
 def _unseen(

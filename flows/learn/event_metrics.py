@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flows.learn.labelled_recordings import LabelledRecording, Sampling
 from operators import Debounce, ms, s
-from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
+from operators.batch import SLIP, UNKNOWN, Codes, Flags, Reals, Scores, Times
 from operators.detectors import Detector
 
 PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches of the label
@@ -77,6 +77,22 @@ def runs(flags: Flags) -> NDArray[np.intp]:
     return np.flatnonzero(edges).reshape(-1, 2)
 
 
+def with_lost(label: Codes, places: NDArray[np.int64], longest: int) -> Codes:
+    """Return the label of every place from a label (n,) of samples at `places` (n,).
+
+    Up to `longest` - 1 lost samples have the label of the samples before and after them if these agree. Other
+    lost samples are unknown.
+
+    >>> with_lost(np.array([0, 0, 1, 1], np.int8), np.array([0, 2, 4, 8]), 3).tolist()
+    [0, 0, 0, -1, 1, -1, -1, -1, 1]
+    """
+    steps = np.diff(places, append=places[-1:] + 1)
+    kept = (steps <= longest) & (label == np.roll(label, -1))
+    found: Codes = np.repeat(np.where(kept, label, UNKNOWN).astype(label.dtype), steps)
+    found[places] = label
+    return found
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TrueSlips:
     """True slips of a recording; ns from its first sample.
@@ -88,20 +104,24 @@ class TrueSlips:
     found: Times  # (k, 2) start and end of each slip that must be detected
     tolerated: Times  # (j, 2) start and end of all stretches in which onsets are not false
     static: int  # ns outside of all these, after the warm-up
+    judged: int  # regular samples after the warm-up
+    places: NDArray[np.int64]  # (n,) of the samples among regular ones
     sampling: Sampling
 
     @classmethod
     def labelled(cls, recording: LabelledRecording) -> Self:
         """Return the slips by the recording's label."""
-        sampling, warm_up = recording.sampling, recording.sampling.warm_up
-        starts, ends = runs(recording.slip).T  # (m,) each
+        sampling, places = recording.sampling, recording.places
+        label = with_lost(recording.label, places, sampling.samples(PAUSE))
+        warm_up = next(iter(places[sampling.warm_up :]), len(label))
+        starts, ends = runs(label == SLIP).T  # (m,) each
         apart = starts[1:] - ends[:-1] >= sampling.samples(PAUSE)
         starts = starts[np.append(True, apart)[: len(starts)]]
         ends = ends[np.append(apart, True)[: len(ends)]]
         slips = np.stack([starts, ends], axis=1)
         required = (ends - starts >= sampling.samples(BRIEF)) & (starts >= warm_up)
-        tolerated: Times = np.concatenate([slips, runs(recording.label == UNKNOWN)])
-        static = np.ones(len(recording), np.bool_)
+        tolerated: Times = np.concatenate([slips, runs(label == UNKNOWN)])
+        static = np.ones(len(label), np.bool_)
         for first, end in tolerated.tolist():
             static[first:end] = False
         period, last = sampling.period, [0, 1]  # a slip ends at its last sample
@@ -109,6 +129,8 @@ class TrueSlips:
             (slips[required] - last) * period,
             (tolerated - last) * period,
             int(static[warm_up:].sum()) * period,
+            len(label) - warm_up,
+            places,
             sampling,
         )
 
@@ -131,7 +153,7 @@ class EventMetrics:
     def of(cls, probabilities: Sequence[Reals], slips: Sequence[TrueSlips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
         pairs = zip(probabilities, slips, strict=True)
-        return cls.of_onsets([onsets(each, debounce, true.sampling) for each, true in pairs], slips)
+        return cls.of_onsets([onsets(each, debounce, true) for each, true in pairs], slips)
 
     @classmethod
     def of_onsets(cls, found: Sequence[Times], slips: Sequence[TrueSlips]) -> Self:
@@ -162,10 +184,10 @@ class EventMetrics:
         return 100 * self.repeats / self.slips if self.slips else float("nan")
 
 
-def onsets(probability: Reals, debounce: Debounce, sampling: Sampling) -> Times:
+def onsets(probability: Reals, debounce: Debounce, true: TrueSlips) -> Times:
     """Return the times at which `Debounce` reports an onset; (k,) ns from the first probability (n,)."""
-    scores = Scores(sampling.times(len(probability)), probability)
-    slips = debounce.reset_copy().push(scores[sampling.warm_up :])
+    scores = Scores(true.places * true.sampling.period, probability)
+    slips = debounce.reset_copy().push(scores[true.sampling.warm_up :])
     raised: Times = slips.time[slips.state == SLIP]
     return raised
 

@@ -60,8 +60,8 @@ _RATE: Final = 100.0  # Hz, that settings of a debounce and features are written
 class Sampling:
     """Constant rate of samples.
 
-    >>> Sampling(200.0).period, Sampling(200.0).warm_up, Sampling(200.0).scaled(2)
-    (5000000, 199, 4)
+    >>> Sampling(200.0).period, Sampling(200.0).warm_up, Sampling(16.0).warm_up, Sampling(200.0).scaled(2)
+    (5000000, 199, 99, 4)
     """
 
     rate: float = _RATE  # Hz
@@ -79,10 +79,6 @@ class Sampling:
     def samples(self, time: float) -> int:
         """Return the number of samples in a time (ns), at least 1."""
         return max(round(time * self.rate / s), 1)
-
-    def times(self, samples: int) -> Times:
-        """Return the times of consecutive samples, ns from the first one; (samples,)."""
-        return np.arange(samples) * self.period
 
     def minutes(self, samples: int) -> float:
         """Return the duration of a number of samples."""
@@ -108,7 +104,7 @@ class Strokes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledRecording:
-    """Samples of one fingertip at a constant rate, with their labels."""
+    """Samples of one fingertip at a constant rate, with their labels; samples may be lost."""
 
     counts: Counts  # (n, cells) zeroed; invalid cells hold their last valid value, as in `Score`
     label: Codes  # (n,) by arm speed, as in the paper, or by hand: 1 slip, 0 static, -1 unknown
@@ -122,6 +118,7 @@ class LabelledRecording:
     plan: str = ""  # of a simulation
     fingertip: Fingertip = TAKKTILE
     dataset: str = ""  # path of its folder
+    time: Times | None = None  # (n,) ns; None: at the constant rate, without lost samples
 
     def __len__(self) -> int:
         return len(self.label)
@@ -142,6 +139,16 @@ class LabelledRecording:
         return Sampling(self.fingertip.rate)
 
     @property
+    def places(self) -> NDArray[np.int64]:
+        """Places of the samples (n,) among regular ones; lost ones leave theirs free, 1 s of them at most."""
+        order, sampling = np.arange(len(self)), self.sampling
+        if self.time is None:
+            return order
+        near = np.rint((self.time - self.time[:1]) / sampling.period).astype(np.int64)
+        places = np.maximum.accumulate(near - order) + order
+        return np.minimum(np.diff(places, prepend=places[:1]), sampling.samples(s)).cumsum()
+
+    @property
     def slip(self) -> Flags:
         """True where the label is slip; (n,)."""
         slip: Flags = self.label == SLIP
@@ -157,6 +164,7 @@ class LabelledRecording:
             sliding=None if self.sliding is None else self.sliding[rows],
             strokes=None,
             by_hand=0,
+            time=None if self.time is None else self.time[rows],
         )
 
     def known(self, hop: int) -> NDArray[np.intp]:
@@ -187,7 +195,7 @@ class LabelledRecording:
         probability, counts = np.full(len(self), np.nan), self.counts
         if len(self):
             valid = np.ones(counts.shape, np.bool_) if self.valid is None else self.valid
-            touch = Zeroed(self.sampling.times(len(self)), counts, np.zeros_like(counts), valid)
+            touch = Zeroed(self.places * self.sampling.period, counts, np.zeros_like(counts), valid)
             scores = score.push(touch).probability
             probability[len(self) - len(scores) :] = scores
             probability[: self.sampling.warm_up] = np.nan
@@ -224,6 +232,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "") -> LabelledReco
         _sliding(zeroed, replace(truth, time=touch.time)),  # the clock of the touch may be wrong
         _strokes(moves, truth.time),
         name=name,
+        time=zeroed.time,
     )
 
 
@@ -325,6 +334,7 @@ def _of_session(session: Session, finger: int, hand: HandLabels) -> LabelledReco
         str(session.about.get("group") or ""),
         _plan(session),
         fingertip,
+        time=samples.time,
     )
 
 

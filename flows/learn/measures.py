@@ -6,6 +6,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from flows.learn.event_metrics import DECISION, EventMetrics, TrueSlips, match_onsets, onsets
 from flows.learn.labelled_recordings import LabelledRecording, Sampling
@@ -87,23 +88,22 @@ def judged(
     Returns:
         Rows of the results table.
     """
-    known = _known(recording, probability)
-    predicted, raised = probability >= DECISION, onsets(probability, debounce, recording.sampling)
+    known, true = _known(recording, probability), TrueSlips.labelled(recording)
+    predicted, raised = probability >= DECISION, onsets(probability, debounce, true)
     parts = [(condition, known)] if condition else list(_motions(recording, known))
     key = {"method": method, "recording": recording.name, "fold": fold}
     rows = [
         result_rows(_confusion(recording, predicted, part), condition=kind, **key) for kind, part in parts
     ]
-    true = TrueSlips.labelled(recording)
     leads = -match_onsets(raised, true.found, before=AHEAD).delays  # ns before the change of the label
     found: _Found = {
         **_events(true, raised),
         "events": len(raised),
-        "minutes": recording.sampling.minutes(max(len(recording) - recording.sampling.warm_up, 0)),
+        "minutes": recording.sampling.minutes(true.judged),
         "lead ms": leads / ms,
     }
     if not condition:
-        far = known & (distance(recording.label, recording.sampling) >= FAR)
+        far = known & (distance(recording.label, true.places, recording.sampling) >= FAR)
         found |= _confusion(recording, predicted, far, _FAR)
         found |= _distribution(probability[known], recording.slip[known])
     if recording.sliding is not None:
@@ -113,22 +113,23 @@ def judged(
     return joined([*rows, result_rows(found, condition=condition, **key)])
 
 
-def distance(label: Codes, sampling: Sampling) -> Reals:
+def distance(label: Codes, places: NDArray[np.int64], sampling: Sampling) -> Reals:
     """Return the distance of each sample (n,) from the nearest change of the label; (n,) ms.
 
     It is 0 for the two samples at a change, and infinite if the label never changes.
 
-    >>> distance(np.array([0, 0, 1, 1, 1], np.int8), Sampling()).tolist()
+    >>> distance(np.array([0, 0, 1, 1, 1], np.int8), np.arange(5), Sampling()).tolist()
     [10.0, 0.0, 0.0, 10.0, 20.0]
     """
-    same = np.diff(label) == 0
-    within = np.append(same, True) & np.insert(same, 0, True)  # (n,) not at a change
-    if within.all():
+    changed = np.diff(label) != 0
+    changes = places[np.append(changed, False) | np.insert(changed, 0, False)]  # (k,) of samples at a change
+    if not len(changes):
         return np.full(len(label), np.inf)
-    from scipy.ndimage import distance_transform_edt
-
-    steps: Reals = distance_transform_edt(within)
-    return steps * (sampling.period / ms)
+    following = changes.searchsorted(places)  # (n,) number of the first change from each sample on
+    after = np.abs(changes.take(following, mode="clip") - places)
+    before = np.abs(places - changes.take(following - 1, mode="clip"))
+    steps: Reals = np.minimum(before, after) * (sampling.period / ms)
+    return steps
 
 
 def motion_name(surface: str, kind: str, speed: float | None) -> str:

@@ -10,14 +10,14 @@ from operators.extras import install_command, is_installed
 Figure: TypeAlias = Any  # matplotlib lacks many type annotations
 Axes: TypeAlias = Any
 
-INK: Final = "#22272e"
 SOFT: Final = "#5b6672"  # of text
 FAINT: Final = "#9aa4b0"  # of lines
 GROUND: Final = "#ffffff"
 MAIN: Final = "#0b6e99"
-SECOND: Final = "#d1495b"
-CELLS: Final = (MAIN, "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # cells 0 to 5
-MORE: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)  # for many lines in a panel
+MORE: Final = (  # for many lines in a panel
+    *(MAIN, "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b"),
+    *("#d1495b", "#22272e", "#5ab4ac", "#b5a642", "#6c8ebf", FAINT),
+)
 WIDTH: Final = 11.0  # inches, the most that fits on a page
 _ROW_GAP: Final = 0.08  # inches above and below each panel
 _STYLE: Final = Path(__file__).with_suffix(".mplstyle")

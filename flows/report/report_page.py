@@ -2,8 +2,8 @@
 
 import json
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -49,7 +49,6 @@ class Report:
     text: str
     sections: Sequence[Section]
     command: str
-    facts: Mapping[str, Any] = field(default_factory=dict[str, Any])  # subject of the study, for the JSON
 
     def markdown(self, name: str) -> str:
         """Return the page as Markdown; figures are files next to NAME.md."""
@@ -70,13 +69,12 @@ class Report:
         return page.render(report=self, body=body)
 
     def json(self) -> dict[str, Any]:
-        """Return facts and tables as JSON data; unknown values are null."""
+        """Return the command and tables as JSON data; unknown values are null."""
         found = {
             section.name: {"finding": section.finding, "tables": [table.json() for table in section.tables]}
             for section in self.sections
         }
-        about = {"title": self.title, "notes": self.text, "command": self.command}
-        return {**about, **self.facts, "sections": found}
+        return {"title": self.title, "notes": self.text, "command": self.command, "sections": found}
 
     def terminal(self) -> str:
         """Return the headings and tables as text for a terminal."""

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from flows.report.table import Table, Value
+from flows.report.table import INTERVAL, Table, Value
 
 Values: TypeAlias = NDArray[np.float64]
 Metrics: TypeAlias = Mapping[str, float | Values | Sequence[float]]
@@ -244,7 +244,7 @@ def estimate_table(
         digits = decimals.get(row[columns], 1) or 0
         text = "" if row["low"] is None else f"{row['low']:.{digits}f} to {row['high']:.{digits}f}"
         rows.setdefault(tuple(row[name] for name in index), {})[row[columns]] = row["value"], text
-    names = [name for head in heads for name in ([head, "95 %"] if head in intervals else [head])]
+    names = [name for head in heads for name in ([head, INTERVAL] if head in intervals else [head])]
     cells: list[list[Value]] = []
     for key, values in rows.items():
         cells.append(list(key))

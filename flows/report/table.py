@@ -7,6 +7,7 @@ from typing import Any, Final, TypeAlias
 
 Value: TypeAlias = str | float | int | None  # None, NaN and infinity: unknown
 UNKNOWN: Final = "-"  # unknown values in tables
+INTERVAL: Final = "95 %"  # head of a column with the intervals of the column before it
 _LARGE: Final = 999.5  # numbers from here on have no exponent
 
 
@@ -47,8 +48,12 @@ class Table:
         return f"{self.caption}\n\n{table}" if self.caption else table
 
     def json(self) -> dict[str, Any]:
-        """Return the table as JSON data; unknown values are null."""
-        rows = [{name: _plain(cell) for name, cell in zip(self.head, row, strict=True)} for row in self.rows]
+        """Return the table as JSON data; unknown values are null. An interval has the name of its column."""
+        names = [
+            f"{before} {name}" if name == INTERVAL else name
+            for before, name in zip(["", *self.head], self.head, strict=False)
+        ]
+        rows = [{name: _plain(cell) for name, cell in zip(names, row, strict=True)} for row in self.rows]
         return {"caption": self.caption, "rows": rows} if self.caption else {"rows": rows}
 
 

@@ -196,11 +196,7 @@ def replay(source: FlowSource, path: str) -> Replayed:
                     for node, root in _roots(flow).items()
                 }
                 recording = open_recording(Path(path), log.warning)
-                flow = flow.replaced(
-                    lambda node: (
-                        node.part.with_path(scratch[node]) if isinstance(node.part, Dataset) else node.part
-                    )
-                )
+                flow = flow.replaced(lambda node: Dataset(scratch[node]) if node in scratch else node.part)
                 runner = ReplayRunner(flow, recording, session)
                 asyncio.run(runner.execute())
         except (SlipflowError, OSError) as failure:

@@ -25,11 +25,6 @@ class Summary:
         seconds, error = (run.clock.now() - run.start) / s, run.error or "; ".join(losses(run))
         return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), error)
 
-    @property
-    def lost(self) -> bool:
-        """True if the run ended early, or `losses` names a loss."""
-        return bool(self.error)
-
     def as_dict(self) -> dict[str, Any]:
         """Return all fields, for JSON."""
         return {**asdict(self), "error": self.error or None}

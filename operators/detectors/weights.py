@@ -33,14 +33,12 @@ class ForOneFingertip:
         fingertip: Cells, rate and unit of that data.
         in_counts: Names of the attributes that divide counts or are subtracted from them.
         model: Name or file of the weights; empty: unknown.
-        purpose: Name of the model and what it is meant for; empty: unknown.
     """
 
     name: str
     in_counts: tuple[str, ...] = ("_mean", "_std")
     fingertip: Fingertip = TAKKTILE
     model: str = ""
-    purpose: str = ""
 
     def for_fingertip(self, given: Fingertip) -> Self:
         """Return the detector for data of the fingertip `given`, with inputs relative to its range.

@@ -6,10 +6,9 @@ and a column without any finite value is omitted from its message.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from heapq import merge
-from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -27,18 +26,13 @@ from storage.layout import FAULTS, SLIPS, TABLES, Table
 from storage.session import Session
 
 _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
-_BATCH: Final = 5000  # rows between progress updates
 _INT64: Final = np.dtype(np.int64)
 _TYPES: Final = {"b": "boolean", "i": "integer", "f": "number"}
 _STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 _Message: TypeAlias = tuple[int, str, bytes]  # time (ns), topic, JSON
 
 
-def export(
-    session: Session,
-    path: Path,
-    progress: Callable[[int], object] = lambda _rows: None,
-) -> Mapping[str, int]:
+def export(session: Session, path: Path) -> Mapping[str, int]:
     """Write a session; return the number of messages of each topic.
 
     Streams are read part by part and merged, so memory does not grow with the session. Late rows are in the
@@ -72,12 +66,9 @@ def export(
                 number = writer.register_schema(schema["title"], "jsonschema", msgspec.json.encode(schema))
                 channels[name] = writer.register_channel(name, "json", number)
             streams.append(_rows(session, table, finger))
-        rows = merge(*streams, key=itemgetter(0))
-        for done in iter(lambda: list(islice(rows, _BATCH)), []):
-            for time, name, data in done:
-                writer.add_message(channels[name], time, data, time, sequences[name])
-                sequences[name] += 1
-            progress(sequences.total())
+        for time, name, data in merge(*streams, key=itemgetter(0)):
+            writer.add_message(channels[name], time, data, time, sequences[name])
+            sequences[name] += 1
         writer.finish()
     return dict(sequences)
 
@@ -141,8 +132,7 @@ def _rows(session: Session, table: Table, finger: int) -> Iterator[_Message]:
 
 def _property(name: str, column: Column, sizes: tuple[int, ...]) -> dict[str, Any]:
     if _is_span(column):
-        title = "duration" if name == "offset" else "time"
-        return {**_STAMP, "title": title, "description": column.unit}
+        return {**_STAMP, "title": "time", "description": column.unit}
     if column.names:
         return {"type": "string", "enum": [*column.names]}
     unknown = "; null or omitted: unknown" if column.dtype.kind == "f" else ""

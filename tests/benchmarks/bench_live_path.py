@@ -31,7 +31,6 @@ from flows.run.live_runner import LiveRunner
 from operators import (
     Align,
     Clock,
-    Debounce,
     DeviceClock,
     Label,
     Run,
@@ -193,7 +192,7 @@ def declared(touch: TakkTile, motion: UrMotion, told: Told, out: str) -> Flow:
     pressed.to(dataset)
     moved.to(dataset)
     samples.to(dataset)
-    (zeroed | Score(load_detector("tcn")) | (load_debounce("tcn") or Debounce())).to(told)
+    (zeroed | Score(load_detector("tcn")) | load_debounce("tcn")).to(told)
     return flow
 
 

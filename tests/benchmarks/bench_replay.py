@@ -22,7 +22,7 @@ from flows.graph.testing import TestSink, TestSource
 from flows.lab.simulation import simulate
 from flows.run.replay_runner import ReplayRunner
 from flows.run.replays import recordings
-from operators import Debounce, Score, Sink, Slips, Touch, Zero
+from operators import Score, Sink, Slips, Touch, Zero
 from storage import Dataset, Session, load_debounce, load_detector
 from tests.benchmarks.machine import print_head
 
@@ -35,7 +35,7 @@ def flow(sink: Sink[Slips]) -> Flow:
     """What is replayed."""
     job = Flow("slips")
     slips = job.source(TestSource(Touch)) | Zero() | Score(load_detector("tcn"))
-    (slips | (load_debounce("tcn") or Debounce())).to(sink)
+    (slips | load_debounce("tcn")).to(sink)
     return job
 
 

@@ -53,8 +53,10 @@ EVENTS: Final = 100.0  # events/s
 class Counted(Dataset):
     """Dataset that counts the rows it accepted."""
 
+    part_span = s // 2  # so that parts are committed
+
     def __init__(self, path: Path, accepted: NDArray[np.int64]) -> None:
-        super().__init__(path, part_span=s // 2)  # so that parts are committed
+        super().__init__(path)
         self._accepted = accepted
 
     def take(self, batch: Recordable) -> bool:
@@ -152,7 +154,8 @@ def set_free(folder: Path, how: str) -> None:
 async def fill(place: str, how: str, full: str, room: str) -> None:
     """Record, and print the rows produced and their fate."""
     folder, produced, alerts = Path(place), np.zeros(2, np.int64), TestSink()
-    recorder = DatasetOfFew(folder / "data", part_span=300 * ms)
+    recorder = DatasetOfFew(folder / "data")
+    recorder.part_span = 300 * ms
     runner = LiveRunner(recording(recorder, (RATE, RATE), produced, alerts), SESSION)
     running = asyncio.create_task(runner.execute())
     await asyncio.sleep(0.7)

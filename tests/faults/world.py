@@ -150,9 +150,8 @@ class World:
 
     async def _record(self, rig_run: RigRun) -> None:
         flow = Flow("faults")
-        dataset = WatchedDataset(
-            self.folder / "data", part_span=round(self.schedule.span * 0.4e9), part_rows=PART_ROWS
-        )
+        dataset = WatchedDataset(self.folder / "data")
+        dataset.part_span, dataset.part_rows = round(self.schedule.span * 0.4e9), PART_ROWS
         mqtt = WatchedMqtt(URL, outbox=self.folder / "outbox", connect_required=False)
         dataset.rig_run = mqtt.rig_run = rig_run
         dataset.capacity = mqtt.capacity = CAPACITY

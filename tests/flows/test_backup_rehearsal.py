@@ -31,7 +31,8 @@ class Rig:
     def __init__(self, folder: Path, broker: TestBroker, session: str) -> None:
         self._run = Run(session, "slip", EventClock(0), 0)
         self._mqtt = Mqtt(broker.url, "lab", "ur10", outbox=folder / "outbox")
-        self._dataset = Dataset(folder / "recordings", part_span=50 * ms)
+        self._dataset = Dataset(folder / "recordings")
+        self._dataset.part_span = 50 * ms
 
     async def __aenter__(self) -> Self:
         await self._mqtt.open(self._run)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import SLIP, Debounce, Score, Touch, Zero, Zeroed, concat, ms
+from operators import SLIP, Score, Touch, Zero, Zeroed, concat, ms
 from operators.batch import Counts
 from storage import load_debounce, load_detector
 
@@ -96,7 +96,7 @@ def test_a_single_cell_and_an_infinite_limit_test_nothing() -> None:
 
 
 def onsets(counts: Counts, zero: Zero | None = None, detector: str = "psd") -> int:
-    debounce = load_debounce(detector) or Debounce()
+    debounce = load_debounce(detector)
     slips = debounce.push(Score(load_detector(detector)).push(zeroed(counts, zero)))
     return int((slips.state == SLIP).sum())
 

@@ -87,7 +87,9 @@ def record(
     root: Path, batches: Sequence[Any], session: str = "one", split: str | None = None, part_rows: int = 20
 ) -> Session:
     """Write batches as a session of a dataset, in parts of some rows, and open it."""
-    run_sink(Dataset(root, part_rows=part_rows), new_run(session, {"touch": {"split": split}}), batches)
+    dataset = Dataset(root)
+    dataset.part_rows = part_rows
+    run_sink(dataset, new_run(session, {"touch": {"split": split}}), batches)
     return Session.open(root / "sessions" / session)
 
 

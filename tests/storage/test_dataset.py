@@ -73,7 +73,9 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
     span, most = bounds[0] * ms, bounds[1]
     root, whole = tmp_path_factory.mktemp("data"), new_batch(Touch, sum(cuts))
     pieces = [whole[sum(cuts[:n]) : sum(cuts[: n + 1])] for n in range(len(cuts))]
-    run_sink(Dataset(root, part_span=span, part_rows=most), new_run(live=False), pieces)
+    dataset = Dataset(root)
+    dataset.part_span, dataset.part_rows = span, most
+    run_sink(dataset, new_run(live=False), pieces)
     found = concat(Touch, list(Session.open(root).read(Touch, 0, rows=7)))
     assert [getattr(found, name).tobytes() for name in ("time", "counts", "temperature", "valid")] == [
         getattr(whole, name).tobytes() for name in ("time", "counts", "temperature", "valid")
@@ -234,7 +236,8 @@ async def stubborn(root: Path, batches: Iterable[Any]) -> None:
         except EndpointError:
             await call(*given)
 
-    dataset = Dataset(root, part_span=100 * ms, part_rows=20)
+    dataset = Dataset(root)
+    dataset.part_span, dataset.part_rows = 100 * ms, 20
     await insist(dataset.open, new_run(live=False))
     for batch in batches:
         await insist(dataset.write, batch)
@@ -264,7 +267,8 @@ def test_a_failure_at_any_step_of_a_replay_costs_nothing_but_a_second_try(tmp_pa
 async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
     tmp_path: Path,
 ) -> None:
-    dataset = Dataset(tmp_path, part_span=s)
+    dataset = Dataset(tmp_path)
+    dataset.part_span = s
     await dataset.open(new_run(live=False))
     await dataset.write(new_batch(Touch))
     with held("replace new part") as (writing, go_on):
@@ -282,7 +286,8 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
 async def test_a_slow_commit_makes_no_row_wait_until_as_many_as_a_part_holds_are_in_memory(
     tmp_path: Path,
 ) -> None:
-    dataset = Dataset(tmp_path, part_span=100 * ms, part_rows=50)
+    dataset = Dataset(tmp_path)
+    dataset.part_span, dataset.part_rows = 100 * ms, 50
     await dataset.open(new_run())
     with held("fsync new part") as (writing, go_on):
         for number in range(60):  # 10 in the part that is committed; the others go to the journal
@@ -323,14 +328,6 @@ async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(tmp_path:
     await dataset.close()
     assert dataset.pending == 0
     assert len(Session.open(tmp_path).frame("touch")) == 30
-
-
-@pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}, {"part_rows": 10**7}])
-def test_parts_without_rows_or_too_large_to_read_are_refused(
-    tmp_path: Path, parameters: dict[str, Any]
-) -> None:
-    with pytest.raises(ParameterError, match=r"must be (at least 1|from 1 to 1000000)"):
-        Dataset(tmp_path, **parameters)
 
 
 def test_importing_storage_does_not_import_pyarrow_which_later_takes_memory_from_the_c_library() -> None:

@@ -81,6 +81,8 @@ class _Reader:
             if not isinstance(value, dict):
                 raise self._error(key, value, f"a table, [{key}]")
             return self.table(cast("type[Any]", kind), value, key)
+        if type(value) is int and not -(2**63) <= value < 2**63:
+            raise self._error(key, "too large", "a number of at most 64 bits")
         found = float(value) if kind is float and type(value) is int else value
         if type(found) is not kind:
             raise self._error(key, value, _TYPES[cast("type", kind)])

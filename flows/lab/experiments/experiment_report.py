@@ -90,8 +90,7 @@ def experiment_report(experiment: str, results: pl.DataFrame, trials: Trials, co
     ]
     if len(results) > len(nominal):
         sections.append(_breaking_points(results))
-    facts = {"experiment": experiment, "trials": trials.count, "seed": trials.seed}
-    return Report(TITLES[experiment], _TEXT, sections, command, {**facts, "results": found.to_dicts()})
+    return Report(TITLES[experiment], _TEXT, sections, command)
 
 
 def _objects(experiment: str, nominal: pl.DataFrame, trials: Trials) -> list[Table]:

@@ -8,22 +8,21 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
+import polars as pl
 
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.tap_and_lift import lift, tap
 from flows.lab.experiments.trial import RANDOM, Conditions, Outcome, Trace, Trial
+from flows.report.results import joined, result_rows
 from flows.run.executor import map_tasks
-from operators import Debounce, Grip, GripController, StepGrip
+from operators import Grip, GripController, StepGrip
 from operators.batch import Counts, Reals
 from operators.checks import check_choice
 from operators.detectors import Detector
 from storage import load_debounce, load_detector
-
-if TYPE_CHECKING:
-    import polars as pl
 
 SEED: Final = 900_000  # far from the seeds of training data
 NOMINAL: Final = "nominal"  # condition
@@ -90,7 +89,7 @@ class Method:
         name = self.detector
         threshold = THRESHOLDS.get(name)
         if threshold is None:
-            threshold = (load_debounce(name) or Debounce()).threshold
+            threshold = load_debounce(name).threshold
         detector = StepThreshold() if name == "threshold" else load_detector(name)
         if self.rule == STEPS:
             return detector, StepGrip(threshold=threshold)
@@ -125,7 +124,6 @@ class Trials:
     """
 
     count: int = 20  # of each object; as in the paper
-    seed: int = SEED  # of the first trial; the others follow
     objects: tuple[str, ...] = (*OBJECTS, RANDOM)
 
     def __post_init__(self) -> None:
@@ -134,7 +132,7 @@ class Trials:
 
     def seeds(self, name: str) -> range:
         """Return the seeds of an object; there are as many random trials as with the six objects."""
-        return range(self.seed, self.seed + self.count * (len(OBJECTS) if name == RANDOM else 1))
+        return range(SEED, SEED + self.count * (len(OBJECTS) if name == RANDOM else 1))
 
 
 def conditions_of(experiment: str, *, stress: bool) -> dict[str, Conditions]:
@@ -159,7 +157,7 @@ def run_study(
     stress: bool = False,
     executor: Executor | None = None,
     progress: Callable[[int, int], object] = lambda _done, _total: None,
-) -> "pl.DataFrame":
+) -> pl.DataFrame:
     """Run an experiment under its conditions, always with the same trials.
 
     Args:
@@ -179,8 +177,6 @@ def run_study(
         ParameterError: on an unknown experiment.
         SlipflowError: if a process ended early.
     """
-    from flows.report.results import joined, result_rows
-
     check_choice("experiment", "name", experiment, EXPERIMENTS)
     conditions = conditions_of(experiment, stress=stress)
     setups = [method.load() for method in methods]

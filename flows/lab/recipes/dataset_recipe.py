@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 _ATTEMPTS: Final = 3  # after a failed download
 
-
 # name of the session, rows, and the surface or object by which recordings are split
 SourceRecording: TypeAlias = "tuple[str, pl.DataFrame, str | None]"
 

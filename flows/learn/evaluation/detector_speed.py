@@ -30,47 +30,33 @@ Step = Callable[[int], object]
 
 
 def speed_results(
-    detectors: Mapping[str, Detector], recordings: Sequence[LabelledRecording], *, span: float
-) -> pl.DataFrame:
-    """Time detectors on a recording of one fingertip, on one thread.
-
-    Args:
-        detectors: Detectors by name.
-        recordings: The end of the longest one is repeated.
-        span: Approximate CPU time of each turn of timing, s.
-
-    Returns:
-        Rows of the results table: CPU time of a sample.
-    """
-    longest = max(recordings, key=len)
-    counts = longest.counts[-_TIMED:]
-    with one_thread():
-        found = costs(detectors, counts, span=span)
-    return joined(
-        result_rows({"us/sample": us}, method=name, recording=longest.name) for name, us in found.items()
-    )
-
-
-def costs(
     detectors: Mapping[str, Detector],
-    counts: Counts,
+    recordings: Sequence[LabelledRecording],
     *,
     rounds: int = 15,
     span: float = 0.02,
-) -> dict[str, float]:
-    """Return the CPU time of one sample by detector, us.
+) -> pl.DataFrame:
+    """Time detectors on a recording of one fingertip, on one thread.
 
     As in a live run, `Score` processes one sample at a time.
 
     Args:
         detectors: Detectors by name.
-        counts: (n, 6) zeroed counts of a recording, longer than the longest window; they are repeated.
+        recordings: The end of the longest one is repeated.
         rounds: Turns of each detector.
-        span: Approximate CPU time of one turn, s.
+        span: Approximate CPU time of each turn of timing, s.
+
+    Returns:
+        Rows of the results table: CPU time of a sample, us.
     """
-    steps = {name: _step(detector, counts) for name, detector in detectors.items()}
-    turns = [{name: _timed(step, span) for name, step in steps.items()} for _ in range(rounds)]
-    return {name: median(turn[name] for turn in turns) for name in steps}
+    longest = max(recordings, key=len)
+    with one_thread():
+        steps = {name: _step(detector, longest.counts[-_TIMED:]) for name, detector in detectors.items()}
+        turns = [{name: _timed(step, span) for name, step in steps.items()} for _ in range(rounds)]
+    return joined(
+        result_rows({"us/sample": median(turn[name] for turn in turns)}, method=name, recording=longest.name)
+        for name in steps
+    )
 
 
 def _step(detector: Detector, counts: Counts) -> Step:

@@ -165,4 +165,5 @@ def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:
 
 def _loaded(name: str, model: str) -> FittedMethod:
     card = load_card(shipped(model) or Path(model))
-    return FittedMethod(name, load_detector(model), load_debounce(model), card=card)
+    debounce = load_debounce(model) if "debounce" in card else None
+    return FittedMethod(name, load_detector(model), debounce, card=card)

@@ -121,14 +121,13 @@ def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any]) -> Model:
     Args:
         path: Model file, .safetensors; the card has the same name with .json.
         arrays: Weights.
-        card: Contents of the card, without the name, sha256 and number of weights of the file.
+        card: Contents of the card, without the name and sha256 of the file.
 
     Raises:
         OSError: if a file cannot be written.
     """
     save_weights(path, arrays, {"detector": str(card["detector"])})  # one key: the order of more varies
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    size = sum(int(array.size) for array in arrays.values())
-    card = {**card, "file": path.name, "sha256": digest, "numbers": size}
+    card = {**card, "file": path.name, "sha256": digest}
     save_card(path, card)
     return Model(path, card)

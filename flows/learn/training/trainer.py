@@ -120,11 +120,7 @@ def train(
     require_extra("train", "train")
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
-    if not out.parent.is_dir():
-        raise InputError(str(out.parent), "is not a folder: create it, or write the model elsewhere")
     parent = None if start is None else load_detector(start)
-    if parent is not None and not isinstance(recipe, Recipe):
-        raise ParameterError("train", "recipe", recipe.network, "a Recipe: only a tcn is trained further")
     if not isinstance(parent, Tcn | None):
         raise InputError(str(start), "is not a tcn: only a tcn can be trained further")
     recordings = load(*datasets)
@@ -146,7 +142,7 @@ def train(
             log("few recordings: each is divided in time, which flatters the model; record five or more")
         arrays, results = _from_random(datasets, about["detector"], parts, recipe, progress)
     else:
-        assert isinstance(recipe, Recipe), "checked above"
+        assert isinstance(recipe, Recipe), "the command line trains only a tcn further"
         recipe = further(parent, recipe)
         arrays, results = _from_model(parent.for_fingertip(fingertip), recordings, recipe, progress)
         about |= {"detector": parent.name, "parent": identify_detector(str(start)), "recipe": asdict(recipe)}

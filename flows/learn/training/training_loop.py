@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import attrgetter
 from time import perf_counter
 from typing import Any, Final, cast
 
@@ -192,7 +193,7 @@ def fit(task: TrainingTask, progress: Progress) -> Trained:
             check = Check(step, perf_counter() - began, loss, *scores)
             losses.clear()
             curve.append(check)
-            if best(curve) is check:
+            if max(curve, key=attrgetter("balanced")) is check:  # the first of equals
                 arrays = task.network.arrays()
         progress(step, task.steps, check)
     return Trained(arrays, tuple(curve))
@@ -214,8 +215,3 @@ def _evaluate(task: TrainingTask) -> tuple[float, float]:
     with torch.no_grad():
         counts = confusion(*task.predict())
     return float(accuracy(counts)), float(balanced(counts))
-
-
-def best(curve: Sequence[Check]) -> Check:
-    """Return the check with the best balanced accuracy, the first of equals."""
-    return max(curve, key=lambda check: check.balanced)

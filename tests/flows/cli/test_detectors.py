@@ -11,20 +11,20 @@ from storage.models import shipped
 from tests.command import slipflow
 
 
-def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
+def test_evaluate_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
     model = str(shipped("tcn"))
-    options = ("--method", "psd", "--method", model, "--json")
+    options = ("--method", "psd", "--method", model)
     done = slipflow("evaluate", str(tiny), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "judged on tiny, split: test: 2 recordings, 0.4 minutes after the warm-up\n" in done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    found = json.loads((tmp_path / "evaluation" / "evaluation.json").read_text())
     rows = found["sections"]["samples"]["tables"][0]["rows"]
     assert {row["method"] for row in rows} == {"psd", "tcn"}
     assert all(50 < row["accuracy %"] < 100 for row in rows)
     names = {path.name for path in (tmp_path / "evaluation").iterdir()}
     assert names == {"evaluation.html", "evaluation.json", "evaluation.md"}
     markdown = (tmp_path / "evaluation" / "evaluation.md").read_text()
-    assert markdown.endswith(f"    slipflow evaluate {tiny} --method psd --method {model} --json\n")
+    assert markdown.endswith(f"    slipflow evaluate {tiny} --method psd --method {model}\n")
     assert "| rotation" in markdown
 
 

@@ -19,7 +19,7 @@ def test_rising_counts_with_a_stated_range_are_not_taken_for_falling_ones(tmp_pa
     about = json.loads((tmp_path / "out/sessions/lab/session.json").read_text())
     tips = about["fingertips"]["samples"]
     assert (tips["layout"], tips["range"]) == ([[0, 1], [2, 3], [4, 5]], [0, 4000])
-    refused = slipflow("evaluate", "out", "--split", "all", "--method", "tcn", "--json", cwd=tmp_path)
+    refused = slipflow("evaluate", "out", "--split", "all", "--method", "tcn", cwd=tmp_path)
     assert refused.returncode == 2
     assert "Pool(gain=-1)" in refused.stderr
     assert not (tmp_path / "evaluation").exists()

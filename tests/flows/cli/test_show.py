@@ -16,8 +16,8 @@ import pytest
 
 from flows.cli.show import load
 from flows.demo import demo
-from operators import s
-from storage import Session
+from operators import Debounce, s
+from storage import Session, load_debounce
 from tests.command import slipflow
 from tests.flows.run.live import execute
 from tests.storage.made import write_pad
@@ -45,6 +45,8 @@ def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session)
     assert len(rows["touch 0"]["t"]) == pytest.approx(100, abs=2)
     assert len(rows["scores 0"]["t"]) == pytest.approx(100, abs=2)
     assert len(rows["speed every"]["t"]) == pytest.approx(125, abs=2)
+    psd = asyncio.run(load(session, "psd")).rule
+    assert psd == load_debounce("psd") == Debounce(consecutive=2, release=10)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
     seen: dict[str, Any] = {**recorded.window(onset - 1000, onset, None)}
     assert seen["rows"]["scores 0"]["v"][0] >= recorded.rule.threshold
@@ -67,10 +69,11 @@ def test_a_fingertip_that_the_default_was_not_made_for_is_shown_without_scores(t
 
     with ThreadPoolExecutor(1) as pool:
         visited = pool.submit(visit_and_end)
-        done = slipflow("show", tmp_path, "--listen", address, "--no-browser")
+        done = slipflow("show", ".", "--listen", address, "--no-browser", cwd=tmp_path / "sessions" / "one")
     about = visited.result()
     assert (about["detector"], about["recorded"], about["events"]) == (None, False, [])
     assert done.returncode == 0
     line = done.stderr.splitlines()[0]
     assert re.match(r"one: shown without scores: tcn needs 6 cells, .*; the data has 9 cells, .*kPa", line)
     assert "train a detector with `slipflow train`, or give one with --detector FILE" in line
+    assert f"next: slipflow train {tmp_path} -o {tmp_path.name}.safetensors" in done.stderr

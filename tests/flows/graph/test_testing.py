@@ -5,14 +5,6 @@ import pytest
 
 from flows.graph.testing import check_cuts, run_virtually
 from operators import Debounce, Operator, Scores
-from tests.operators import test_conformance as suite
-
-
-def test_operators_of_slipflow_do_not_depend_on_the_cuts() -> None:
-    for case in suite.CASES:
-        if isinstance(case.step, Operator):
-            [batch] = case.streams(7, 100)
-            check_cuts(case.step, batch)
 
 
 def test_an_empty_batch_has_no_cuts() -> None:

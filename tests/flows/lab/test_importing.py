@@ -208,6 +208,10 @@ def test_a_frame_becomes_a_session(tmp_path: Path, *, notebook: bool) -> None:
     write_it()  # the same data
     with pytest.raises(InputError, match="pad: another session has this name: write to another dataset"):
         import_frame(frame[:200], tmp_path, "pad", "label=state,units.counts=kPa,layout=1x4")
+    with pytest.raises(InputError, match="one: has no two times, which tell the rate"):
+        import_frame(frame[:1], tmp_path, "one", "label=state,units.counts=kPa")
+    found = import_frame(frame[:1], tmp_path, "one", "label=state,units.counts=kPa,rate=100")
+    assert "one: 1 row, 0.0 s, 100.0 Hz (slip: slip)\n" in found.report()
     with pytest.raises(ParameterError, match=r"session is '\.\./x'"):
         import_frame(frame, tmp_path, "../x", "units.counts=kPa")
 
@@ -281,22 +285,6 @@ def test_the_folder_of_a_file_may_state_its_split(tmp_path: Path) -> None:
     assert found == [", split train", "", ", split validation", ", split test"]
     sessions = [Session.open(folder) for folder in sorted((tmp_path / "out/sessions").iterdir())]
     assert [each.about["split"] for each in sessions] == ["train", None, "validation", "test"]
-
-
-def test_a_file_that_cannot_be_imported_does_not_stop_the_others(tmp_path: Path) -> None:
-    paths = [put(tmp_path / f"{name}.parquet", low=low) for low, name in enumerate("abc")]
-    pl.read_parquet(paths[0])[:1].write_parquet(paths[0])
-    pl.read_parquet(paths[1]).with_columns(p2="p1").write_parquet(paths[1])
-    columns, out = ColumnMap.parse("layout=1x2,units.counts=kPa"), tmp_path / "out"
-    for dry_run in (True, False):
-        first, second, third = (found for _, found in import_files(paths, out, columns, dry_run=dry_run))
-        assert "a.parquet: has no two times, which tell the rate; state rate=... (rows per" in str(first)
-        assert "layout is '0,1', must be of 3 cells" in str(second)
-        assert isinstance(third, TraceImport)
-    with pytest.raises(InputError, match="pad: has no two times, which tell the rate"):
-        import_frame(pl.read_parquet(paths[0]), out, "pad", columns)
-    found = import_frame(pl.read_parquet(paths[0]), out, "pad", "units.counts=kPa,rate=100")
-    assert "pad: 1 row, 0.0 s, 100.0 Hz\n" in found.report()
 
 
 @pytest.mark.parametrize(

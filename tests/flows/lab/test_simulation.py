@@ -57,7 +57,7 @@ def test_every_session_is_complete_and_readable(tiny: Path) -> None:
     for session in found:
         about = session.about
         assert about["complete"] is True
-        assert (about["host"], about["start_ns"]) == ("simulated", planned[session.name].start)
+        assert (about["host"], about["start_ns"]) == (None, planned[session.name].start)
         assert session.about["fingertips"] == dict.fromkeys(("touch", "samples"), TAKKTILE.describe())
         assert session.tables == ("touch", "motion", "samples", "episodes", "truth")
         assert len(session.frame("touch")) == len(session.frame("samples")) > 500

@@ -2,10 +2,12 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flows.graph.loading import load as load_flow
-from flows.learn.alarm_calibration import TooLittleDataError, calibrate_model
+from flows.learn.alarm_calibration import Calibrated, CalibratedModel, TooLittleDataError, calibrate_model
+from flows.learn.event_metrics import EventMetrics
 from flows.learn.labelled_recordings import load
 from flows.learn.training.trained_model import learned, provenance
 from operators import Debounce, minute
@@ -61,16 +63,23 @@ def test_a_damaged_entry_is_reported(tmp_path: Path) -> None:
     path = model(tmp_path)
     for damage in ([{"false_alarms_per_min": 1}], [3], 3):
         save_card(path, {**load_card(path), "alarms": damage})
-        with pytest.raises(InputError, match="calibrate it again"):
-            load_debounce(path, 1 / minute)
+        for use in (lambda: load_debounce(path, 1 / minute), lambda: calibrate_model(str(path), [], 1, 0.9)):
+            with pytest.raises(InputError, match="remove them, then calibrate it again"):
+                use()
+
+
+@pytest.mark.parametrize(("missed", "text"), [(0, "; no slips\n"), (2, "; 100.0 % of slips missed\n")])
+def test_the_report_has_no_delay_without_detected_slips(missed: int, text: str) -> None:
+    events = EventMetrics(np.empty(0), missed, false_alarms=0, repeats=0, minutes=9.0)
+    assert text in CalibratedModel(Path("m"), Calibrated(1.0, 0.95, Debounce(), 0.5, events)).report()
 
 
 def test_recordings_that_the_model_has_learned_from_are_left_out(tiny: Path, tmp_path: Path) -> None:
     path, recordings, notes = model(tmp_path), load(tiny), list[str]()
     known = [each for each in recordings if each.split != "test"]
     save_card(path, {**load_card(path), "data": provenance(recordings)})
-    done = calibrate_model(str(path), [tiny], 40.0, 0.8, log=notes.append)
-    assert done.entry["data"][0]["recordings"] == {"test": len(recordings) - len(known)}
+    calibrate_model(str(path), [tiny], 40.0, 0.8, log=notes.append)
+    assert load_card(path)["alarms"][0]["data"][0]["recordings"] == {"test": len(recordings) - len(known)}
     assert f"left out {len(known)} recordings: {path} has learned from them" in notes
     with pytest.raises(InputError, match="no recordings are left"):
         calibrate_model(str(path), [tiny / "sessions" / known[0].name], 40.0, 0.8)

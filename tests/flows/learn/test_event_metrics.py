@@ -4,9 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.learn.event_metrics import BRIEF, PAUSE, EventMetrics, TrueSlips, match_onsets, onsets, tuned
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, Sampling
-from operators import Debounce, ms
-from operators.batch import Codes, Reals
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from operators import Debounce, ms, s
+from operators.batch import Codes, Reals, Times
 from tests.flows.learn.conftest import TWICE, label
 
 PERIOD = 10 * ms
@@ -16,8 +16,8 @@ def sure(samples: int, *runs: tuple[int, int]) -> Reals:
     return np.where(label(samples, *runs), 0.9, 0.1)
 
 
-def slips(codes: Codes) -> TrueSlips:
-    return TrueSlips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes))
+def slips(codes: Codes, time: Times | None = None) -> TrueSlips:
+    return TrueSlips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes, time=time))
 
 
 def seconds(*stretches: tuple[int, int]) -> list[list[int]]:
@@ -55,9 +55,28 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     assert metrics.false_alarms == 0
 
 
+def test_lost_samples_count_as_time() -> None:
+    kept = np.flatnonzero(np.arange(400) % 3 != 1)
+    codes, probability = label(400, (150, 250))[kept], sure(400, (150, 250))[kept]
+    true = slips(codes, 7 + kept * PERIOD)
+    begin = kept[WARM_UP]
+    assert true.found.tolist() == seconds((150, 249))
+    assert true.judged == 400 - begin
+    assert true.static == (400 - begin - 100 - 1) * PERIOD  # one sample was lost where the label changes
+    assert EventMetrics.of([probability], [true], TWICE).delays.tolist() == [20]
+
+
+def test_a_pause_of_the_recording_parts_two_slips_and_is_not_static() -> None:
+    time = np.arange(400) * PERIOD
+    time[200:] += 600 * s
+    found = slips(label(400, (150, 250)), time)
+    assert found.found.tolist() == seconds((150, 199), (299, 348))
+    assert found.static == (400 - WARM_UP - 100) * PERIOD
+
+
 def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
     probability = sure(400, (50, 120), (200, 201), (300, 310))
-    assert (onsets(probability, TWICE, Sampling()) // PERIOD).tolist() == [WARM_UP + 1, 301]
+    assert (onsets(probability, TWICE, slips(label(400))) // PERIOD).tolist() == [WARM_UP + 1, 301]
 
 
 def test_what_is_felt_is_counted_and_timed() -> None:

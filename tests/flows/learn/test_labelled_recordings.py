@@ -90,6 +90,9 @@ def test_recordings_without_splits_take_turns_by_session(tiny: Path, tmp_path: P
     copy = copytree(tiny, tmp_path / "tiny")
     for path in copy.glob("sessions/*/session.json"):
         put_checked(path, {**read_checked(path), "split": None})
+    last = max((copy / "sessions").iterdir())
+    last.rename(f"{last}-renamed")
+    assert load(copy)[-1].name == f"{last.name}-renamed"
     turns = [each.split for each in load(copy)]
     assert turns == list((TURNS * 2)[: len(turns)]) != [each.split for each in load(tiny)]
 

@@ -86,8 +86,3 @@ def test_the_chosen_settings_take_as_long_at_another_rate(times: int) -> None:
     assert trials[1].rules == tuple(map(Sampling(100.0 * times).rule, PATH))
     np.testing.assert_array_equal(trials[1].alarms, trials[0].alarms)
     np.testing.assert_allclose(trials[1].minutes, trials[0].minutes, atol=1e-3)
-
-
-def test_the_warm_up_is_a_second_or_a_hundred_samples() -> None:
-    assert [Sampling(rate).warm_up for rate in (16.0, 100.0, 250.0, 1000.0)] == [99, 99, 249, 999]
-    assert Sampling(97.3).period == 10_277_492

@@ -28,7 +28,7 @@ def figure() -> Figure:
 def report() -> Report:
     sections = [Section(name, f"{name} & so <on>", "text", [TABLE], figure) for name in ("one", "two")]
     sections.append(Section("three", "detail", "text", [TABLE], folded=True))
-    return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'", {"split": "test"})
+    return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'")
 
 
 def test_text_is_escaped_in_html() -> None:
@@ -65,9 +65,9 @@ def test_a_bar_in_a_cell_ends_no_column_of_a_markdown_table() -> None:
     assert lines == [r"| group | \|v\| |", "| ----- | ----: |", r"| a\|b  |   1.0 |"]
 
 
-def test_json_has_facts_and_unrounded_numbers_by_section() -> None:
+def test_json_has_the_command_and_unrounded_numbers_by_section() -> None:
     data = json.loads(json.dumps(report().json(), allow_nan=False))
-    assert (data["split"], data["command"]) == ("test", "slipflow evaluate 'a<b>'")
+    assert data["command"] == "slipflow evaluate 'a<b>'"
     assert data["sections"]["one"]["tables"][0]["rows"][1] == {"method": "psd", "F1 < 90": 3.25}
 
 

@@ -75,3 +75,8 @@ def test_a_table_shows_an_interval_beside_its_value() -> None:
     assert table.head == ["method", "missed %", "95 %", "delay ms", "AUC %"]
     assert table.rows[0][:3] == ["tcn", 15, "5.0 to 25.0"]
     assert table.rows[1][3:] == [None, None]
+    both = estimate_table(estimates(study(), STATISTICS), {}, intervals=["missed %", "delay ms"]).json()
+    assert [both["rows"][0][f"{name} 95 %"] for name in ("missed %", "delay ms")] == [
+        "5.0 to 25.0",
+        "27.7 to 33.0",
+    ]

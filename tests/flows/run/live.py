@@ -1,14 +1,14 @@
 """Live runs of scores that come every 10 ms, in virtual time."""
 
 import asyncio
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from typing import Any
 
 from flows.graph import Flow
 from flows.graph.testing import TestSink, VirtualLoop, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Clock, Run, Scores, Sink, Source, ms, s
+from operators import Batch, Clock, Run, Scores, Sink, Source, ms, s
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -51,6 +51,36 @@ def execute(
 def times(sink: TestSink) -> list[int]:
     """Which scores a sink was given."""
     return [time // (10 * ms) for time in sink.rows(Scores).time.tolist()]
+
+
+class FaultySink(TestSink):
+    """Sink that raises an exception in its first writes (None: it writes), and awaits a call before each."""
+
+    def __init__(
+        self,
+        destination: str = "",
+        *,
+        lossless: bool = True,
+        capacity: int = 4096,
+        failures: Sequence[Exception | None] = (),
+        before_write: Callable[[], Coroutine[Any, Any, None]] | None = None,
+    ) -> None:
+        super().__init__(destination)
+        self.lossless, self.capacity = lossless, capacity
+        self._failures, self._before_write = list(failures), before_write
+
+    def take(self, batch: Batch) -> bool:
+        return not self._before_write and self._keep(batch)
+
+    async def write(self, batch: Batch) -> None:
+        if self._before_write:
+            await self._before_write()
+        self._keep(batch)
+
+    def _keep(self, batch: Batch) -> bool:
+        if self._failures and (failure := self._failures.pop(0)):
+            raise failure
+        return super().take(batch)
 
 
 class Endless(Source[Scores]):

@@ -25,4 +25,6 @@ def record(root: Path, session: str, seconds: int, fingers: tuple[int, ...] = (0
         velocity = random.normal(0, 0.01, (125, 6))
         batches.append(Motion(time, time, velocity, np.full((125, 6), np.nan)))
     run = Run(session, "recorded", EventClock(START), START, live=False)
-    run_sink(Dataset(root, part_span=10 * s, host="test"), run, batches)
+    dataset = Dataset(root)
+    dataset.part_span = 10 * s
+    run_sink(dataset, run, batches)

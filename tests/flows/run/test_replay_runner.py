@@ -35,6 +35,7 @@ from operators import (
     s,
 )
 from operators.batch import columns
+from tests.flows.run.live import FaultySink
 
 
 def recording(seconds: float = 5.0, finger: int = 0) -> TestRecording:
@@ -93,7 +94,7 @@ def test_an_empty_recording_is_an_error() -> None:
         asyncio.run(ReplayRunner(flow, empty, "x").execute())
 
 
-class ClosesWithError(TestSink):
+class ClosesWithError(FaultySink):
     async def close(self) -> None:
         await super().close()
         raise EndpointError("disk", "full")
@@ -142,7 +143,7 @@ def test_a_replay_that_is_cancelled_is_not_complete() -> None:
         task.cancel()
         await asyncio.sleep(0)
 
-    flow, sink = Flow("f"), TestSink(before_write=cancelled)
+    flow, sink = Flow("f"), FaultySink(before_write=cancelled)
     flow.source(TestSource(Touch)).to(sink)
     runner = ReplayRunner(flow, recording(), "x")
     with pytest.raises(asyncio.CancelledError):

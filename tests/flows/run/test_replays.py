@@ -34,8 +34,12 @@ FLOW = """
 from connectors import Console, Mqtt
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
-from operators import Debounce, Score, Touch, Zero
+from operators import Debounce, Score, Slips, Touch, Zero
 from storage import Dataset, load_detector
+
+class Spoilt(TestSink):
+    def take(self, batch: Slips):
+        raise ValueError("no number")
 
 def felt(
     out: str = "out", broker: str = "", spoilt: bool = False, least: float = 0.5, model: str = "psd"
@@ -50,7 +54,7 @@ def felt(
     if broker:
         slips.to(Mqtt(broker, rig="rig"))
     if spoilt:
-        slips.to(TestSink(failures=[ValueError("no number")] * 2))
+        slips.to(Spoilt())
     return flow
 """
 

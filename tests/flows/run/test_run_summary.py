@@ -17,7 +17,7 @@ def ended(run: Run) -> Run:
 
 def test_the_summary_counts_rows_in_and_out(ended: Run) -> None:
     summary = Summary.of(ended)
-    assert (summary.seconds, summary.lost) == (10.0, False)
+    assert (summary.seconds, summary.error) == (10.0, "")
     assert summary.report().splitlines() == [
         "run1: 10.0 s",
         "  touch: 300 rows in, 2 late, 0 gaps",
@@ -40,23 +40,3 @@ def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
         "  dataset: 12 rows out, 1617 dropped",
         "  mqtt: 9 rows out, 0 dropped, 9 not acknowledged (in the outbox)",
     ]
-
-
-@pytest.mark.parametrize(
-    ("part", "name", "value"),
-    [
-        ("sink", "dropped", 1),
-        ("sink", "error", "disk full"),
-        ("source", "error", "bus stuck"),
-        ("run", "error", "was interrupted"),
-    ],
-)
-def test_a_loss_at_the_end_is_an_error_of_the_whole_run(
-    ended: Run, part: str, name: str, value: object
-) -> None:
-    assert (Summary.of(ended).lost, Summary.of(ended).as_dict()["error"]) == (False, None)
-    parts = {"sink": ended.sinks["dataset"], "source": ended.sources["touch"], "run": ended}
-    setattr(parts[part], name, value)
-    summary = Summary.of(ended)
-    assert (summary.lost, summary.as_dict()["error"]) == (True, summary.error)
-    assert summary.error

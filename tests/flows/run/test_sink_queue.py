@@ -27,7 +27,7 @@ from operators import (
     ms,
     s,
 )
-from tests.flows.run.live import Endless, execute, flow_of, scores, times
+from tests.flows.run.live import Endless, FaultySink, execute, flow_of, scores, times
 
 ROWS: Final = 60
 DOWN: Final = EndpointError("x", "down")
@@ -37,7 +37,8 @@ class Moody(TestSink):
     """Sink that takes batches at once, lets them wait (s) or fails, as its moods say in turn."""
 
     def __init__(self, moods: list[float | None], *, lossless: bool, capacity: int) -> None:
-        super().__init__(lossless=lossless, capacity=capacity)
+        super().__init__()
+        self.lossless, self.capacity = lossless, capacity
         self.moods = deque(moods)
 
     def take(self, batch: Batch) -> bool:
@@ -105,13 +106,13 @@ def test_a_sink_that_neither_takes_nor_writes_is_reported() -> None:
 def test_a_mistake_in_a_sink_ends_the_run_at_once_with_its_place(
     before_write: Callable[[], Coroutine[Any, Any, None]] | None, caplog: pytest.LogCaptureFixture
 ) -> None:
-    wrong, other = TestSink(failures=[None, KeyError("row")], before_write=before_write), TestSink()
-    with pytest.raises(OperatorError, match=r"^flow 'f': testsink: KeyError: 'row' \(testing\.py:\d+\)$"):
+    wrong, other = FaultySink(failures=[None, KeyError("row")], before_write=before_write), TestSink()
+    with pytest.raises(OperatorError, match=r"^flow 'f': faultysink: KeyError: 'row' \(live\.py:\d+\)$"):
         execute(flow_of(Endless(), wrong, other))
     assert (len(wrong.written), wrong.closed, other.closed) == (1, 1, 1)
     assert 2 <= len(other.written) <= 3
     assert "KeyError" in other.run.error
-    assert other.run.sinks["testsink"].dropped == len(other.written) - 1
+    assert other.run.sinks["faultysink"].dropped == len(other.written) - 1
     assert not caplog.messages
 
 
@@ -123,9 +124,9 @@ def test_a_mistake_in_a_sink_at_the_end_of_the_streams_is_an_error_too() -> None
         def flush(self) -> Scores:
             return scores(9, 1)[0]
 
-    flow, wrong = Flow("f"), TestSink(failures=[KeyError("row")])
+    flow, wrong = Flow("f"), FaultySink(failures=[KeyError("row")])
     (flow.source(TestSource(Scores, scores(0, 3))) | Held()).to(wrong)
-    with pytest.raises(OperatorError, match=r"testsink: KeyError: 'row'"):
+    with pytest.raises(OperatorError, match=r"faultysink: KeyError: 'row'"):
         execute(flow)
 
 
@@ -135,12 +136,12 @@ async def for_ever() -> None:
 
 def test_a_closed_output_ends_the_run_orderly_and_quietly(caplog: pytest.LogCaptureFixture) -> None:
     for waiting in (False, True):
-        closed = TestSink(failures=[None, OutputClosedError("stdout", "was closed")])
-        other = TestSink(before_write=(lambda: asyncio.sleep(0.5)) if waiting else None)
+        closed = FaultySink(failures=[None, OutputClosedError("stdout", "was closed")])
+        other = FaultySink(before_write=(lambda: asyncio.sleep(0.5)) if waiting else None)
         run = execute(flow_of(Endless(), closed, other))
         assert (len(closed.written), closed.closed, other.closed, run.error) == (1, 1, 1, "")
         assert len(other.written) == run.sources["scores"].rows >= 2
-        assert run.sinks["testsink"].dropped == run.sources["scores"].rows - 1
+        assert run.sinks["faultysink"].dropped == run.sources["scores"].rows - 1
     assert not caplog.records
 
 
@@ -148,18 +149,18 @@ def test_a_stuck_lossless_sink_blocks_no_other_and_works_again_once_its_write_en
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     waits, other = [60.0], TestSink()
-    stuck = TestSink(capacity=10, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
+    stuck = FaultySink(capacity=10, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
     with caplog.at_level(logging.INFO, "slipflow"):
-        status = execute(flow_of(TestSource(Scores, scores(0, 9000)), stuck, other)).sinks["testsink"]
+        status = execute(flow_of(TestSource(Scores, scores(0, 9000)), stuck, other)).sinks["faultysink"]
     kept = times(stuck)
     assert times(other) == list(range(9000))
     assert (kept[:11], kept[-1]) == (list(range(11)), 8999)
     assert (status.dropped, status.error) == (9000 - len(kept), "")
     assert status.dropped > 2500
     assert [text.partition(":")[0] for text in caplog.messages] == [
-        "testsink failed",
-        "testsink drops rows until it works again",
-        f"testsink works again; {9000 - len(kept)} rows were dropped",
+        "faultysink failed",
+        "faultysink drops rows until it works again",
+        f"faultysink works again; {9000 - len(kept)} rows were dropped",
     ]
 
 
@@ -167,7 +168,7 @@ def test_a_stuck_lossless_sink_blocks_no_other_and_works_again_once_its_write_en
 def test_a_sink_whose_queue_has_room_counts_as_failing_while_a_write_hangs(lossless: bool) -> None:
     seen = list[str]()
     waits, rare = [25.0], TestSource(Scores, [Scores.rows([k * 9 * s], 0.9) for k in range(5)])
-    sink = TestSink(lossless=lossless, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
+    sink = FaultySink(lossless=lossless, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
 
     def look(runner: LiveRunner, _: object) -> None:
         seen.append(runner.run.sinks["testsink"].error)
@@ -178,8 +179,8 @@ def test_a_sink_whose_queue_has_room_counts_as_failing_while_a_write_hangs(lossl
 
 
 def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
-    slow = TestSink(capacity=3, before_write=lambda: asyncio.sleep(0.05), lossless=False)
-    dropped = execute(flow_of(TestSource(Scores, scores(0, 100)), slow)).sinks["testsink"].dropped
+    slow = FaultySink(capacity=3, before_write=lambda: asyncio.sleep(0.05), lossless=False)
+    dropped = execute(flow_of(TestSource(Scores, scores(0, 100)), slow)).sinks["faultysink"].dropped
     assert dropped > 50
     assert len(times(slow)) + dropped == 100
     assert times(slow)[-3:] == [97, 98, 99]
@@ -188,9 +189,9 @@ def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
 @pytest.mark.parametrize(
     "sink",
     [
-        TestSink(failures=[OSError("dead")] * 10_000),
-        TestSink(before_write=for_ever),
-        TestSink(before_write=for_ever, capacity=1),
+        FaultySink(failures=[OSError("dead")] * 10_000),
+        FaultySink(before_write=for_ever),
+        FaultySink(before_write=for_ever, capacity=1),
     ],
     ids=["fails", "hangs", "is full"],
 )
@@ -201,9 +202,9 @@ def test_a_second_stop_abandons_a_sink_and_counts_all_rows_as_dropped(sink: Test
     (stream | Debounce(consecutive=2)).to(sink)  # gives a row at the end
     run = execute(flow, stops=(1, 2))
     assert run.clock.now() - run.start < 5 * s
-    assert run.sinks["testsink"].dropped == run.sources["scores"].rows + 1 > 1
-    assert run.sinks["testsink"].error
-    assert Summary.of(run).lost
+    assert run.sinks["faultysink"].dropped == run.sources["scores"].rows + 1 > 1
+    assert run.sinks["faultysink"].error
+    assert Summary.of(run).error
 
 
 class Disk(TestSink):
@@ -231,7 +232,7 @@ def test_the_end_of_a_run_waits_for_a_slow_sink_and_reports_it(caplog: pytest.Lo
         for rows in (70, 20)
     ]
     assert (run.sinks["disk"].rows, run.sinks["disk"].dropped, slow.closed) == (120, 0, 1)
-    assert not Summary.of(run).lost
+    assert not Summary.of(run).error
 
 
 class Finishing(Disk):
@@ -253,7 +254,7 @@ def test_further_stops_report_the_exact_number_of_rows_that_a_slow_sink_lost(
     [status] = run.sinks.values()
     assert (status.rows, status.dropped) == (slow.stored, run.sources["scores"].rows - slow.stored)
     assert slow.stored > 10
-    assert Summary.of(run).lost
+    assert Summary.of(run).error
     assert run.clock.now() - run.start >= end * s
 
 

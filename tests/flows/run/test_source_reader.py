@@ -23,7 +23,7 @@ from operators import (
     s,
 )
 from operators.ports import Description
-from tests.flows.run.live import Endless, execute, flow_of, scores, times
+from tests.flows.run.live import Endless, FaultySink, execute, flow_of, scores, times
 
 NOW: Final = 1_700_000_000 * s
 
@@ -211,7 +211,7 @@ def test_a_source_that_falls_silent_is_stale_until_its_next_row(caplog: pytest.L
         "scores delivered no rows for 5 s",
         "scores works again",
     ]
-    assert not Summary.of(run).lost
+    assert not Summary.of(run).error
 
 
 @pytest.mark.parametrize(("rows", "duration"), [(0, s), (0, 30 * s), (100, 30 * s)])
@@ -222,7 +222,7 @@ def test_a_source_that_is_silent_at_the_end_makes_the_run_fail_unless_its_rows_a
     source = Pausing(rows, 100.0)
     source.stale_after = None if rare else source.stale_after
     run = execute(flow_of(source, TestSink()), duration=duration)
-    assert run.sources["scores"].stale is Summary.of(run).lost is not rare
+    assert run.sources["scores"].stale is bool(Summary.of(run).error) is not rare
     assert ("delivered" in Summary.of(run).report()) is not rare
 
 
@@ -236,7 +236,7 @@ def test_rows_that_are_missing_in_a_short_pause_are_in_the_summary() -> None:
 
 
 def test_a_stalled_host_and_a_full_sink_make_no_source_stale() -> None:
-    busy = TestSink(capacity=1, before_write=lambda: asyncio.sleep(7))
+    busy = FaultySink(capacity=1, before_write=lambda: asyncio.sleep(7))
     run = execute(flow_of(Pausing(4, 0.0), busy), at={0.035: lambda _, loop: loop.stall(60)})
     assert (run.sources["scores"].rows, run.sources["scores"].gaps) == (4, [])
 
@@ -276,10 +276,10 @@ def test_a_source_that_fails_to_close_is_not_opened_again_and_costs_the_run_noth
             finally:
                 raise failure
 
-    sink = TestSink(capacity=1, before_write=lambda: asyncio.sleep(0.3)) if slow else TestSink()
+    sink = FaultySink(capacity=1, before_write=lambda: asyncio.sleep(0.3)) if slow else TestSink()
     run = execute(flow_of(Unplugged(), sink), duration=s)
     assert Unplugged.opened == 1
     assert (sink.closed, len(sink.written)) == (1, run.sources["scores"].rows)
-    assert not Summary.of(run).lost
+    assert not Summary.of(run).error
     [text] = caplog.messages
     assert text.startswith("scores failed to close: ")

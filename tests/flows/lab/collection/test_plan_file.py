@@ -59,6 +59,8 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         ("speeds = ['500mm/s']", "speeds is (0.5,), must be above 0 and below 0.3 m/s"),
         ("speeds = []\nrotations = 0", "1 or more, or give rotations"),
         ("repeats = true", "repeats is True, must be a whole number"),
+        ("repeats = 9223372036854775808", "repeats is 'too large', must be a number of at most 64 bits"),
+        ("[path]\nacceleration = 0x" + "f" * 5000, "path.acceleration is 'too large', must be a number"),
         ("path = 3", "path is 3, must be a table, [path]"),
         ("[limits]\nworkspace = [1, 2]", "limits.workspace is [1, 2], must be a list of 6 values"),
         ("[[surfaces]]\nshape = 'cube'", "surfaces[0].shape is 'cube', must be one of plane, sphere"),

@@ -21,7 +21,6 @@ def test_the_rivals_have_thresholds_of_their_own_and_the_papers_rule() -> None:
 
 def test_a_rule_takes_the_threshold_of_the_model_card() -> None:
     card = load_debounce("frequency_cnn")
-    assert card
     rules = {rule: Method("frequency_cnn", rule).load()[1] for rule in RULES}
     assert {rule.threshold for rule in rules.values()} == {card.threshold}
     assert isinstance(rules["steps"], StepGrip)

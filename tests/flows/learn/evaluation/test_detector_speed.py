@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flows.learn.evaluation import detector_speed as speed
-from flows.learn.evaluation.detector_speed import costs
+from flows.learn.labelled_recordings import LabelledRecording
 from operators.batch import Counts, Reals
 
 COUNTS = np.arange(300 * 6, dtype=np.int16).reshape(300, 6)
@@ -27,5 +27,7 @@ def test_a_cost_is_the_cpu_time_of_the_median_round(monkeypatch: pytest.MonkeyPa
             clock[0] += self.nanoseconds + hiccup
             return np.zeros(len(windows))
 
-    found = costs({"slow": Slow(50_000), "fast": Slow(2_000)}, COUNTS, rounds=3, span=1e-3)
-    assert found == {"slow": 50.0, "fast": 2.0}
+    recording = LabelledRecording(COUNTS, np.zeros(300, np.int8))
+    detectors = {"slow": Slow(50_000), "fast": Slow(2_000)}
+    found = speed.speed_results(detectors, [recording], rounds=3, span=1e-3)
+    assert found.select("method", "value").rows() == [("slow", 50.0), ("fast", 2.0)]

@@ -12,7 +12,7 @@ from flows.learn.evaluation.methods import PAPER_RULE, FittedMethod, baselines, 
 from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
-from operators.detectors import Detector, Psd
+from operators.detectors import Detector
 from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE
 from storage.models import shipped_names, shipped_path
@@ -27,14 +27,6 @@ def model(path: Path) -> Path:
 def fitted(training: Sequence[LabelledRecording], *names: str) -> dict[str, Detector]:
     fold = Fold("", training, [], training)
     return {each.name: each.fit(fold).detector for each in baselines(names)}
-
-
-def test_baselines_are_fitted_to_the_training_of_a_fold(surfaces: list[LabelledRecording]) -> None:
-    found = fitted(surfaces, "psd", "psd_1s", "logistic")
-    assert {name: each.length for name, each in found.items()} == {"logistic": 41, "psd": 25, "psd_1s": 100}
-    psd = found["psd"]
-    assert isinstance(psd, Psd)
-    assert psd.threshold != Psd().threshold
 
 
 def test_baselines_are_fitted_at_the_rate_and_in_the_unit_of_their_data(
