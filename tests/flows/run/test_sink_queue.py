@@ -171,9 +171,9 @@ def test_a_sink_whose_queue_has_room_counts_as_failing_while_a_write_hangs(lossl
     sink = FaultySink(lossless=lossless, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
 
     def look(runner: LiveRunner, _: object) -> None:
-        seen.append(runner.run.sinks["testsink"].error)
+        seen.append(runner.run.sinks["faultysink"].error)
 
-    status = execute(flow_of(rare, sink), at=dict.fromkeys((5.0, 15.0, 30.0), look)).sinks["testsink"]
+    status = execute(flow_of(rare, sink), at=dict.fromkeys((5.0, 15.0, 30.0), look)).sinks["faultysink"]
     assert [error.partition(": ")[2] for error in seen] == ["", "has not completed a write for 10 s", ""]
     assert (status.rows, status.dropped, status.failures) == (5, 0, 1)
 
