@@ -1,6 +1,5 @@
 """Logistic regression on simple features, for comparison with the networks."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Self
@@ -11,26 +10,16 @@ from flows.learn.labelled_recordings import Sampling
 from operators.batch import Counts, Flags, Reals
 from operators.extras import require_extra
 
-_SPANS: Final = (5, 10, 20, 40)  # samples at 100 Hz
 _LAGS: Final = (3, 8, 20, 50)  # samples at 100 Hz
 _DECAY: Final = 1e-3  # L2 penalty of logistic regression
 
 
-def activity(windows: Counts | Reals, sampling: Sampling) -> Reals:
-    """Return 48 features of windows (n, 41, 6) at 100 Hz, 8 for each cell; (n, 48).
-
-    Over the newest 50, 100, 200 and 400 ms: the variance of each cell and the mean square of its steps, as
-    log(1 + x), each sorted over the cells, so that the order of the cells does not matter.
-    """
-    values = windows.astype(np.float64)
-    steps = np.square(np.diff(values, axis=1))  # (n, 40, 6)
-    parts: list[Reals] = []
-    for length in map(sampling.scaled, _SPANS):
-        parts += [values[:, -length:].var(axis=1), steps[:, -length:].mean(axis=1)]
-    return np.log1p(np.sort(np.stack(parts, axis=1), axis=2)).reshape(len(windows), -1)
+def window_length(sampling: Sampling) -> int:
+    """Return the samples of a window; below 100 Hz as many as at 100 Hz."""
+    return sampling.scaled(max(_LAGS)) + 1
 
 
-def strokes(windows: Counts | Reals, sampling: Sampling) -> Reals:
+def features(windows: Counts | Reals, sampling: Sampling) -> Reals:
     """Return 20 features of windows (n, 51, cells) at 100 Hz for any number of cells; (n, 20).
 
     Over the newest 30, 80, 200 and 500 ms, as log(1 + x): the RMS step, the change since the oldest sample
@@ -48,27 +37,10 @@ def strokes(windows: Counts | Reals, sampling: Sampling) -> Reals:
     return np.log1p(np.stack(parts, axis=1))
 
 
-@dataclass(frozen=True)
-class Features:
-    """Features of windows; below 100 Hz the windows have as many samples as at 100 Hz."""
-
-    steps: int  # of a window at 100 Hz
-    compute: Callable[[Counts | Reals, Sampling], Reals]  # windows (n, length, cells) to features (n, k)
-
-    def length(self, sampling: Sampling) -> int:
-        """Return the length of a window, samples."""
-        return sampling.scaled(self.steps) + 1
-
-
-ACTIVITY_FEATURES: Final = Features(40, activity)
-STROKE_FEATURES: Final = Features(50, strokes)
-
-
 @dataclass(frozen=True, eq=False)
 class Logistic:
     """Logistic regression on features of windows; both classes have the same weight."""
 
-    features: Features
     sampling: Sampling
     mean: Reals  # (k,) of the features
     std: Reals  # (k,)
@@ -78,10 +50,10 @@ class Logistic:
     @property
     def length(self) -> int:
         """Length of a window, samples."""
-        return self.features.length(self.sampling)
+        return window_length(self.sampling)
 
     @classmethod
-    def fitted(cls, windows: Counts, slip: Flags, features: Features, sampling: Sampling) -> Self:
+    def fitted(cls, windows: Counts, slip: Flags, sampling: Sampling) -> Self:
         """Fit the regression to windows (n, length, cells).
 
         Raises:
@@ -89,16 +61,16 @@ class Logistic:
         """
         require_extra("baselines", "baselines")
         sklearn: Any = import_module("sklearn.linear_model")  # takes a second the first time
-        found = features.compute(windows, sampling)
+        found = features(windows, sampling)
         mean, std = found.mean(axis=0), found.std(axis=0) + 1e-9
         model = sklearn.LogisticRegression(
             C=1 / (_DECAY * len(found)), class_weight="balanced", tol=1e-6, max_iter=1000
         )
         model.fit((found - mean) / std, slip)
-        return cls(features, sampling, mean, std, model)
+        return cls(sampling, mean, std, model)
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells); (n,)."""
-        features = (self.features.compute(windows, self.sampling) - self.mean) / self.std
-        probability: Reals = self.model.predict_proba(features)[:, 1]
+        scaled = (features(windows, self.sampling) - self.mean) / self.std
+        probability: Reals = self.model.predict_proba(scaled)[:, 1]
         return probability

@@ -8,7 +8,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import ACTIVITY_FEATURES, STROKE_FEATURES, Features, Logistic
+from flows.learn.evaluation.baselines import Logistic, window_length
 from flows.learn.evaluation.folds import Fold
 from flows.learn.event_metrics import tuned_on
 from flows.learn.labelled_recordings import Sampling
@@ -26,7 +26,6 @@ SHORT: Final = Recipe(steps=400, augmentation=REAL_TOUCH)
 _PSD: Final = {"psd": 25, "psd_1s": 100}  # samples of a window at 100 Hz; the latter is the paper's
 BASELINES: Final = (Logistic.name, *_PSD)
 _HOP: Final = 5  # samples at 100 Hz between the windows that baselines are fitted to
-_SHORT_HOP: Final = 2  # the same, for recordings of few surfaces
 _SUFFIX: Final = ".safetensors"
 
 
@@ -113,22 +112,13 @@ def hold_out_methods(
     """
     found: dict[str, Candidate] = {"psd": FittedMethod("psd", Psd(), PAPER_RULE, "the paper")}
     if train:
-        learn = partial(fitted_baseline, Logistic.name, features=STROKE_FEATURES, hop=_SHORT_HOP)
-        found[Logistic.name] = Learner(Logistic.name, learn)
+        found[Logistic.name] = Learner(Logistic.name, partial(fitted_baseline, Logistic.name))
         found["tcn"] = Learner("tcn, trained", partial(_trained_tcn, recipe))
     return [found[name] for name in wanted(names, found)]
 
 
-def fitted_baseline(
-    name: str, fold: Fold, *, features: Features = ACTIVITY_FEATURES, hop: int = _HOP
-) -> Detector:
-    """Fit a baseline to the training of a fold.
-
-    Args:
-        name: One of `BASELINES`.
-        fold: Its training recordings are learned from.
-        features: Features that the logistic regression takes.
-        hop: Samples at 100 Hz from one window to the next.
+def fitted_baseline(name: str, fold: Fold) -> Detector:
+    """Fit a baseline, one of `BASELINES`, to the training recordings of a fold.
 
     Raises:
         InputError: if the training has no slip or no static.
@@ -136,7 +126,7 @@ def fitted_baseline(
     """
     training = fold.train
     sampling = training[0].sampling if training else Sampling()
-    every = sampling.scaled(hop)
+    every = sampling.scaled(_HOP)
     slip = np.concatenate([np.empty(0, np.bool_), *(each.slip[each.known(every)] for each in training)])
     if slip.all() or not slip.any():
         raise InputError(name, "no training with slip and static is left to fit it to")
@@ -148,7 +138,7 @@ def fitted_baseline(
         fingertip = training[0].fingertip
         psd = Psd(sampling.scaled(_PSD[name]), fingertip=fingertip)
         return psd.fitted(seen(psd.length), np.where(slip, SLIP, STATIC).astype(np.int8))
-    return Logistic.fitted(seen(features.length(sampling)), slip, features, sampling)
+    return Logistic.fitted(seen(window_length(sampling)), slip, sampling)
 
 
 def _trained_tcn(recipe: Recipe, fold: Fold) -> Detector:

@@ -35,7 +35,7 @@ def test_baselines_are_fitted_at_the_rate_and_in_the_unit_of_their_data(
     fingertip = replace(TAKKTILE, rate=200.0, unit="kPa", resolution=0.01)
     fast = [replace(each, fingertip=fingertip) for each in surfaces]
     found = fitted(fast, "psd", "psd_1s", "logistic")
-    assert {name: each.length for name, each in found.items()} == {"logistic": 81, "psd": 50, "psd_1s": 200}
+    assert {name: each.length for name, each in found.items()} == {"logistic": 101, "psd": 50, "psd_1s": 200}
     for detector in found.values():
         assert np.isfinite(fast[0].probabilities(detector)[-1])
     with pytest.raises(FingertipError, match=r"psd needs steps of 0\.01 kPa, 200 Hz; the data has count"):
