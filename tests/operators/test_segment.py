@@ -131,12 +131,6 @@ def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> N
 
 
 @dataclass
-class _Right(Join[Motion, Touch, Touch]):
-    def process(self, left: Motion, right: Touch) -> Touch:
-        return right
-
-
-@dataclass
 class _First(Join[Touch, Touch, Touch]):
     def steps(self, *given: RowType) -> Steps:
         return Steps(
@@ -158,7 +152,7 @@ def _first(settings: Record, state: Record, out: Record) -> bool:
 
 
 def test_the_output_of_a_join_has_the_cells_of_the_first_input_with_cells() -> None:
-    assert _Right().row_type(RowType(Motion), RowType(Touch, 4)).cells == 4
+    assert _First().row_type(RowType(Motion), RowType(Touch, 4)).cells == 4
 
 
 def test_an_input_without_rows_yet_has_the_cells_of_the_other() -> None:

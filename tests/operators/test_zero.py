@@ -29,19 +29,12 @@ def test_a_median_between_two_counts_is_rounded_half_to_even(counts: list[int], 
     assert Zero(scans=2).push(_touch(counts)).counts[0, 0] == counts[0] - baseline
 
 
-def test_only_valid_readings_make_the_baseline() -> None:
+def test_only_valid_readings_make_the_baseline_and_a_cell_that_never_answered_stays_invalid() -> None:
     valid = np.ones((3, 6), np.bool_)
-    valid[1:, 2] = False
-    zeroed = Zero(scans=3).push(_touch([600, 0, 0], valid))
-    assert zeroed.counts[0].tolist() == [600, 600, 0, 600, 600, 600]
-
-
-def test_a_cell_that_never_answered_stays_invalid() -> None:
-    valid = np.ones((2, 6), np.bool_)
-    valid[:, 4] = False
-    zero = Zero(scans=2)
-    zero.push(_touch([600, 600], valid))
-    assert zero.push(_touch([600], start=2)).valid[0].tolist() == [True] * 4 + [False, True]
+    valid[1:, 2] = valid[:, 4] = False
+    zero = Zero(scans=3)
+    assert zero.push(_touch([600, 0, 0], valid)).counts[0, valid[0]].tolist() == [600, 600, 0, 600, 600]
+    assert zero.push(_touch([600], start=3)).valid[0].tolist() == [True] * 4 + [False, True]
 
 
 def test_a_short_stream_is_zeroed_with_its_own_median_at_the_end() -> None:

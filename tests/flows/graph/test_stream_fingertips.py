@@ -9,7 +9,7 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
-from operators import Health, Pool, Score, Touch, Zero, Zeroed, ms, s
+from operators import Health, Pool, Score, Touch, Zero, ms, s
 from operators.batch import Faults
 from operators.detectors import Psd
 from operators.errors import FingertipError, FlowError
@@ -83,11 +83,3 @@ def test_cells_at_the_end_of_their_fingertips_range_are_saturated(
         if isinstance(batch, Faults)
     ]
     assert saturated == found
-
-
-def test_a_sink_learns_the_fingertips_of_its_streams() -> None:
-    made, sink = Flow("record"), TestSink("data")
-    touch = made.source(Fast(TAKKTILE))
-    touch.to(sink)
-    (touch | Zero()).to(sink)
-    assert CompiledFlow(made).fingertips == {"data": {Touch: TAKKTILE, Zeroed: TAKKTILE}}

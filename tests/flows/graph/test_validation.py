@@ -34,12 +34,6 @@ def test_a_flow_without_a_source_is_reported() -> None:
     assert "no source" in _one_problem(Flow("f"))
 
 
-def test_an_unconnected_stream_is_named() -> None:
-    flow = Flow("f")
-    _ = flow.source(TestSource(Touch)) | Zero()
-    assert _one_problem(flow).startswith("Zero -> ?: its stream of Zeroed is unconnected")
-
-
 def test_a_wrong_type_is_named_first_with_its_edge_and_the_missing_operators() -> None:
     flow = Flow("f")
     touch: Stream[Any] = flow.source(TestSource(Touch))
