@@ -10,15 +10,13 @@ from typing import Any
 
 import pytest
 
-from operators.batch import Touch
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.append_log import AppendLog
-from storage.files import lock
 from storage.journal import identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side, write
+from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side
 
 BATCHES = side_by_side(5)
 ALL = [25] * 5
@@ -53,19 +51,6 @@ def test_rows_of_the_journal_become_listed_parts_once(left: Path) -> None:
     before = contents(left)
     assert not recover(left).changed
     assert contents(left) == before
-
-
-def test_a_recorder_killed_after_its_last_commit_has_lost_no_known_row(tmp_path: Path) -> None:
-    write(tmp_path, new_run(), [each for each in BATCHES if type(each) is Touch]).commit()
-    assert recover(tmp_path / "sessions/one").lost == []
-    assert verify(tmp_path).worst == "repaired"
-
-
-def test_a_session_that_is_being_recorded_is_left_alone(left: Path) -> None:
-    assert lock(left) is not None
-    with pytest.raises(EndpointError, match="one: is being recorded"):
-        recover(left)
-    assert rows(left, BATCHES) == [20, 20, 20, 20, 0]
 
 
 @pytest.mark.parametrize("journal", ["none", "damaged"])

@@ -15,7 +15,6 @@ from operators import (
     EVERY,
     Align,
     Batch,
-    BatchError,
     Debounce,
     DeviceClock,
     Join,
@@ -59,14 +58,6 @@ def test_a_compiled_flow_lists_types_and_fingertips_of_each_sink() -> None:
         one.destination: {Slips: (0, 1), Scores: (1,)},
         other.destination: {Slips: (1,)},
     }
-
-
-def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
-    flow = Flow("f")
-    flow.source(TestSource(Scores, fingers=(0,))).to(TestSink())
-    compiled = CompiledFlow(flow)
-    with pytest.raises(BatchError, match=r"source 'scores' yielded fingertip 3, but declares \(0,\)"):
-        compiled.push({(compiled.entries[0][0], 3): scores(0.9, finger=3)})
 
 
 class Forgetful(Operator[Scores, Scores]):

@@ -1,6 +1,4 @@
 from dataclasses import replace
-from pathlib import Path
-from shutil import copy
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ from operators.detectors import Psd
 from operators.errors import FingertipError, FlowError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
-from storage.models import shipped_path
 
 
 class Fast(TestSource[Touch]):
@@ -51,12 +48,6 @@ def test_a_detector_for_another_fingertip_is_an_error_that_names_edge_and_operat
     assert isinstance(problem.__cause__, FingertipError)
     with pytest.raises(FlowError, match=rf"^flow 'live': Zero -> Score: tcn needs .*: {fix}"):
         CompiledFlow(made)
-
-
-def test_the_error_names_the_model_and_not_its_kind(tmp_path: Path) -> None:
-    own = copy(shipped_path("tcn"), tmp_path / "mine.safetensors")
-    [problem] = problems(flow(replace(TAKKTILE, rate=200.0), Score(load_detector(own))))
-    assert "mine.safetensors needs 100 Hz; the data has 200 Hz" in problem.reason
 
 
 def test_a_detector_that_fits_or_does_not_say_is_accepted() -> None:

@@ -75,15 +75,11 @@ def test_a_live_run_equals_a_replay_of_the_same_rows() -> None:
     same(full.rows(Labelled, 0), live.rows(Labelled, 0))
 
 
-def test_a_stream_that_the_recording_lacks_is_named() -> None:
+def test_a_stream_that_the_recording_lacks_is_named_and_an_empty_recording_is_an_error() -> None:
     flow, _ = labelling()
     touch_only = TestRecording("memory", recording().read(Touch, 0, 1000))
     with pytest.raises(InputError, match="memory: has no motion stream, which source 'motion' needs"):
         ReplayRunner(flow, touch_only, "x")
-
-
-def test_an_empty_recording_is_an_error() -> None:
-    flow, _ = labelling()
     empty = TestRecording("memory", [Touch.empty(), Motion.empty()])
     with pytest.raises(InputError, match="memory: is empty"):
         asyncio.run(ReplayRunner(flow, empty, "x").execute())
