@@ -10,13 +10,14 @@ from typing import Any
 
 import pytest
 
+from operators.batch import Touch
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.append_log import AppendLog
 from storage.journal import identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
-from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side
+from tests.storage.made import contents, flip, leave, new_run, rows, side_by_side, write
 
 BATCHES = side_by_side(5)
 ALL = [25] * 5
@@ -51,6 +52,12 @@ def test_rows_of_the_journal_become_listed_parts_once(left: Path) -> None:
     before = contents(left)
     assert not recover(left).changed
     assert contents(left) == before
+
+
+def test_a_recorder_killed_after_its_last_commit_has_lost_no_known_row(tmp_path: Path) -> None:
+    write(tmp_path, new_run(), [each for each in BATCHES if type(each) is Touch]).commit()
+    assert recover(tmp_path / "sessions/one").lost == []
+    assert verify(tmp_path).worst == "repaired"
 
 
 @pytest.mark.parametrize("journal", ["none", "damaged"])

@@ -200,6 +200,30 @@ def test_an_operator_that_cannot_be_prepared_is_named(
         CompiledFlow(flow)
 
 
+def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_operators() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
+    (zeroed & (flow.source(TestSource(Motion)) | DeviceClock()) | Align(wait=100 * ms)).to(TestSink())
+    compiled = CompiledFlow(flow)
+    pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 99 * ms, 100 * ms)]
+    assert [len(deliveries) for deliveries in pushed] == [0, 0, 1]
+
+
+def test_motion_that_comes_with_touch_of_one_fingertip_reaches_the_others() -> None:
+    """As in a replay, in a time span in which one fingertip has no rows."""
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
+    compiled = CompiledFlow(flow)
+    left, right, arm = compiled.entries
+    compiled.push({right: touch(0, finger=1)})
+    joined = [
+        batch
+        for _, batch in compiled.push({left: touch(0, finger=0), arm: Motion.rows([0, 8 * ms], 0, 1, 1)})
+    ]
+    assert [batch.finger for batch in joined] == [0, 1]
+
+
 def test_an_empty_batch_needs_not_the_number_of_cells_of_the_fingertip() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Touch)) | Pool(gain=0.25)).to(TestSink())

@@ -8,6 +8,16 @@ from flows.graph.testing import TestSink, TestSource
 from operators import Align, Debounce, FlowError, Motion, Scores, Touch, Zero
 
 
+@pytest.mark.parametrize(("fingers", "joined"), [((0, 2), (0, 2)), ((-1,), (-1,))])
+def test_a_stream_of_all_fingertips_joins_each_of_them(
+    fingers: tuple[int, ...], joined: tuple[int, ...]
+) -> None:
+    flow = Flow("f")
+    touch = flow.source(TestSource(Touch, fingers=fingers)) | Zero()
+    motion = flow.source(TestSource(Motion))
+    assert (touch & motion | Align()).node.fingers == joined
+
+
 def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
     flow, sink = Flow("f"), TestSink()
     (flow.source(TestSource(Scores)) | Debounce()).to(sink)

@@ -1,4 +1,6 @@
 from dataclasses import replace
+from pathlib import Path
+from shutil import copy
 
 import numpy as np
 import pytest
@@ -7,12 +9,13 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
-from operators import Health, Pool, Score, Touch, Zero, ms, s
+from operators import Health, Pool, Score, Touch, Zero, Zeroed, ms, s
 from operators.batch import Faults
 from operators.detectors import Psd
 from operators.errors import FingertipError, FlowError
 from operators.fingertip import TAKKTILE, Fingertip, grid
 from storage import load_detector
+from storage.models import shipped_path
 
 
 class Fast(TestSource[Touch]):
@@ -50,6 +53,12 @@ def test_a_detector_for_another_fingertip_is_an_error_that_names_edge_and_operat
         CompiledFlow(made)
 
 
+def test_the_error_names_the_model_and_not_its_kind(tmp_path: Path) -> None:
+    own = copy(shipped_path("tcn"), tmp_path / "mine.safetensors")
+    [problem] = problems(flow(replace(TAKKTILE, rate=200.0), Score(load_detector(own))))
+    assert "mine.safetensors needs 100 Hz; the data has 200 Hz" in problem.reason
+
+
 def test_a_detector_that_fits_or_does_not_say_is_accepted() -> None:
     assert problems(flow(TAKKTILE, Score(load_detector("tcn")))) == []
     assert problems(flow(replace(TAKKTILE, layout=grid(16)), Score(Psd()))) == []
@@ -74,3 +83,11 @@ def test_cells_at_the_end_of_their_fingertips_range_are_saturated(
         if isinstance(batch, Faults)
     ]
     assert saturated == found
+
+
+def test_a_sink_learns_the_fingertips_of_its_streams() -> None:
+    made, sink = Flow("record"), TestSink("data")
+    touch = made.source(Fast(TAKKTILE))
+    touch.to(sink)
+    (touch | Zero()).to(sink)
+    assert CompiledFlow(made).fingertips == {"data": {Touch: TAKKTILE, Zeroed: TAKKTILE}}
