@@ -44,12 +44,7 @@ def _reference(probability: list[float], consecutive: int, release: int) -> list
 def test_events_are_those_of_the_rule(probability: list[float], consecutive: int, release: int) -> None:
     debounce = Debounce(consecutive=consecutive, release=release)
     assert _events(debounce, *probability) == _reference(probability, consecutive, release)
-
-
-def test_a_slip_still_open_at_the_end_is_given_no_end() -> None:
-    debounce = Debounce()
-    assert _events(debounce, HIGH, HIGH) == [(SLIP, 1, 0)]
-    assert len(debounce.flush()) == 0
+    assert len(debounce.flush()) == 0  # a slip that is open has no end
 
 
 def test_events_do_not_keep_the_memory_of_their_batch() -> None:

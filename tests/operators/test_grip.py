@@ -63,10 +63,6 @@ def test_a_later_slip_is_judged_by_its_own_forces() -> None:
     assert second == pytest.approx(first)  # commanded when it slipped again
 
 
-def test_it_stays_while_nothing_has_ever_slipped() -> None:
-    assert len(_pushed(_soon(), [0.0] * 500)) == 1
-
-
 def test_a_gap_in_the_scores_is_no_time_of_slip() -> None:
     grip = _soon(max_force=1.1)
     assert _pushed(grip, [0.0, 1.0, 1.0, 1.0]).force[-1] == 1.1

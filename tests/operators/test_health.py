@@ -35,12 +35,6 @@ def _changes(
     return [(int(at) / s, int(cell), FaultKind(name), bool(active)) for at, cell, name, active in rows]
 
 
-def test_a_sound_fingertip_has_no_faults() -> None:
-    counts, valid = _touch(20)
-    valid[np.random.default_rng(1).random(valid.shape) < 0.2] = False
-    assert _changes(counts, valid) == []
-
-
 def test_a_cell_is_dead_once_it_has_not_answered_for_half_a_second_until_it_does() -> None:
     counts, valid = _touch(4)
     valid[101:250, 3] = False

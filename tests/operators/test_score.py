@@ -32,13 +32,6 @@ def _touch(*first: int, rows: int = 0) -> Zeroed:
     return Zeroed(np.arange(len(counts)) * 10 * ms, counts, counts, np.ones_like(counts, np.bool_), finger=6)
 
 
-def test_there_is_a_score_for_each_full_window_at_the_time_of_its_newest_sample() -> None:
-    scores = Score(_Keeper()).push(_touch(100, 200, 300))
-    assert scores.probability.tolist() == [0.2, 0.3]
-    assert scores.time.tolist() == [10 * ms, 20 * ms]
-    assert scores.finger == 6
-
-
 @pytest.mark.parametrize(
     "detector",
     ["tcn", _Keeper, SimpleNamespace(length=2), SimpleNamespace(score=abs), _Keeper(length=cast("int", 2.0))],
@@ -82,12 +75,16 @@ def test_scores_may_be_unknown_and_of_any_precision() -> None:
     assert str(scores.probability) == "[ 0.  1. nan]"
 
 
-def test_a_detector_is_given_few_windows_at_once_and_all_of_them() -> None:
+def test_a_detector_is_given_few_windows_at_once_and_the_scores_have_the_times_of_the_newest_samples() -> (
+    None
+):
     keeper = _Keeper()
     scores = Score(keeper).push(_touch(rows=200))
     assert max(map(len, keeper.given)) == 64
     np.testing.assert_array_equal(np.concatenate(keeper.given)[:, 0, 0], np.arange(199))
     np.testing.assert_array_equal(scores.probability, np.arange(1, 200) / 1000)
+    np.testing.assert_array_equal(scores.time, np.arange(1, 200) * 10 * ms)
+    assert scores.finger == 6
 
 
 def test_an_invalid_reading_is_taken_to_be_the_last_valid_one_and_0_before_any() -> None:

@@ -131,12 +131,6 @@ def test_a_fingertip_with_another_number_of_cells_than_described_is_named() -> N
 
 
 @dataclass
-class _Right(Join[Motion, Touch, Touch]):
-    def process(self, left: Motion, right: Touch) -> Touch:
-        return right
-
-
-@dataclass
 class _First(Join[Touch, Touch, Touch]):
     def steps(self, *given: RowType) -> Steps:
         return Steps(
@@ -158,7 +152,7 @@ def _first(settings: Record, state: Record, out: Record) -> bool:
 
 
 def test_the_output_of_a_join_has_the_cells_of_the_first_input_with_cells() -> None:
-    assert _Right().row_type(RowType(Motion), RowType(Touch, 4)).cells == 4
+    assert _First().row_type(RowType(Motion), RowType(Touch, 4)).cells == 4
 
 
 def test_an_input_without_rows_yet_has_the_cells_of_the_other() -> None:
@@ -264,15 +258,16 @@ def _divided(settings: Record, state: Record, row: Record, out: Record) -> bool:
     return True
 
 
-PLAIN = pytest.mark.parametrize("plain", [False, True], ids=["compiled", "Python"])
-
-
-@PLAIN
-def test_a_step_without_a_result_has_no_row_and_reads_the_globals_of_now(
-    monkeypatch: pytest.MonkeyPatch, *, plain: bool
-) -> None:
-    if plain:
+@pytest.fixture(params=["compiled", "Python"])
+def _each_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "Python":
         monkeypatch.setattr(segment, "compiler", lambda: None)
+
+
+@pytest.mark.usefixtures("_each_way")
+def test_a_step_without_a_result_has_no_row_and_reads_the_globals_of_now(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     scores = Scores.rows([0, 1, 2], [0.1, 0.5, 0.75])
     for limit in (1.0, 2.0):
         monkeypatch.setitem(globals(), "LIMIT", limit)
@@ -281,10 +276,8 @@ def test_a_step_without_a_result_has_no_row_and_reads_the_globals_of_now(
         assert not len(step.flush())
 
 
-@PLAIN
-def test_division_by_zero_in_a_step_is_an_error(monkeypatch: pytest.MonkeyPatch, *, plain: bool) -> None:
-    if plain:
-        monkeypatch.setattr(segment, "compiler", lambda: None)
+@pytest.mark.usefixtures("_each_way")
+def test_division_by_zero_in_a_step_is_an_error() -> None:
     with pytest.raises(ZeroDivisionError):
         _Stepping(Steps(step=_divided)).push(Scores.zeros(2).later(1))
 

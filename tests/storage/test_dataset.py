@@ -87,7 +87,8 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
         assert times[-1] - times[0] < max(span, longest * 10 * ms)
 
 
-def test_every_batch_goes_to_the_table_of_its_type(tmp_path: Path) -> None:
+def test_every_batch_goes_to_the_table_of_its_type_also_on_a_whole_disk(tmp_path: Path) -> None:
+    (tmp_path / "lost+found").mkdir()
     kinds, run = [Touch, Motion, Labelled, Slips], new_run()
     run.sink_types = {str(tmp_path): dict.fromkeys([*kinds, Episodes], (0,)), "elsewhere": {Faults: (0,)}}
     run_sink(Dataset(tmp_path), run, [new_batch(kind) for kind in kinds])
@@ -155,12 +156,6 @@ async def test_a_file_of_others_in_the_journal_stays_and_hinders_nothing(tmp_pat
         )
     assert Session.open(folder).about["complete"] is True
     assert verify(folder).code == 0
-
-
-def test_a_dataset_may_be_a_whole_disk(tmp_path: Path) -> None:
-    (tmp_path / "lost+found").mkdir()
-    run_sink(Dataset(tmp_path), new_run(), [new_batch(Touch)])
-    assert len(Session.open(tmp_path).frame("touch")) == 5
 
 
 async def test_a_batch_without_a_table_is_refused_and_not_stored(tmp_path: Path) -> None:

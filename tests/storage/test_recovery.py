@@ -14,7 +14,6 @@ from operators.batch import Touch
 from operators.errors import EndpointError, InputError
 from storage import Session, files, recover, verify
 from storage.append_log import AppendLog
-from storage.files import lock
 from storage.journal import identity
 from storage.layout import SEGMENTS, numbered_files
 from storage.parts import read_manifest, write_manifest
@@ -59,13 +58,6 @@ def test_a_recorder_killed_after_its_last_commit_has_lost_no_known_row(tmp_path:
     write(tmp_path, new_run(), [each for each in BATCHES if type(each) is Touch]).commit()
     assert recover(tmp_path / "sessions/one").lost == []
     assert verify(tmp_path).worst == "repaired"
-
-
-def test_a_session_that_is_being_recorded_is_left_alone(left: Path) -> None:
-    assert lock(left) is not None
-    with pytest.raises(EndpointError, match="one: is being recorded"):
-        recover(left)
-    assert rows(left, BATCHES) == [20, 20, 20, 20, 0]
 
 
 @pytest.mark.parametrize("journal", ["none", "damaged"])

@@ -84,14 +84,6 @@ def test_a_manifest_with_fewer_rows_than_the_closed_session_counts_is_a_loss(tmp
     }
 
 
-def test_a_session_that_is_being_recorded_is_checked_up_to_its_last_commit(tmp_path: Path) -> None:
-    writer = write(tmp_path, new_run(), BATCHES)
-    found = verify(tmp_path)
-    assert (found.code, [each.weight for each in found.findings]) == (0, ["note"])
-    assert found.rows == 80
-    writer.close()
-
-
 def test_what_session_json_says_is_weighed(tmp_path: Path) -> None:
     run = new_run()
     run.sources["touch"] = SourceStatus(gaps=[Gap(0, 2_500_000_000, "unplugged")])

@@ -1,9 +1,15 @@
+"""The output and the exit code of `slipflow run`."""
+
+import json
+import re
+
 import pytest
 import typer
 
 from flows.cli.run import report_run
 from operators import Run
 from operators.ports import SinkStatus
+from tests.command import slipflow
 
 
 def test_lost_rows_and_an_interruption_set_the_exit_code(
@@ -19,3 +25,11 @@ def test_lost_rows_and_an_interruption_set_the_exit_code(
             report_run(run, as_json=False)
         assert raised.value.exit_code == code
         assert capsys.readouterr().out.splitlines()[0] == f"run1: 10.0 s; {text}"
+
+
+def test_a_live_run_prints_one_json_object() -> None:
+    done = slipflow("run", "live", "--for", "100ms", "--json")
+    found = json.loads(done.stdout)
+    assert list(found) == ["session", "flow", "seconds", "sources", "sinks", "error"]
+    assert (found["flow"], found["error"]) == ("live", None)
+    assert re.fullmatch(r"live-\d{8}T\d{6}\.\d{6}Z", found["session"])

@@ -13,7 +13,6 @@ FILES = {
     "lab.csv": TRACE,
     "wrong.csv": "a,b\n1,2\n",
     "broken.py": "def broken(:\n",
-    "mine.toml": "[path]\ndepth = '2'",
     "both.toml": "[[surfaces]]\n[[surfaces]]\npose = [1, 0, 0, 3, 0, 0]",
 }
 MISTAKES = [
@@ -63,7 +62,6 @@ MISTAKES = [
     ("experiment tap --object egg", "object is 'egg', must be one of box"),
     ("experiment tap --method psd:best", "rule is 'best', must be one of ours, steps, none"),
     # data
-    ("collect mine.toml --dry-run", "mine.toml: path.depth is '2', must be a length with its unit"),
     ("collect tiny", "--robot HOST"),
     ("collect both.toml --virtual", "has several surfaces; the virtual arm has one"),
     pytest.param("collect tiny --robot 127.0.0.1 --rows a", "must be row numbers", marks=NEEDS_UR),

@@ -15,7 +15,6 @@ from operators import (
     EVERY,
     Align,
     Batch,
-    BatchError,
     Debounce,
     DeviceClock,
     Join,
@@ -47,16 +46,6 @@ def touch(*times: int, finger: int = EVERY) -> Touch:
     return Touch.rows(times, [[400 + finger] * 6] * len(times), 400 + finger, True, finger=finger)
 
 
-def test_a_compiled_leaves_the_declared_operators_as_they_were() -> None:
-    flow, declared = Flow("f"), Debounce(consecutive=2)
-    (flow.source(TestSource(Scores)) | declared).to(TestSink())
-    for _ in range(2):  # the second run must not remember the first
-        compiled = CompiledFlow(flow)
-        assert compiled.push({compiled.entries[0]: scores(0.9)}) == []
-        [(_, slips)] = compiled.push({compiled.entries[0]: scores(0.9, start=10 * ms)})
-        assert len(slips) == 1
-
-
 def test_a_compiled_flow_lists_types_and_fingertips_of_each_sink() -> None:
     flow, one, other = Flow("pressed"), TestSink("one"), TestSink("other")
     probabilities = flow.source(TestSource(Scores, fingers=(1,)))
@@ -69,14 +58,6 @@ def test_a_compiled_flow_lists_types_and_fingertips_of_each_sink() -> None:
         one.destination: {Slips: (0, 1), Scores: (1,)},
         other.destination: {Slips: (1,)},
     }
-
-
-def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
-    flow = Flow("f")
-    flow.source(TestSource(Scores, fingers=(0,))).to(TestSink())
-    compiled = CompiledFlow(flow)
-    with pytest.raises(BatchError, match=r"source 'scores' yielded fingertip 3, but declares \(0,\)"):
-        compiled.push({(compiled.entries[0][0], 3): scores(0.9, finger=3)})
 
 
 class Forgetful(Operator[Scores, Scores]):

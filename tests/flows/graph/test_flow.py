@@ -8,20 +8,6 @@ from flows.graph.testing import TestSink, TestSource
 from operators import Align, Debounce, FlowError, Motion, Scores, Touch, Zero
 
 
-def test_sources_of_one_kind_get_names_of_their_own() -> None:
-    flow = Flow("f")
-    assert [flow.source(TestSource(Touch)).node.name for _ in range(3)] == ["touch", "touch2", "touch3"]
-    assert flow.source(TestSource(Touch), name="thumb").node.name == "thumb"
-
-
-def test_one_sink_object_is_one_node_however_many_streams_it_takes() -> None:
-    flow, sink = Flow("f"), TestSink()
-    flow.source(TestSource(Touch)).to(sink)
-    flow.source(TestSource(Motion)).to(sink)
-    [node] = flow.sinks()
-    assert [parent.name for parent in node.inputs] == ["touch", "motion"]
-
-
 @pytest.mark.parametrize(("fingers", "joined"), [((0, 2), (0, 2)), ((-1,), (-1,))])
 def test_a_stream_of_all_fingertips_joins_each_of_them(
     fingers: tuple[int, ...], joined: tuple[int, ...]
@@ -61,12 +47,6 @@ def test_a_stream_of_another_flow_cannot_be_joined() -> None:
     motion, touch = Flow("f").source(TestSource(Motion), name="arm"), Flow("g").source(TestSource(Touch))
     with pytest.raises(FlowError, match=r"^flow 'f': arm & touch: touch belongs to flow 'g': declare both"):
         _ = motion & touch
-
-
-def test_a_stream_goes_on_after_a_sink() -> None:
-    flow, kept, shown = Flow("f"), TestSink(), TestSink()
-    (flow.source(TestSource(Scores)).to(kept) | Debounce()).to(shown)
-    assert [node.inputs[0].name for node in flow.sinks()] == ["scores", "Debounce"]
 
 
 class Half:

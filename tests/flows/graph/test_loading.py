@@ -1,4 +1,3 @@
-import asyncio
 import pickle
 import re
 import sys
@@ -9,12 +8,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.loading import load
-from flows.graph.testing import run_virtually
-from flows.run.live_runner import LiveRunner
-from flows.run.replay_runner import ReplayRunner
-from operators import InputError, Run, s
-from storage import Session
-from tests.pages import ROOT, block
+from operators import InputError
 
 GOOD = """
 from flows.graph import Flow
@@ -90,20 +84,17 @@ def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
         load(_file(tmp_path, GOOD) + ":other")
 
 
-def test_an_error_while_building_names_the_line_of_the_flow_file(tmp_path: Path) -> None:
-    code = "from flows.graph import Flow\ndef f() -> Flow:\n    return undefined\n"
-    with pytest.raises(InputError, match=r"mine\.py:3: NameError"):
-        load(_file(tmp_path, code)).flow()
-
-
 @pytest.mark.parametrize(
     ("body", "message"),
     [
         ("return 5", "mine.py: flow 'f' must return a Flow, but returned int"),
         ("import sys; sys.exit(3)", "mine.py:3: calls sys.exit"),
+        ("return undefined", "mine.py:3: NameError: name 'undefined' is not defined"),
     ],
 )
-def test_a_function_that_returns_no_flow_is_an_error(tmp_path: Path, body: str, message: str) -> None:
+def test_a_function_that_fails_or_returns_no_flow_is_an_error(
+    tmp_path: Path, body: str, message: str
+) -> None:
     code = f"from flows.graph import Flow\ndef f() -> Flow:\n    {body}\n"
     with pytest.raises(InputError, match=f"{re.escape(message)}$"):
         load(_file(tmp_path, code)).flow()
@@ -150,21 +141,3 @@ def test_a_module_named_like_a_package_of_slipflow_is_an_error(tmp_path: Path, c
 def test_a_folder_of_data_named_like_a_package_is_no_clash(tmp_path: Path) -> None:
     (tmp_path / "storage").mkdir()
     assert load(_file(tmp_path, GOOD)).name
-
-
-def test_the_flow_of_the_readme_can_be_replayed_from_its_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.chdir(tmp_path)
-    declaration = load(_file(tmp_path, block(ROOT / "README.md", "slip.py")))
-
-    async def record() -> Run:
-        return await LiveRunner(declaration.flow(), "first", duration=5 * s).execute()
-
-    live = run_virtually(record())
-    recording = Session.open(tmp_path / "recordings" / "sessions" / "first")
-    replay = asyncio.run(ReplayRunner(declaration.flow({"out": "replayed"}), recording, "second").execute())
-    rows = [{name: sink.rows for name, sink in run.sinks.items()} for run in (live, replay)]
-    assert rows[0] == rows[1]
-    assert min(rows[0].values()) > 0

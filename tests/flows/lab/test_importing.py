@@ -25,6 +25,7 @@ from operators import Zero
 from operators.batch import EVERY, Labelled, Motion, Touch, Zeroed, concat, ms, s
 from operators.errors import InputError, ParameterError
 from storage import Session
+from tests.storage.made import contents
 
 Write = Callable[..., Path]
 CELLS = "s1,s2,s3,s4,s5,s6"
@@ -75,38 +76,30 @@ def test_the_file_s_labels_are_those_of_the_samples(tmp_path: Path, write: Write
     assert samples.counts.tolist() == zeroed.counts.tolist()
 
 
-def test_without_labels_the_arm_s_speed_gives_them(tmp_path: Path, write: Write) -> None:
-    speeds = [0 if k < 150 else 40 for k in range(300)]
-    lines = [f"{k * 10},{counts(0)},{v}" for k, v in enumerate(speeds)]
-    path = write(f"t_ms,{CELLS},v", lines)
-    columns = ColumnMap.parse("units.speed=mm/s")
-    trace_import = read(path, tmp_path / "out", columns)
-    session = imported(trace_import)
-    assert session.tables == ("touch", "motion", "samples")
-    assert rows(session, Motion, EVERY).velocity[:, 0].tolist() == [v / 1000 for v in speeds]
-    assert rows(session, Labelled).label.tolist() == [0] * 150 + [1] * 150
-    assert "  labels by arm speed, slip above 3 mm/s: 150 slip, 150 static\n" in trace_import.report()
-    assert "Label(" in str(session.about["declaration"])
-
-
 @pytest.mark.parametrize(
     ("column", "fast", "labels", "absent"),
     [
-        ("speed", 0.4, "150 static, 150 unknown", "slip"),
-        ("vx,vy,vz", "0,0,0.04", "300 static", "slip"),
-        ("speed", 0.04, "150 slip, 150 static", ""),
+        ("v", "400", "150 static, 150 unknown", "slip"),
+        ("vx,vy,vz", "0,0,40", "300 static", "slip"),
+        ("v", "40", "150 slip, 150 static", ""),
     ],
 )
-def test_the_labels_that_the_arm_s_speed_gives_are_counted_and_a_missing_one_is_a_warning(
-    tmp_path: Path, write: Write, column: str, fast: object, labels: str, absent: str
+def test_without_labels_the_arm_s_speed_gives_them_and_a_missing_one_is_a_warning(
+    tmp_path: Path, write: Write, column: str, fast: str, labels: str, absent: str
 ) -> None:
     still = "0,0,0" if "," in column else "0"
-    lines = [f"{k / 100},{counts(0)},{still if k < 150 else fast}" for k in range(300)]
-    trace_import = read(write(f"t,{CELLS},{column}", lines), tmp_path / "out")
+    lines = [f"{k * 10},{counts(0)},{still if k < 150 else fast}" for k in range(300)]
+    columns = ColumnMap.parse("units.speed=mm/s")
+    trace_import = read(write(f"t_ms,{CELLS},{column}", lines), tmp_path / "out", columns)
     report = trace_import.report()
     assert f"  labels by arm speed, slip above 3 mm/s: {labels}\n" in report
     assert (f"  warning: no row is {absent}, but the arm moves: slip is a speed" in report) == bool(absent)
-    assert rows(imported(trace_import), Labelled).label.tolist() == trace_import.labels().tolist()
+    session = imported(trace_import)
+    assert session.tables == ("touch", "motion", "samples")
+    assert "Label(" in str(session.about["declaration"])
+    assert rows(session, Motion, EVERY).velocity[-1, :3].max() == int(fast.rpartition(",")[2]) / 1000
+    expected = trace_import.labels().tolist()
+    assert rows(session, Labelled).label.tolist() == expected == [0] * 150 + expected[150:]
 
 
 def test_labels_and_motion_of_a_file_are_both_kept(tmp_path: Path, write: Write) -> None:
@@ -246,23 +239,12 @@ def test_files_are_imported_one_by_one_with_the_resolution_of_the_dataset(tmp_pa
         assert touch.counts[:, 1] * fingertip.resolution == pytest.approx(expected, abs=0.00501)
 
 
-def test_a_file_that_the_dataset_has_is_left_out(tmp_path: Path) -> None:
-    path, out = put(tmp_path / "a.parquet"), tmp_path / "out"
-    imports([path], out)
-    before = {each: each.read_bytes() for each in out.rglob("*") if each.is_file()}
-    assert [each.state for each in imports([path], out)] == ["present"]
-    assert {each: each.read_bytes() for each in out.rglob("*") if each.is_file()} == before
-    put(path, low=80)
-    with pytest.raises(InputError, match="already has a session 'a' of another file: rename the file"):
-        imports([path], out)
-
-
 def test_a_recording_is_imported_once_under_any_name_and_a_changed_map_is_said(tmp_path: Path) -> None:
     out, folder = tmp_path / "out", tmp_path / "trial"
     folder.mkdir()
     paths = [put(folder / "a.parquet"), put(tmp_path / "a.parquet", low=80)]
     assert [each.session for each in imports(paths, out)] == ["trial-a", f"{tmp_path.name}-a"]
-    copied = put(tmp_path / "copy.parquet", low=80)
+    copied, before = put(tmp_path / "copy.parquet", low=80), contents(out)
     [again, moved] = imports([paths[0], copied], out)
     assert [(each.session, each.state) for each in (again, moved)] == [
         ("trial-a", "present"),
@@ -273,7 +255,11 @@ def test_a_recording_is_imported_once_under_any_name_and_a_changed_map_is_said(t
         assert isinstance(found, TraceImport)
         assert (found.session, found.state) == ("trial-a", "differs")
     assert [each.state for each in imports(paths[:1], out, group="(a)")] == ["differs"]
-    assert len([*(out / "sessions").iterdir()]) == 2
+    assert contents(out) == before
+    imports([copied], tmp_path / "other")
+    put(copied, low=70)
+    with pytest.raises(InputError, match="already has a session 'copy' of another file: rename the file"):
+        imports([copied], tmp_path / "other")
 
 
 def test_the_folder_of_a_file_may_state_its_split(tmp_path: Path) -> None:

@@ -86,7 +86,9 @@ def test_a_recording_of_a_live_flow_has_the_sliding_labels_of_its_scene(tmp_path
     assert there(recorded.sliding).tolist() == there(simulated_recording(SCENE, 3).sliding).tolist()
 
 
-def test_recordings_without_splits_take_turns_by_session(tiny: Path, tmp_path: Path) -> None:
+def test_recordings_without_splits_take_turns_by_session_also_if_given_one_by_one(
+    tiny: Path, tmp_path: Path
+) -> None:
     copy = copytree(tiny, tmp_path / "tiny")
     for path in copy.glob("sessions/*/session.json"):
         put_checked(path, {**read_checked(path), "split": None})
@@ -95,6 +97,11 @@ def test_recordings_without_splits_take_turns_by_session(tiny: Path, tmp_path: P
     assert load(copy)[-1].name == f"{last.name}-renamed"
     turns = [each.split for each in load(copy)]
     assert turns == list((TURNS * 2)[: len(turns)]) != [each.split for each in load(tiny)]
+    one_by_one = load(*sorted((copy / "sessions").iterdir()))
+    assert [(each.name, each.split) for each in one_by_one] == [
+        (each.name, each.split) for each in load(copy)
+    ]
+    assert load(tiny, copy)[-1].split == one_by_one[-1].split
 
 
 def test_labels_by_hand_replace_those_by_arm_speed_and_not_the_truth(tiny: Path, tmp_path: Path) -> None:
@@ -114,29 +121,10 @@ def test_labels_by_hand_replace_those_by_arm_speed_and_not_the_truth(tiny: Path,
     assert before[0].sliding is not None
     assert first.sliding.tolist() == before[0].sliding.tolist()
     assert not any(each.by_hand for each in others)
+    [origin] = provenance(before)
+    assert provenance([first, *others]) == [{**origin, "hand_labels": 110}], "the content is the same"
     line = hand_label_summary([first, *others])
     assert line == f"labels by hand: 110 of {len(first):,} samples of 1 recording"
-
-
-def test_sessions_given_one_by_one_take_turns_as_in_their_dataset(tiny: Path, tmp_path: Path) -> None:
-    copy = copytree(tiny, tmp_path / "tiny")
-    for path in copy.glob("sessions/*/session.json"):
-        put_checked(path, {**read_checked(path), "split": None})
-    one_by_one = load(*sorted((copy / "sessions").iterdir()))
-    assert [(each.name, each.split) for each in one_by_one] == [
-        (each.name, each.split) for each in load(copy)
-    ]
-    assert load(tiny, copy)[-1].split == one_by_one[-1].split
-
-
-def test_labels_by_hand_change_the_provenance_but_not_the_content(tiny: Path, tmp_path: Path) -> None:
-    copy = copytree(tiny, tmp_path / "tiny")
-    [before] = provenance(load(copy))
-    name = load(copy)[0].name
-    session = Session.open(copy / "sessions" / name)
-    begin = session.frame("samples")["time"][0]
-    session.write_hand_labels([LabelSpan(begin, begin + s, 0, "slip")], based_on=0)
-    assert provenance(load(copy)) == [{**before, "hand_labels": 100}]
 
 
 def test_a_session_without_an_arm_has_the_labels_by_hand_only(tmp_path: Path) -> None:

@@ -17,9 +17,10 @@ def recording(
     return LabelledRecording(counts, np.zeros(samples, np.int8), valid=valid)
 
 
-@pytest.mark.parametrize("samples", [0, 1, WARM_UP])
-def test_a_recording_that_is_too_short_has_no_score(samples: int) -> None:
+@pytest.mark.parametrize("samples", [0, 1, 3, WARM_UP])
+def test_a_recording_within_the_warm_up_has_no_score_and_no_windows(samples: int) -> None:
     assert np.isnan(recording(samples).probabilities(Psd())).all()
+    assert recording(samples).windows(51, 2).shape == (0, 51, 6)
 
 
 @pytest.mark.parametrize("detector", [Psd(), Psd(130), load_detector("tcn")], ids=["psd", "longer", "tcn"])
@@ -41,11 +42,6 @@ def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     assert one.windows(25, 10)[:, -1, 0].tolist() == counts[99::10, 0].tolist()
     assert one.windows(100, 10)[0].tolist() == counts[:100].tolist()
     assert len(one.known(10)) == len(one.windows(25, 10))
-
-
-@pytest.mark.parametrize("samples", [0, 3, WARM_UP])
-def test_a_recording_within_the_warm_up_has_no_windows(samples: int) -> None:
-    assert recording(samples).windows(51, 2).shape == (0, 51, 6)
 
 
 def test_samples_with_an_unknown_label_are_not_fitted_to() -> None:

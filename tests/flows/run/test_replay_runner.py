@@ -19,7 +19,6 @@ from flows.run.replay_runner import ReplayRunner, declaration, in_slices
 from operators import (
     EVERY,
     Align,
-    Batch,
     EndpointError,
     InputError,
     Label,
@@ -34,8 +33,8 @@ from operators import (
     ms,
     s,
 )
-from operators.batch import columns
 from tests.flows.run.live import FaultySink
+from tests.storage.made import same
 
 
 def recording(seconds: float = 5.0, finger: int = 0) -> TestRecording:
@@ -57,10 +56,6 @@ def labelling(
     return flow, sink
 
 
-def identical(one: Batch, other: Batch) -> bool:
-    return all(getattr(one, c).tobytes() == getattr(other, c).tobytes() for c in columns(type(one)))
-
-
 def test_a_live_run_equals_a_replay_of_the_same_rows() -> None:
     held = recording()
     full_flow, full = labelling()
@@ -77,18 +72,14 @@ def test_a_live_run_equals_a_replay_of_the_same_rows() -> None:
         (True, "memory"),
     ]
     assert len(full.rows(Labelled, 0)) == 500
-    assert identical(full.rows(Labelled, 0), live.rows(Labelled, 0))
+    same(full.rows(Labelled, 0), live.rows(Labelled, 0))
 
 
-def test_a_stream_that_the_recording_lacks_is_named() -> None:
+def test_a_stream_that_the_recording_lacks_is_named_and_an_empty_recording_is_an_error() -> None:
     flow, _ = labelling()
     touch_only = TestRecording("memory", recording().read(Touch, 0, 1000))
     with pytest.raises(InputError, match="memory: has no motion stream, which source 'motion' needs"):
         ReplayRunner(flow, touch_only, "x")
-
-
-def test_an_empty_recording_is_an_error() -> None:
-    flow, _ = labelling()
     empty = TestRecording("memory", [Touch.empty(), Motion.empty()])
     with pytest.raises(InputError, match="memory: is empty"):
         asyncio.run(ReplayRunner(flow, empty, "x").execute())
@@ -100,19 +91,6 @@ class ClosesWithError(FaultySink):
         raise EndpointError("disk", "full")
 
 
-def test_all_sinks_of_a_failed_replay_are_closed_and_its_first_error_is_raised(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    flow, last = Flow("f"), TestSink()
-    touch = flow.source(TestSource(Touch))
-    for sink in (ClosesWithError("a", failures=[EndpointError("first", "failed")]), last):
-        touch.to(sink)
-    with pytest.raises(EndpointError, match="first: failed"):
-        asyncio.run(ReplayRunner(flow, recording(), "x").execute())
-    assert last.closed == 1
-    assert caplog.messages == ["a failed: disk: full"]
-
-
 class AwaitsCancelledTask(TestSink):
     async def close(self) -> None:
         task = asyncio.create_task(asyncio.sleep(1))
@@ -121,19 +99,26 @@ class AwaitsCancelledTask(TestSink):
 
 
 @pytest.mark.parametrize(
-    ("kind", "error"),
-    [(ClosesWithError, "disk: full"), (AwaitsCancelledTask, "a task that it awaited was cancelled")],
+    ("sink", "error", "logged"),
+    [
+        (ClosesWithError("a"), "disk: full", []),
+        (AwaitsCancelledTask("a"), "a task that it awaited was cancelled", []),
+        (
+            ClosesWithError("a", failures=[EndpointError("first", "failed")]),
+            "first: failed",
+            ["a failed: disk: full"],
+        ),
+    ],
 )
-def test_a_replay_fails_if_a_sink_cannot_be_closed_and_closes_the_others(
-    kind: type[TestSink], error: str
+def test_a_replay_fails_with_its_first_error_if_a_sink_cannot_be_closed_and_closes_the_others(
+    sink: TestSink, error: str, logged: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     flow, last = Flow("f"), TestSink()
-    touch = flow.source(TestSource(Touch))
-    for sink in (kind("a"), last):
-        touch.to(sink)
+    flow.source(TestSource(Touch)).to(sink).to(last)
     with pytest.raises((EndpointError, RuntimeError), match=error):
         asyncio.run(ReplayRunner(flow, recording(), "x").execute())
     assert last.closed == 1
+    assert caplog.messages == logged
 
 
 def test_a_replay_that_is_cancelled_is_not_complete() -> None:

@@ -163,7 +163,7 @@ def test_a_source_whose_first_row_is_wrong_is_not_called_silent(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     wrong = Scores(np.array([0]), np.array([0.9]), finger=3)
-    with pytest.raises(SlipflowError, match="source 'scores' yielded fingertip 3"):
+    with pytest.raises(SlipflowError, match=r"source 'scores' yielded fingertip 3, but declares \(-1,\)"):
         execute(flow_of(TestSource(Scores, [wrong]), TestSink()))
     assert not caplog.messages
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -10,11 +10,14 @@ import pytest
 from flows.lab.experiments.trial import Trace
 from operators.batch import Reals
 
+MakeTrace: TypeAlias = Callable[..., Trace]
+During: TypeAlias = Callable[..., Reals]
+
 _T = np.arange(700) / 100  # s
 
 
 @pytest.fixture
-def make_trace() -> Callable[..., Trace]:
+def make_trace() -> MakeTrace:
     """A trace of 7 s in which nothing happens except in the given columns."""
     zero, never = np.zeros(700), np.zeros(700, np.bool_)
     counts = np.zeros((700, 6), np.int16)
@@ -28,7 +31,7 @@ def make_trace() -> Callable[..., Trace]:
 
 
 @pytest.fixture
-def during() -> Callable[..., Reals]:
+def during() -> During:
     """A column that is `value` within spans (s), else 0."""
 
     def column(*spans: tuple[float, float], value: float = 1.0) -> Reals:

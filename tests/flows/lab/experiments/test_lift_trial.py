@@ -1,6 +1,4 @@
 import math
-from collections.abc import Callable
-from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -9,11 +7,8 @@ from flows.lab.experiments.study import StepThreshold
 from flows.lab.experiments.tap_and_lift import LIFT, judge_lift, lift
 from flows.lab.experiments.trial import BASELINE, Conditions, Outcome, Trace, Trial
 from operators import Grip
-from operators.batch import Reals
 from storage import load_detector
-
-MakeTrace: TypeAlias = Callable[..., Trace]
-During: TypeAlias = Callable[..., Reals]
+from tests.flows.lab.experiments.conftest import During, MakeTrace
 
 UP = {"hand": np.full(700, 0.05), "height": np.full(700, 0.048)}
 DOWN = {"hand": np.full(700, 0.05), "height": np.zeros(700), "on_table": np.ones(700, np.bool_)}

@@ -1,7 +1,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 import pytest
@@ -11,10 +10,7 @@ from flows.lab.experiments.study import StepThreshold
 from flows.lab.experiments.tap_and_lift import BLOWS, SIZES, TAP_END, judge_tap, tap
 from flows.lab.experiments.trial import MOVED, STILL, Conditions, Trace, Trial
 from operators import Grip
-from operators.batch import Reals
-
-MakeTrace: TypeAlias = Callable[..., Trace]
-During: TypeAlias = Callable[..., Reals]
+from tests.flows.lab.experiments.conftest import During, MakeTrace
 
 NEVER = StepThreshold(math.inf)  # never reports slip
 RULE = Grip(settle=0)

@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,18 +29,9 @@ def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
     return found
 
 
-def loading(fingertip: Fingertip) -> Callable[..., list[LabelledRecording]]:
-    """Return a function that loads recordings of a fingertip from any path."""
-
-    def load(_: Path, **__: object) -> list[LabelledRecording]:
-        return recordings(fingertip)
-
-    return load
-
-
 @pytest.fixture
 def trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(trainer, "load", loading(PAD))
+    monkeypatch.setattr(trainer, "load", lambda _: recordings(PAD))
     out = tmp_path / "pad.safetensors"
     trainer.train([tmp_path], out, SMALL)
     return out
@@ -65,16 +55,12 @@ def test_recordings_of_different_rates_are_not_trained_on_together(
 ) -> None:
     one, *rest = recordings(TAKKTILE)
     mixed = [one, *(replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in rest)]
-
-    def load(_: Path, **__: object) -> list[LabelledRecording]:
-        return mixed
-
-    monkeypatch.setattr(trainer, "load", load)
+    monkeypatch.setattr(trainer, "load", lambda _: mixed)
     with pytest.raises(FingertipError, match=r"data set with train needs 100 Hz; the data has 200 Hz: Res"):
         trainer.train([tmp_path], tmp_path / "model.safetensors", SMALL)
 
 
 def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trainer, "load", loading(PAD))
+    monkeypatch.setattr(trainer, "load", lambda _: recordings(PAD))
     with pytest.raises(FingertipError, match=r"paper_tcn needs 6 cells"):
         trainer.train([tmp_path], tmp_path / "model.safetensors", PaperRecipe("paper_tcn", 1))
